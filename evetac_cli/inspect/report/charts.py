@@ -80,7 +80,7 @@ def detection_charts(found: Found, window_ms: tuple[int, int]) -> list[Chart]:
             height=230,
             x_range=CDF_MS,
             y_range=(-0.09, 1.03),
-            x_axis_label="first detection minus onset in the labels, t_m - t_c [ms]",
+            x_axis_label="first detection after the labels' onset [ms]",
             y_axis_label="share detected",
         )
         _window(chart, window_ms)
@@ -97,7 +97,9 @@ def detection_charts(found: Found, window_ms: tuple[int, int]) -> list[Chart]:
         keys = {f"all {len(members)}": NEUTRAL}
         if 1 < len(objects) <= len(OBJECT_COLOURS):
             keys |= {f"object {name}": colour for name, colour in zip(objects, OBJECT_COLOURS, strict=False)}
-        charts.append(Chart(setting, chart, keys, f"{never} are never detected." if never else ""))
+        beyond = sum(not CDF_MS[0] <= ms <= CDF_MS[1] for ms in detected)
+        said = [f"{never} are never detected."] * (never > 0) + [f"{beyond} are outside what is drawn."] * (beyond > 0)
+        charts.append(Chart(setting, chart, keys, " ".join(said)))
     return charts
 
 

@@ -14,11 +14,12 @@ LABELS_MS = (EARLIEST_MS, LATEST_MS)
 
 
 class Figure(NamedTuple):
-    """One figure of a study: what, how much, and of how many trials it is."""
+    """One figure of a study: what, how much (shares are 0 to 1), and over how many trials."""
 
     name: str
-    value: float | int | None
-    of: str = ""
+    value: float | int
+    over: str = ""
+    share: bool = False
 
 
 def headline(study: Study) -> list[Figure]:
@@ -35,35 +36,35 @@ def headline(study: Study) -> list[Figure]:
     slipping = [trial for trial in trials if trial.t_s is not None and trial.labelled_by is not None]
     errors = [trial.label_error_ms for trial in slipping if trial.label_error_ms is not None]
     if slipping:
-        of = f"{len(slipping)} that slip"
+        over = f"{len(slipping)} that slip"
         right = sum(LABELS_MS[0] <= error <= LABELS_MS[1] for error in errors)
         figures += [
-            Figure("onsets that have a label", len(errors) / len(slipping), of),
-            Figure("labels within -4..+3 ms of the truth", right / len(slipping), of),
+            Figure("onsets that have a label", len(errors) / len(slipping), over, share=True),
+            Figure("labels within -4..+3 ms of the truth", right / len(slipping), over, share=True),
         ]
     if errors:
-        figures.append(Figure("t_c - t_s, median [ms]", float(np.median(errors)), f"{len(errors)}"))
+        figures.append(Figure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
     judged = [ms for trial in trials for ms in trial.late_by]
     if judged:
-        of = f"{len(judged)} detections"
+        over = f"{len(judged)} trials times models"
         known = [ms for ms in judged if ms is not None]
         correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known)
-        figures.append(Figure("timing correct, all models", correct / len(judged), of))
-        figures += [Figure("t_m - t_c, median [ms]", float(np.median(known)), of)] if known else []
+        figures.append(Figure("timing correct, all models", correct / len(judged), over, share=True))
+        figures += [Figure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
     figures += [
-        Figure(f"best {name}", found.summary[key], found.path)
+        Figure("F1 of the best model", found.summary[key])
         for found in study.reports("evaluate slip")
-        for name, key in (("F1", "f1"), ("F1", "best_f1"))
+        for key in ("f1", "best_f1")
         if found.summary.get(key) is not None
     ][:1]
     dots = [trial.tracking_px for trial in trials if trial.tracking_px is not None]
     if dots:
         rms = float(np.sqrt(np.mean(np.square(dots))))
-        figures.append(Figure("dots from the truth, rms [px]", rms, f"{len(dots)}"))
+        figures.append(Figure("dots from the truth, rms [px]", rms, str(len(dots))))
     grasps = [trial.grasp for trial in trials if trial.grasp is not None]
     if grasps:
         held = [grasp for grasp in grasps if grasp.get("balanced")]
-        figures.append(Figure("grasps lifted and kept", len(held) / len(grasps), f"{len(grasps)}"))
+        figures.append(Figure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), share=True))
         for name, key in (("object moved, median [mm]", "moved_mm"), ("grip at the end, median [N]", "force_end_n")):
             values = [grasp[key] for grasp in held if isinstance(grasp.get(key), (int, float))]
             figures += [Figure(name, float(np.median(values)), f"{len(values)} kept")] if values else []

@@ -9,7 +9,7 @@ from evetac_cli.inspect import pages
 from evetac_cli.inspect.report import charts, evaluations, figures
 from evetac_cli.inspect.report.charts import Chart
 from evetac_cli.inspect.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
-from evetac_cli.inspect.report.figures import TIMING_MS
+from evetac_cli.inspect.report.figures import TIMING_MS, Figure
 from evetac_cli.inspect.report.study import Found, Study
 from evetac_cli.inspect.report.tables import cell, figure_text, table
 from evetac_cli.inspect.report.trial_table import onset_charts, trial_table, trials_of_both
@@ -74,7 +74,7 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
     nav = "".join(f"<a href='#{name}'>{head}</a>" for name, head, _ in sections)
     lead = "".join(
         f"<p class='id'>{html.escape(str(study.folder.resolve()))}: "
-        + ", ".join(f"{count} {kind}" for kind, count in sorted(study.files.items()))
+        + ", ".join(f"{kind} {count:,}" for kind, count in sorted(study.files.items()))
         + "</p>"
         for study in studies
     )
@@ -94,9 +94,7 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
 def _overview(studies: Sequence[Study]) -> str:
     if len(studies) == 1:
         tiles = "".join(
-            f"<div><dt>{html.escape(one.name)}</dt><dd>{figure_text(one.value)}"
-            + (f" <small>of {html.escape(one.of)}</small>" if one.of else "")
-            + "</dd></div>"
+            f"<div><dt>{html.escape(one.name)}</dt><dd>{_percent(one)}{_over(one)}</dd></div>"
             for one in figures.headline(studies[0])
         )
         return f"<dl class='tiles'>{tiles}</dl>"
@@ -104,15 +102,20 @@ def _overview(studies: Sequence[Study]) -> str:
     rows = []
     for name in dict.fromkeys(name for of_study in by_study for name in of_study):
         one, other = (of_study.get(name) for of_study in by_study)
-        values = [None if figure is None else figure.value for figure in (one, other)]
-        difference = None if None in values else values[1] - values[0]  # type: ignore[operator]
-        ofs = [
-            f" <small>of {html.escape(figure.of)}</small>" if figure and figure.of else "" for figure in (one, other)
-        ]
-        cells = [cell(name), *(cell(value, of) for value, of in zip(values, ofs, strict=True)), cell(difference)]
+        difference = None if one is None or other is None else other.value - one.value
+        both = [cell(None) if figure is None else cell(figure.value, _over(figure)) for figure in (one, other)]
+        cells = [cell(name), *both, cell(difference)]
         rows.append(f"<tr>{''.join(cells)}</tr>")
     names = [html.escape(study.name) for study in studies]
     return table(["figure", *names, f"{names[1]} minus {names[0]}"], rows)
+
+
+def _percent(figure: Figure) -> str:
+    return f"{figure.value:.0%}" if figure.share else figure_text(figure.value)
+
+
+def _over(figure: Figure) -> str:
+    return f" <small>over {html.escape(figure.over)}</small>" if figure.over else ""
 
 
 def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:

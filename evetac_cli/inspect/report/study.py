@@ -279,5 +279,5 @@ def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
             found.append((NEVER, f"{source} never find the slip"))
         elif error is not None and not low <= error <= high:
             beyond = max(low - error, error - high)
-            found.append((beyond, f"{source} {abs(error):g} ms too {'early' if error < low else 'late'}"))
+            found.append((beyond, f"{source} {abs(error):,g} ms {'early' if error < low else 'late'}"))
     return max((score for score, _ in found), default=0.0), "; ".join(text for _, text in sorted(found, reverse=True))

@@ -20,8 +20,8 @@ MOST_TRIALS = 2000  # in the table: those that stand out most
 FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are chosen
 EMPTY = ("<td></td>", cell(None))
 TIMES = "t_s is the true onset of gross slip, t_c the onset in the labels, t_m the first detection by a model."
-LABEL_AXIS = "onset in the labels minus true onset, t_c - t_s [ms]"
-MODEL_AXIS = "first detection minus onset in the labels, t_m - t_c [ms]"
+LABEL_AXIS = "labels' onset after the true onset [ms]"
+MODEL_AXIS = "first detection after the labels' onset [ms]"
 
 
 def trials_of_both(studies: Sequence[Study]) -> str:
@@ -126,6 +126,7 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
         "study": cell(study.name),
         "events at the onset": f"<td>{image}</td>",
         "trial": f"<td class='name'>{name}</td>",
+        "stands out": f"<td class='remark'>{pages.short(remarked)}</td>" if remarked else cell(None),
         "object": cell(row.object),
         "scene": cell(row.scene),
         "sensor": cell(row.sensor),
@@ -139,7 +140,6 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
         "grip at the end [N]": cell(grasp.get("force_end_n")),
         "duration [s]": cell(row.slices / 1000 if row.slices is not None else None),
         "events": cell(trial.events),
-        "stands out": f"<td class='remark'>{pages.short(remarked)}</td>" if remarked else cell(None),
     }
 
 

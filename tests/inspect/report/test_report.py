@@ -43,10 +43,10 @@ def test_outliers_come_first(study: Study, folder: Path, tmp_path: Path) -> None
     remarks = [remark(trial, TIMING_MS)[1] for trial in study.trials]
     assert remarks == [
         "",
-        "models 120 ms too early",
+        "models 120 ms early",
         "slips, and the labels find no onset",
         "models never find the slip",
-        "labels 40 ms too late",
+        "labels 40 ms late",
     ]
     text = made(folder, tmp_path / "r.html")
     rows = re.findall(r"<tr data-row='0-(\d)'", text)
