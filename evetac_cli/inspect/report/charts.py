@@ -3,6 +3,7 @@
 A point of a trial carries the number of the trial's row, so that a click on it shows that row.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -33,11 +34,15 @@ def onset_chart(
     study: Study, number: int, kind: str, window_ms: tuple[int, int], x_label: str, title: str
 ) -> Chart | None:
     """A point for every trial's error (`label_error_ms` or `model_error_ms`), a line an object; None without any."""
-    points = [(at, trial, getattr(trial, kind)) for at, trial in enumerate(study.trials)]
-    points = [(at, trial, ms) for at, trial, ms in points if ms is not None]
+    errors = [(at, trial, getattr(trial, kind)) for at, trial in enumerate(study.trials)]
+    points: list[tuple[int, tuple[str, float], float]] = []  # row, place on the axis of objects, error
+    counts: Counter[str] = Counter()
+    for at, name, ms in ((at, _object(trial), ms) for at, trial, ms in errors if ms is not None):
+        points.append((at, (name, 0.2 * (counts[name] % 3 - 1)), ms))  # three lines, so that fewer points hide others
+        counts[name] += 1
     if not points:
         return None
-    names = sorted({_object(trial) for _, trial, _ in points}, key=lambda name: (len(name), name))
+    names = sorted(counts, key=lambda name: (len(name), name))
     chart = bare_figure(height=70 + 26 * len(names), y_range=names[::-1], x_axis_label=x_label, min_border_left=90)
     chart.ygrid.grid_line_color = None
     _window(chart, window_ms)
@@ -49,10 +54,10 @@ def onset_chart(
     ):
         some = [one for one in points if least <= one[2] <= most]
         for marker, edge in (("circle", False), ("triangle", True)):
-            shown = [(at, trial, ms) for at, trial, ms in some if (abs(ms) > SHOWN_MS) == edge]
+            shown = [one for one in some if (abs(one[2]) > SHOWN_MS) == edge]
             data = {
                 "x": [float(np.clip(ms, -SHOWN_MS, SHOWN_MS)) for _, _, ms in shown],
-                "y": [(_object(trial), 0.22 * ((at % 3) - 1)) for at, trial, _ in shown],
+                "y": [place for _, place, _ in shown],
                 "row": [f"{number}-{at}" for at, _, _ in shown],
             }
             angle = np.pi / 2 if words == "early" else -np.pi / 2

@@ -273,10 +273,10 @@ def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
         found.append((NEVER, "does not slip, and the labels find an onset"))
     for source, error, (low, high) in (
         ("labels", trial.label_error_ms, (EARLIEST_MS, LATEST_MS)),
-        ("models", trial.model_error_ms, timing_ms),
+        ("model" if len(trial.late_by) == 1 else "models", trial.model_error_ms, timing_ms),
     ):
         if error == np.inf:
-            found.append((NEVER, f"{source} never find the slip"))
+            found.append((NEVER, f"slip not found by the {source}"))
         elif error is not None and not low <= error <= high:
             beyond = max(low - error, error - high)
             found.append((beyond, f"{source} {abs(error):,g} ms {'early' if error < low else 'late'}"))
