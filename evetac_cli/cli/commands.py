@@ -248,3 +248,11 @@ DOCTOR = Command(
     "",
     examples=("evetac doctor", "evetac doctor --speed", "evetac doctor --hardware --camera virtual --gripper virtual"),
 )
+REPORT = Command(
+    "report",
+    inspection.Report,
+    "inspect.report",
+    "A folder of stage files; two with --compare.",
+    unit="files",
+    examples=("evetac report data", "evetac report before after --compare -o compared.html"),
+)

@@ -13,12 +13,12 @@ import typer
 
 from evetac_cli import __version__, console, resources
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, VIEW, Command
+from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("index", "repair")  # commands that are about folders, not about the files in them
+OF_FOLDERS = ("index", "repair", "report", "view")  # commands that see to folders themselves
 
 app = typer.Typer(
     cls=Commands,
@@ -71,7 +71,7 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
     named = given.pop("files")
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
-        files = execution.with_folders(named, command.kind)
+        files = named if command.name in OF_FOLDERS else execution.with_folders(named, command.kind)
         module = importlib.import_module(f"evetac_cli.{command.module}")
         with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
             result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
@@ -210,6 +210,7 @@ app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     )
 )
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
+_add(app, REPORT, REPORT.name, "Inspect", _write_for_others, flags.OF_VIEW)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
 app.command("validate", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")

@@ -1,4 +1,4 @@
-"""For people to look: view, export, doctor."""
+"""For people to look: view, report, export, doctor."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,13 @@ class View:
         500, "Images in the page at most, dense near slip and where it is busiest.", low=1, high=3000, recipe=False
     )
     film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Look at a whole data set or study: one HTML page that needs no network, with trials, onsets and evaluations."""
+
+    compare: bool = parameter(False, "Set two folders side by side.", recipe=False)
 
 
 @dataclass(frozen=True)

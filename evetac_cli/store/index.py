@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from evetac_cli.errors import EvetacError, InputError
 
 NAME = ".evetac-index.sqlite"
-FORMAT = 2  # of the table; an index of another format is made again
+FORMAT = 3  # of the table; an index of another format is made again
 LARGEST = 2**63 - 1  # whole number of SQLite
 
 
@@ -37,6 +37,7 @@ class Row(NamedTuple):
     changed_ns: int
     kind: str | None = None  # none for a file that cannot be read
     recipe_id: str | None = None
+    recording: str | None = None  # recipe id of the one recording that it was made from, or is
     object: int | str | None = None
     sensor: str | None = None
     seed: int | str | None = None
@@ -179,13 +180,14 @@ def describe(folder: Path, name: str, size_bytes: int, changed_ns: int) -> Row:
 
 def _figures(file: Any) -> dict[str, Any]:
     header = file.header
-    recording = _recording_of(header, header["history"]) or {}
+    recording: dict[str, Any] = recording_of(header, header["history"]) or {}
     parameters = recording.get("parameters", {})
     scene = parameters.get("scene")
     seed = recording.get("seed") if recording else header["seed"]
     return {
         "kind": file.kind,
         "recipe_id": header["id"],
+        "recording": recording.get("id"),
         "object": _plain(parameters.get("object")),
         "sensor": _plain(parameters.get("sensor")) or _sensor_name(file),
         "seed": _plain(seed),
@@ -197,7 +199,7 @@ def _figures(file: Any) -> dict[str, Any]:
     }
 
 
-def _recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
+def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
     """The header of the one recording that a file was made from, itself if it is one; None where there are several.
 
     What a model was trained on does not count.

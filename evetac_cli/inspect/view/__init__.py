@@ -1,22 +1,27 @@
 """view: show a recording and what was computed from it, on one page that needs no network and as an animation."""
 
-import os
-from collections.abc import Iterable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.inspect.view.event_images import choose_frame_times, draw_pictures, frame_size_px, place_dots, window_px
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import pages
+from evetac_cli.inspect.view import gripper
+from evetac_cli.inspect.view.event_images import (
+    choose_frame_times,
+    draw_pictures,
+    frame_size_px,
+    place_dots,
+    telling_frame,
+    window_px,
+)
 from evetac_cli.inspect.view.page import render_page
 from evetac_cli.inspect.view.time_series import model_output, series_panels, slip_lanes, slip_onsets
 from evetac_cli.inspect.view.trial_files import Trial, open_trial
 from evetac_cli.inspect.view.view_data import ViewData
-from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params.inspection import View
-from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 
 
@@ -24,18 +29,27 @@ def run(
     files: list[Path], params: View, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
     """Write the page of one trial, and the animation if asked; InputError if either exists, unless `force`."""
-    _check_libraries(("bokeh", "PIL"))
-    target = _target(files[0], out)
-    outputs = [target] if params.film is None else [target, _with_suffix(params.film, ".gif", "--film")]
+    pages.check_libraries(("bokeh", "PIL"))
+    folders = [path for path in files if path.is_dir()]
+    if folders:
+        raise InputError(
+            "a page shows one trial",
+            where=str(folders[0]),
+            expected="stage files of one trial",
+            found="a folder",
+            hint=f"evetac report {folders[0]} shows all its trials on one page",
+        )
+    target = pages.page_path(files[0].parent, f"{stem(files[0])}.html", out)
+    outputs = [target] if params.film is None else [target, pages.with_suffix(params.film, ".gif", "--film")]
     for path in outputs:
-        _check_free(path, force)
+        pages.check_free(path, force)
     with open_trial(files) as trial:
         view = collect_view(trial, params, progress)
         written = {target: render_page(trial, view)}
         if params.film is not None:
             written[params.film] = _film(trial, view)
     for path, content in written.items():
-        _write(path, content)
+        pages.write_page(path, content)
     row: dict[str, Any] = {
         "page": str(target),
         "size_bytes": len(written[target]),
@@ -50,18 +64,12 @@ def run(
     return Outcome([row], view.simulated, {"notes": " ".join(view.notes) or None})
 
 
-def _check_libraries(names: Iterable[str]) -> None:
-    """EvetacError, before any work is done, where a library that draws is missing."""
-    for name in names:
-        if find_spec(name) is None:
-            raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install '.[plot]'")
-
-
 def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
     """Gather what is drawn of a trial; no larger for an hour than for a second."""
     span = _span(trial, params)
     empty = span[0] == span[1]
     probability = model_output(trial, span)
+    panels = [] if empty else series_panels(trial, span, probability)
     view = ViewData(
         slices=trial.slices,
         span=span,
@@ -70,22 +78,28 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
         frame_px=frame_size_px(trial),
         window_px=window_px(trial),
         onsets={} if empty else slip_onsets(trial, span, probability),
-        panels=[] if empty else series_panels(trial, span, probability),
+        # the gripper's below the events, which come first where there is a recording
+        panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:]],
         lanes=[] if empty else slip_lanes(trial, span, probability),
+        phases=[] if empty else gripper.phase_lanes(trial, span),
         notes=_label_notes(trial) + trial.notes,
         frame_times=np.empty(0, np.int64),
         dense={},
+        moments={} if empty else gripper.moments(trial, span),
         pictures=[],
         events=[],
         rest_xy_px=None,
         dot_xy_px=None,
         lost=None,
         true_xy_px=None,
+        side=None,
     )
     if not empty and (trial.recording is not None or trial.tracks is not None):
         choose_frame_times(view, trial, params.images)
         draw_pictures(view, trial, progress)
         place_dots(view, trial)
+        view.side = gripper.side_view(trial, np.minimum(view.frame_times + view.shown_ms, span[1]) - 1)
+        view.opens_at = telling_frame(view)
     return view
 
 
@@ -116,33 +130,3 @@ def _span(trial: Trial, params: View) -> tuple[int, int]:
         expected=f"0 <= start < stop, within {slices / 1000:.3f} s",
         found=f"{params.start_s:g} to {stop / 1000:g}",
     )
-
-
-def _target(file: Path, out: Path | None) -> Path:
-    """NAME.html beside the file, in the folder `out`, or the file `out`."""
-    name = f"{stem(file)}.html"
-    if out is None:
-        return file.with_name(name)
-    if out.is_dir() or not out.suffix:
-        return out / name
-    return _with_suffix(out, ".html", "--out")
-
-
-def _with_suffix(path: Path, suffix: str, flag: str) -> Path:
-    if path.suffix.lower() != suffix:
-        raise InputError("wrong kind of output", where=flag, expected=f"a name that ends in {suffix}", found=str(path))
-    return path
-
-
-def _check_free(path: Path, force: bool) -> None:
-    require_possible_name(path)
-    if os.path.isdir(path):
-        raise InputError("the output is a folder", where=str(path))
-    if os.path.lexists(path) and not force:
-        raise InputError("the output exists", where=str(path), hint="--force replaces it, -o NAME writes elsewhere")
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write beside the target, then rename, so that no half page is ever left."""
-    with taking_the_place_of(path) as temporary:
-        temporary.write_bytes(content)

@@ -53,6 +53,7 @@ def choose_frame_times(view: ViewData, trial: Trial, most: int) -> None:
         view.frame_times = np.arange(start, last + 1)
         return
     view.dense = {f"onset, {source}": slice_ for source, slice_ in view.onsets.items() if slice_ is not None}
+    view.dense |= view.moments
     if trial.recording is not None:
         per_slice = np.diff(trial.recording.starts[start : stop + 1])
         view.dense["busiest"] = start + int(np.argmax(per_slice))
@@ -92,7 +93,7 @@ def draw_pictures(view: ViewData, trial: Trial, progress: Progress) -> None:
     view.events = [events for _, events in pictures.values()]
 
 
-def picture(recording: Recording, start: int, shown_ms: int) -> tuple[bytes, int]:
+def picture(recording: Recording, start: int, shown_ms: int, largest_px: int = LARGEST_IMAGE_PX) -> tuple[bytes, int]:
     """Events of a few ms as the paper draws them (white brighter, black darker, grey none) as PNG, and their number."""
     from PIL import Image
 
@@ -101,7 +102,7 @@ def picture(recording: Recording, start: int, shown_ms: int) -> tuple[bytes, int
     first, last = (int(recording.starts[at]) for at in (start, min(start + shown_ms, len(recording))))
     events = recording.events(max(first, last - MOST_EVENTS), last)
     width, height = recording.frame_px
-    coarse = -(-max(width, height) // LARGEST_IMAGE_PX)
+    coarse = -(-max(width, height) // largest_px)
     if coarse > 1:
         events = Events(events.t, events.x // np.uint16(coarse), events.y // np.uint16(coarse), events.p)
     drawn = event_image(events.x, events.y, events.p, (-(-width // coarse), -(-height // coarse)))
@@ -110,6 +111,19 @@ def picture(recording: Recording, start: int, shown_ms: int) -> tuple[bytes, int
     written = io.BytesIO()
     image.save(written, "PNG", bits=2, compress_level=9)
     return written.getvalue(), last - first
+
+
+def telling_frame(view: ViewData) -> int:
+    """The image to begin with: slip's onset, the grip, the first touch, whichever comes first in this list and shows
+    an event; else the busiest.
+    """
+    for at in (*view.onsets.values(), *view.moments.values()):
+        if at is None:
+            continue
+        frame = int(np.argmin(np.abs(view.frame_times - at)))
+        if not view.events or view.events[frame]:
+            return frame
+    return int(np.argmax(view.events)) if view.events else 0
 
 
 def place_dots(view: ViewData, trial: Trial) -> None:
@@ -122,8 +136,8 @@ def place_dots(view: ViewData, trial: Trial) -> None:
             view.notes.append(
                 f"The tracks end at {tracked / 1000:.3f} s, {view.slices - tracked} ms before the recording does."
             )
-        view.dot_xy_px = _read_rows(trial.tracks, "dot_xy_px", ends, np.nan).astype(np.float32)
-        view.lost = _read_rows(trial.tracks, "lost", ends, 0).astype(np.uint8)
+        view.dot_xy_px = read_rows(trial.tracks, "dot_xy_px", ends, np.nan).astype(np.float32)
+        view.lost = read_rows(trial.tracks, "lost", ends, 0).astype(np.uint8)
     recording = trial.recording
     if recording is None:
         return
@@ -132,10 +146,10 @@ def place_dots(view: ViewData, trial: Trial) -> None:
     if recording.has("truth/dot_xy_px"):
         dots = recording.read("truth/dot_xy_px", 0, 1).shape[1]
         if dots * len(ends) <= DOT_PLACES:
-            view.true_xy_px = _read_rows(recording, "truth/dot_xy_px", ends, np.nan).astype(np.float32)
+            view.true_xy_px = read_rows(recording, "truth/dot_xy_px", ends, np.nan).astype(np.float32)
 
 
-def _read_rows(file: StageFile, path: str, rows: NDArray[np.int64], absent: float) -> NDArray[Any]:
+def read_rows(file: StageFile, path: str, rows: NDArray[np.int64], absent: float) -> NDArray[Any]:
     """Some rows of a dataset, in blocks; `absent` where it has already ended."""
     length = file.length(path)
     shape = file.contents()[path][1]

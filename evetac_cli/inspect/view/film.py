@@ -5,7 +5,8 @@ import io
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from evetac_cli.inspect.view.view_data import INK, ViewData
+from evetac_cli.inspect.pages import INK
+from evetac_cli.inspect.view.view_data import ViewData
 
 WIDTH_PX = 480
 MOST_FRAMES = 300

@@ -5,23 +5,18 @@ the small script in page.html. Text from files is escaped and placed by this mod
 """
 
 import html
-import json
-import re
 from base64 import b64encode
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import EvetacError
-from evetac_cli.inspect.view.trial_files import Trial
-from evetac_cli.inspect.view.view_data import INK, Lane, Line, Panel, ViewData
+from evetac_cli.inspect import pages
+from evetac_cli.inspect.pages import INK, NEUTRAL, UNKNOWN, shown_colour
+from evetac_cli.inspect.view.gripper import outcome_badges
+from evetac_cli.inspect.view.trial_files import Trial, inner
+from evetac_cli.inspect.view.view_data import Lane, Panel, ViewData
 from evetac_cli.resources import PACKAGE
-
-LARGEST_BYTES = 20_000_000
-LONGEST_TEXT = 300
-NEUTRAL = "#7f8790"  # of lines: legible on white and on black
-UNKNOWN = "#9aa1a9"
 
 
 def render_page(trial: Trial, view: ViewData) -> bytes:
@@ -32,33 +27,19 @@ def render_page(trial: Trial, view: ViewData) -> bytes:
         "TITLE": html.escape(title),
         "HEADING": _heading(trial, title, view.simulated),
         "VIEWER": "" if len(view.frame_times) else "hidden",
+        "SIDE": "" if view.side is not None else "hidden",
         "EMPTY": _empty(view),
         "ONSETS": _onsets(view),
         "CHARTS": charts,
         "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(view)),
         "FILES": _files(trial),
-        "DATA": _for_script(_data(view)),
+        "DATA": pages.for_script(_data(view)),
         "LIBRARY": library,
         "SCRIPT": script,
     }
-    template = (PACKAGE / "inspect" / "view" / "page.html").read_text(encoding="utf-8")
-    # One pass, so that a file name which looks like a mark stays a file name.
-    text = re.sub("@@([A-Z]+)@@", lambda mark: parts[mark[1]], template)
-    done = text.encode("utf-8", "replace")
-    if len(done) > LARGEST_BYTES:
-        raise EvetacError(
-            "the page would be too large",
-            where=str(trial.files[0].path),
-            expected=f"at most {LARGEST_BYTES // 1_000_000} MB",
-            found=f"{len(done) / 1e6:.1f} MB",
-            hint="fewer --images, or a part with --start-s and --stop-s",
-        )
-    return done
-
-
-def _for_script(value: Any) -> str:
-    """JSON that may stand in a script element: nothing in it can end the element or begin a comment."""
-    return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    template = PACKAGE / "inspect" / "view" / "page.html"
+    hint = "fewer --images, or a part with --start-s and --stop-s"
+    return pages.fill(template, parts, trial.files[0].path, hint)
 
 
 def _base64(array: NDArray[Any] | None) -> str | None:
@@ -85,46 +66,36 @@ def _data(view: ViewData) -> dict[str, Any]:
         "true_dots": 0 if view.true_xy_px is None else view.true_xy_px.shape[1],
         "true": _base64(view.true_xy_px),
         "onsets": {source: slice_ for source, slice_ in view.onsets.items() if slice_ is not None},
+        "opens_at": view.opens_at,
+        "side": None
+        if view.side is None
+        else {
+            "object": list(view.side.object_mm),
+            "most_n": view.side.most_n,
+            "height": _base64(view.side.height_mm),
+            "sunk": _base64(view.side.sunk_mm),
+            "force": _base64(view.side.force_n),
+        },
     }
 
 
 # Text -----------------------------------------------------------------------------------------------------------------
 
 
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value)
-    return html.escape(text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "...")
-
-
-def _inner(table: Any, *names: str) -> Any:
-    """A value inside nested tables of a header, which may hold anything; None where there is none."""
-    for name in names:
-        table = table.get(name) if isinstance(table, dict) else None
-    return table
-
-
-def _recording_parameters(trial: Trial) -> Any:
-    """The parameters of the recording, which every file of a trial carries in its history."""
-    if trial.recording is not None:
-        return trial.recording.header["parameters"]
-    return _inner(trial.files[0].header["history"], trial.recording_id, "parameters")
-
-
 def _heading(trial: Trial, title: str, simulated: bool) -> str:
-    made = _recording_parameters(trial)
-    badge_values = [
-        ("scene", _inner(made, "scene", "name")),
-        ("object", _inner(made, "object")),
-        ("", _inner(made, "object_row", "material")),
-        ("imported from", _inner(made, "source")),
-        ("sensor", _inner(made, "sensor")),
+    made = trial.recording_parameters
+    values = [
+        ("scene", inner(made, "scene", "name")),
+        ("object", inner(made, "object")),
+        ("object's material", inner(made, "object_row", "material")),
+        ("controller", inner(made, "controller")),
+        *outcome_badges(trial),
+        ("imported from", inner(made, "source")),
+        ("sensor", inner(made, "sensor")),
     ]
-    badges = '<span class="badge simulated">simulated</span>' if simulated else ""
-    badges += "".join(
-        f'<span class="badge">{name} <b>{_short(value)}</b></span>' for name, value in badge_values if value is not None
-    )
-    summary = _inner(made, "scene", "summary")
-    lead = f'<p class="lead">{_short(summary)}</p>' if isinstance(summary, str) else ""
+    badges = pages.badges(values, simulated=simulated)
+    summary = inner(made, "scene", "summary")
+    lead = f'<p class="lead">{pages.short(summary)}</p>' if isinstance(summary, str) else ""
     id_ = f'<p class="id">recording <code>{html.escape(trial.recording_id)}</code></p>'
     return f"<h1>{html.escape(title)}</h1><div>{badges}</div>{lead}{id_}"
 
@@ -134,12 +105,12 @@ def _files(trial: Trial) -> str:
     for file in trial.files:
         made = file.header["parameters"]
         shown = ", ".join(
-            f"{html.escape(str(name))} {_short(value)}"
+            f"{html.escape(str(name))} {pages.short(value)}"
             for name, value in made.items()
             if not isinstance(value, (dict, list))
         )
         rows.append(
-            f"<tr><td>{file.kind}</td><td>{html.escape(file.path.name)}</td>"
+            f"<tr><td class='word'>{file.kind}</td><td>{html.escape(file.path.name)}</td>"
             f"<td><code title='{html.escape(file.header['id'])}'>{html.escape(file.header['id'][:12])}</code></td>"
             f"<td>{shown}</td></tr>"
         )
@@ -196,9 +167,7 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
     """Bokeh's script for this page, its library, and the HTML in which the charts stand."""
     if not view.panels and not view.lanes:
         return "", "", ""
-    from bokeh.embed import components
     from bokeh.models.ranges import Range1d
-    from bokeh.resources import Resources
 
     start, stop = view.span
     x_range = Range1d(start=start / 1000, end=stop / 1000, bounds=(start / 1000, stop / 1000))
@@ -207,7 +176,7 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
     number = 0
     for panel in view.panels:
         keys = "".join(
-            f"<span class='key {'ink' if line.colour == INK else ''}' style='--colour:{_colour(line)}'>"
+            f"<span class='key {'ink' if line.colour == INK else ''}' style='--colour:{shown_colour(line.colour)}'>"
             f"{line.name if len(panel.lines) > 1 else ''} <output data-series='series{number + at}'></output></span>"
             for at, line in enumerate(panel.lines)
         )
@@ -219,45 +188,30 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
         keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in view.lanes) else ""
         heads.append(_head("Slip", "", False, keys))
         figures.append(_lane_figure(view.lanes, x_range))
+    if view.phases:
+        heads.append(_head("Phase of the grasp", "", False, ""))
+        figures.append(_lane_figure(view.phases, x_range))
     figures[-1].xaxis.visible = True
     figures[-1].height += 34
-    script, places = components(tuple(figures))
+    script, library, places = pages.embed(figures)
     charts = "".join(
         f"<section class='chart'>{head}{place}</section>" for head, place in zip(heads, places, strict=True)
     )
-    return script, Resources(mode="inline", components=["bokeh"]).render_js(), charts
+    return script, library, charts
 
 
 def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
     unit = f" <small>{unit}</small>" if unit else ""
     mark = " <span class='badge simulated'>simulated</span>" if simulated else ""
-    return f"<h2>{_short(title)}{unit}{mark}<span class='keys'>{keys}</span></h2>"
+    return f"<h2>{pages.short(title)}{unit}{mark}<span class='keys'>{keys}</span></h2>"
 
 
-def _colour(line: Line) -> str:
-    return NEUTRAL if line.colour == INK else line.colour
-
-
-def _bare_figure(x_range: Any, **more: Any) -> Any:
-    """A figure without a frame that zooms in time: drag, or Ctrl and the wheel."""
+def _time_figure(x_range: Any, **more: Any) -> Any:
+    """A figure that zooms in time: drag, or Ctrl and the wheel."""
     from bokeh.models.annotations.geometry import Span
     from bokeh.models.tools import BoxZoomTool, WheelZoomTool
-    from bokeh.plotting import figure
 
-    chart = figure(
-        x_range=x_range,
-        sizing_mode="stretch_width",
-        toolbar_location=None,
-        tools=[],
-        min_border_left=58,
-        min_border_right=14,
-        min_border_top=4,
-        min_border_bottom=4,
-        background_fill_alpha=0,
-        border_fill_alpha=0,
-        outline_line_color=None,
-        **more,
-    )
+    chart = pages.bare_figure(x_range=x_range, **more)
     drag, wheel = BoxZoomTool(dimensions="width"), WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
     chart.add_tools(drag, wheel)
     chart.toolbar.active_drag, chart.toolbar.active_scroll = drag, wheel
@@ -265,41 +219,29 @@ def _bare_figure(x_range: Any, **more: Any) -> Any:
         Span(location=x_range.start, dimension="height", line_color="#e0a000", line_width=2, name="cursor")
     )
     chart.xaxis.visible = False
-    chart.xaxis.axis_label = "s"
-    for axis in (*chart.xaxis, *chart.yaxis):
-        axis.axis_line_color = NEUTRAL
-        axis.major_tick_line_color = NEUTRAL
-        axis.minor_tick_line_color = None
-        axis.major_label_text_color = NEUTRAL
-        axis.axis_label_text_color = NEUTRAL
-        axis.axis_label_text_font_style = "normal"
-    chart.yaxis.fixed_location = None
-    chart.grid.grid_line_color = NEUTRAL
-    chart.grid.grid_line_alpha = 0.22
+    chart.xaxis.axis_label = "time [s]"
     return chart
 
 
 def _panel_figure(panel: Panel, x_range: Any, number: int) -> Any:
     """One axis with its series; their sources are named series0, series1, ... for the page's script."""
-    from bokeh.models.annotations.geometry import Span
     from bokeh.models.sources import ColumnDataSource
 
-    chart = _bare_figure(x_range, height=112, y_axis_type="log" if panel.logarithmic else "linear")
+    chart = _time_figure(x_range, height=112, y_axis_type="log" if panel.logarithmic else "linear")
     if not panel.logarithmic:
         chart.yaxis.ticker.desired_num_ticks = 4
     for at, line in enumerate(panel.lines):
         source = ColumnDataSource({"t": line.t_s, "v": line.value.astype(np.float32)}, name=f"series{number + at}")
-        chart.line("t", "v", source=source, line_color=_colour(line), line_width=1.4, line_join="round")
-    for value in panel.levels.values():
-        chart.add_layout(
-            Span(location=value, dimension="width", line_color=NEUTRAL, line_dash="dashed", line_width=1.2)
-        )
+        chart.line("t", "v", source=source, line_color=shown_colour(line.colour), line_width=1.4, line_join="round")
+    for value in panel.levels.values():  # a line, and no annotation: the axis has to reach it
+        ends = [x_range.start, x_range.end]
+        chart.line(ends, [value, value], line_color=NEUTRAL, line_dash="dashed", line_width=1.2)
     return chart
 
 
 def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
     """Truth, label and model under each other: a bar where each says slip, a thin one where it did not examine."""
-    chart = _bare_figure(x_range, height=18 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)])
+    chart = _time_figure(x_range, height=18 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)])
     chart.ygrid.grid_line_color = None
     for lane in lanes:
         for parts, colour, height in ((lane.unknown, UNKNOWN, 0.16), (lane.slip, lane.colour, 0.7)):

@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.inspect.view.trial_files import Trial
-from evetac_cli.inspect.view.view_data import BLUE, GREEN, INK, ORANGE, PINK, Lane, Line, Panel
+from evetac_cli.inspect.view.view_data import Lane, Line, Panel
+from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.kernels.slip.decision import is_slip
-from evetac_cli.sim.gripper import gap_m
 from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
 
 BINS = 3000
 BLOCK_ROWS = 16384
+LEAST_FLOW_PX = 0.01  # drawn: a logarithmic axis has no 0, and less is noise
 
 Read = Callable[[int, int], NDArray[Any]]
 
@@ -81,12 +83,21 @@ def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[i
         yield int(piece[0]), read(int(piece[0]), int(piece[-1])), (piece - piece[0]).tolist()
 
 
-def _rows(file: StageFile, path: str, start: int) -> Read:
+def first_row(length: int, read: Read, wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]) -> int | None:
+    """The first row of read(start, stop) -> (rows, 1) that is wanted, read block by block; None where there is none."""
+    for first in range(0, length, BLOCK_ROWS):
+        found = np.flatnonzero(wanted(read(first, min(first + BLOCK_ROWS, length))[:, 0]))
+        if len(found):
+            return first + int(found[0])
+    return None
+
+
+def rows_of(file: StageFile, path: str, start: int) -> Read:
     """Rows of a one-dimensional dataset, counted from `start`, as a column."""
     return lambda first, last: file.read(path, start + first, start + last)[:, None]
 
 
-def _lines(names: dict[str, str], start: int, length: int, read: Read) -> list[Line]:
+def decimated(names: dict[str, str], start: int, length: int, read: Read) -> list[Line]:
     """A line for each column of read, without those that are NaN all over; names -> colours."""
     lines = [
         Line(name, colour, (start + at) / 1000, value)
@@ -103,10 +114,8 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
     if recording is not None:
         per_slice = np.diff(recording.starts[start : stop + 1])
         drawn = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
-        lines = _lines({"events": BLUE}, start, stop - start, lambda first, last: drawn[first:last])
+        lines = decimated({"events": BLUE}, start, stop - start, lambda first, last: drawn[first:last])
         panels.append(Panel("Events a millisecond", "", lines, logarithmic=True))
-        if recording.has("gripper"):
-            panels += _gripper(recording, span)
     if recording is not None and recording.has("truth"):
 
         def forces(first: int, last: int) -> NDArray[Any]:
@@ -114,10 +123,10 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
             shear = recording.read("truth/shear_force_n", start + first, start + last)
             return np.stack((normal, np.hypot(shear[:, 0], shear[:, 1])), axis=1)
 
-        lines = _lines({"normal": INK, "shear": ORANGE}, start, stop - start, forces)
+        lines = decimated({"normal": INK, "shear": ORANGE}, start, stop - start, forces)
         panels.append(Panel("Forces on one pad, truth", "N", lines, simulated=True))
         if recording.has("truth/tone_hz"):
-            lines = _lines({"tone": PINK}, start, stop - start, _rows(recording, "truth/tone_hz", start))
+            lines = decimated({"tone": PINK}, start, stop - start, rows_of(recording, "truth/tone_hz", start))
             panels.append(Panel("Tone, truth", "Hz", lines, simulated=True))
         else:
 
@@ -125,7 +134,7 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
                 paths = ("truth/visible_slip_share", "truth/slip_share")
                 return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
 
-            lines = _lines({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
+            lines = decimated({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
             panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
     if tracks is not None:
         rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
@@ -137,54 +146,43 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
             mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / known, np.nan)
             return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
 
-        lines = _lines({"mean": BLUE, "farthest": PINK}, start, _length(tracks, "dot_xy_px", span), moved)
+        lines = decimated({"mean": BLUE, "farthest": PINK}, start, _length(tracks, "dot_xy_px", span), moved)
         panels.append(Panel("Dots, distance from rest", "px", lines))
     if labels is not None:
-        length = _length(labels, "relative_flow_px", span)
-        lines = _lines({"window against gel": GREEN}, start, length, _rows(labels, "relative_flow_px", start))
-        method, threshold = (labels.header["parameters"].get(name) for name in ("method", "threshold_px"))
-        # The threshold is one of this flow only where images are compared.
-        compared = method in (None, "farneback", "dis") and isinstance(threshold, (int, float))
-        levels = {"threshold": float(threshold)} if compared else {}
-        how = f", {method}" if isinstance(method, str) else ""
-        panels.append(Panel(f"Flow that labels slip{how}", "px", lines, levels))
+        panels.append(_flow(labels, span))
     levels = {"threshold": float(trial.model.read("threshold"))} if trial.model is not None else {}
     if probability is not None:
         column = probability[:, None]
-        lines = _lines({"model": PINK}, start, len(column), lambda first, last: column[first:last])
+        lines = decimated({"model": PINK}, start, len(column), lambda first, last: column[first:last])
         panels.append(Panel("Slip probability, model", "", lines, levels))
     elif recording is not None and recording.has("control/probability"):
-        lines = _lines({"detector": PINK}, start, stop - start, _rows(recording, "control/probability", start))
-        panels.append(Panel("Slip probability, detector while grasping", "", lines))
+        lines = decimated({"detector": PINK}, start, stop - start, rows_of(recording, "control/probability", start))
+        threshold = recording.header["parameters"].get("slip_threshold")
+        levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
+        panels.append(Panel("Slip probability, detector while grasping", "", lines, levels))
     return [panel for panel in panels if panel.lines]
 
 
-def _gripper(recording: Recording, span: tuple[int, int]) -> list[Panel]:
-    t_s, first, last = _timed(recording, "gripper/t_us", span)
+def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
+    """What labels decided by; logarithmic, because once an object is lost its flow is thousands of times larger."""
+    read = rows_of(labels, "relative_flow_px", span[0])
 
-    def at(names: dict[str, str], read: Read) -> list[Line]:
-        return [
-            Line(line.name, line.colour, t_s[np.rint(line.t_s * 1000).astype(np.int64)], line.value)
-            for line in _lines(names, 0, last - first, read)
-        ]
+    def flow(first: int, last: int) -> NDArray[Any]:
+        return np.maximum(read(first, last), LEAST_FLOW_PX)  # NaN stays
 
-    def currents(start: int, stop: int) -> NDArray[Any]:
-        names = ("current_ma", "current_target_ma")
-        return np.stack([recording.read(f"gripper/{name}", first + start, first + stop) for name in names], axis=1)
-
-    simulated = bool(recording.header["simulated"])
-    ticks = at({"width": BLUE}, _rows(recording, "gripper/position_ticks", first))
-    width = [
-        Line(line.name, line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
-        for line in ticks
-    ]
-    return [
-        Panel("Gripper, current", "mA", at({"measured": ORANGE, "target": INK}, currents), simulated=simulated),
-        Panel("Gripper, width between the fingers", "mm", width, simulated=simulated),
-    ]
+    made = labels.header["parameters"]
+    method = made.get("method")
+    # Where images are compared the flow itself is held against a threshold, else the distance slid since it last held.
+    compared = method in (None, "farneback", "dis")
+    name, limit = ("threshold", "threshold_px") if compared else ("slip after a slide of", "slip_distance_px")
+    known = compared or method == "event-flow"
+    levels = {name: float(made[limit])} if known and isinstance(made.get(limit), (int, float)) else {}
+    how = f", {method}" if isinstance(method, str) else ""
+    lines = decimated({"window against gel": GREEN}, span[0], _length(labels, "relative_flow_px", span), flow)
+    return Panel(f"Flow that labels slip{how}", "px", lines, levels, logarithmic=True)
 
 
-def _timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:
+def timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:
     """Times in s of rows that have their own clock, and which of all rows lie in the span."""
     t_us = recording.read(path)
     first, last = np.searchsorted(t_us, np.array(span) * SLICE_US).tolist()
@@ -222,7 +220,8 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
 def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
     """First slice of slip after the start of the span, by truth, label and model or detector, as far as known.
 
-    By truth and label a trial begins where the gripper's current begins to fall.
+    By truth and label a trial begins where the gripper's current begins to fall; for a grasp's detector, after the
+    light contact, of which it knows nothing: no trajectory that it was trained on holds one.
     """
     start, stop = span
     onsets: dict[str, int | None] = {}
@@ -238,8 +237,9 @@ def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.flo
         detected = is_slip(probability, float(trial.model.read("threshold")))
         onsets["model"] = _first(detected[examined - start :], examined)
     elif trial.recording is not None and trial.recording.has("control"):
-        t_s, first, last = _timed(trial.recording, "control/t_us", span)
-        slip = np.flatnonzero(trial.recording.read("control/slip", first, last))
+        t_s, first, last = timed(trial.recording, "control/t_us", span)
+        gripped = trial.recording.read("control/phase", first, last) > Phase.CONTACT
+        slip = np.flatnonzero(gripped & (trial.recording.read("control/slip", first, last) > 0))
         onsets["detector"] = int(t_s[slip[0]] * 1000) if len(slip) else None
     return onsets
 
@@ -263,16 +263,16 @@ def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.floa
 
     recording, labels = trial.recording, trial.labels
     if recording is not None and recording.has("truth"):
-        lane("truth", INK, stop - start, _rows(recording, "truth/slip", start), by_slice)
+        lane("truth", INK, stop - start, rows_of(recording, "truth/slip", start), by_slice)
     source = labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
     if source is not None:
-        lane("label", GREEN, _length(source, "label", span), _rows(source, "label", start), by_slice)
+        lane("label", GREEN, _length(source, "label", span), rows_of(source, "label", start), by_slice)
     if probability is not None and trial.model is not None:
         slip = is_slip(probability, float(trial.model.read("threshold"))).astype(np.int8)
         slip[np.isnan(probability)] = -1
         lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
     elif recording is not None and recording.has("control"):
-        t_s, first, last = _timed(recording, "control/t_us", span)
+        t_s, first, last = timed(recording, "control/t_us", span)
         ends = np.append(t_s, stop / 1000)
-        lane("detector", PINK, last - first, _rows(recording, "control/slip", first), lambda at: float(ends[at]))
+        lane("detector", PINK, last - first, rows_of(recording, "control/slip", first), lambda at: float(ends[at]))
     return lanes

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile, stem
@@ -39,9 +40,23 @@ class Trial:
         rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
         return max(file.length(path) for file, path in rows if file is not None)
 
+    @property
+    def recording_parameters(self) -> Any:
+        """The parameters of the recording, which every file of a trial carries in its history."""
+        if self.recording is not None:
+            return self.recording.header["parameters"]
+        return inner(self.files[0].header["history"], self.recording_id, "parameters")
+
     def add(self, file: StageFile) -> None:
         """Add a file under its kind."""
         setattr(self, file.kind, file)
+
+
+def inner(table: Any, *names: str) -> Any:
+    """A value inside nested tables of a header, which may hold anything; None where there is none."""
+    for name in names:
+        table = table.get(name) if isinstance(table, dict) else None
+    return table
 
 
 @contextmanager

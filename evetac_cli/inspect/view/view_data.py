@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-INK, BLUE, ORANGE, GREEN, PINK = "ink", "#2f82c4", "#d55e00", "#009e73", "#cc79a7"  # distinct to the colour-blind
-
 
 @dataclass(frozen=True)
 class Line:
@@ -40,6 +38,17 @@ class Lane:
     unknown: list[tuple[float, float]]
 
 
+@dataclass(frozen=True)
+class SideView:
+    """Hand, fingers and object over the table, seen from the side, at the end of each image; simulated grasps only."""
+
+    object_mm: tuple[float, float]  # width between the fingers, height
+    most_n: float
+    height_mm: NDArray[np.float32]  # (frames,) of the object above the table
+    sunk_mm: NDArray[np.float32]  # (frames,) that it moved down in the gripper since the start
+    force_n: NDArray[np.float32]  # (frames,) of one finger
+
+
 @dataclass
 class ViewData:
     """All that a page or an animation draws; frames are the times at which there is an event image."""
@@ -53,12 +62,16 @@ class ViewData:
     onsets: dict[str, int | None]  # truth, label, model or detector -> first slice of slip
     panels: list[Panel]
     lanes: list[Lane]
+    phases: list[Lane]  # of a grasp
     notes: list[str]
     frame_times: NDArray[np.int64]  # first slice of each image
     dense: dict[str, int]  # slices around which images are dense, and why
+    moments: dict[str, int]  # what else happens, and when: gripped, first touch
     pictures: list[bytes]  # PNG of each frame; none without a recording
     events: list[int]  # in each picture
     rest_xy_px: NDArray[np.float64] | None  # (dots, 2)
     dot_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), at the end of what the picture shows
     lost: NDArray[np.uint8] | None  # (frames, dots)
     true_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), simulated
+    side: SideView | None  # simulated
+    opens_at: int = 0  # frame that tells most

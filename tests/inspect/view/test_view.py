@@ -16,14 +16,14 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.inspect import view
+from evetac_cli.inspect import pages, view
 from evetac_cli.inspect.view import event_images, time_series
-from evetac_cli.inspect.view import page as view_page
 from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.params.inspection import View
 from evetac_cli.store.read import open_recording
 from tests import small_files
 from tests.inspect.view.trials import (
+    GRIPPED,
     NASTY,
     ONSET,
     SLICES,
@@ -78,13 +78,14 @@ def test_a_part(trial: Path) -> None:
             shown(trial, **wrong)
 
 
-@pytest.mark.parametrize(("method", "levels"), [("dis", 1), ("event-flow", 0), ("truth", 0), ("<b>", 0)])
+@pytest.mark.parametrize(("method", "levels"), [("dis", 1), ("event-flow", 1), ("truth", 0), ("<b>", 0)])
 def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     """Assert that a page names the method of labels, escaped, draws a threshold of flow, and notes copied truth."""
     with open_recording(trial) as recording:
         header = recording.header
-    write_labels(trial.with_name("a.labels.h5"), header, method=method)
+    write_labels(trial.with_name("a.labels.h5"), header, method=method, slip_distance_px=0.3)
     data = shown(trial, images=1)
+    assert data.panels[-1].logarithmic  # after slip the flow is thousands of times the threshold
     assert data.panels[-1].title == f"Flow that labels slip, {method}"
     assert len(data.panels[-1].levels) == levels
     assert ("The labels were copied from the truth (simulated)." in data.notes) == (method == "truth")
@@ -218,7 +219,7 @@ def test_command(trial: Path) -> None:
     (row,) = answer["rows"]
     page = trial.with_name("a.html")
     assert (answer["command"], answer["simulated"], row["page"]) == ("view", True, str(page))
-    assert row["size_bytes"] == page.stat().st_size < view_page.LARGEST_BYTES
+    assert row["size_bytes"] == page.stat().st_size < pages.LARGEST_BYTES
     assert (row["images"], row["files"]) == (5, "a.recording.h5 a.tracks.h5 a.labels.h5")
     before = page.read_bytes()
     result = evetac("view", trial)
@@ -266,7 +267,7 @@ def test_outputs_that_are_refused(trial: Path) -> None:
 
 def test_libraries_that_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a missing library is named before any file is opened, with how to get it."""
-    monkeypatch.setattr(view, "find_spec", lambda name: None if name == "bokeh" else object())
+    monkeypatch.setattr(pages, "find_spec", lambda name: None if name == "bokeh" else object())
     with pytest.raises(EvetacError, match="bokeh.*is not installed") as raised:
         view.run([tmp_path / "missing.recording.h5"], View(), None)
     assert "[plot]" in raised.value.hint
@@ -302,7 +303,7 @@ def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert data.frame_times.tolist() == whole.frame_times.tolist()[::4]
     assert "only every 4th" in data.notes[-1]
     assert len(data.events) == len(data.pictures) == len(data.frame_times)
-    monkeypatch.setattr(view_page, "LARGEST_BYTES", 1_000_000)
+    monkeypatch.setattr(pages, "LARGEST_BYTES", 1_000_000)
     with pytest.raises(EvetacError, match="too large"):
         view.run([trial], View(images=1), None)
 
@@ -343,3 +344,52 @@ def test_a_name_that_is_too_long_is_refused_before_the_work(
     out, film = (long.with_suffix(".html"), None) if flag == "page" else (None, long.with_suffix(".gif"))
     with pytest.raises(InputError, match="name is too long"):
         view.run([trial], View(film=film), out)
+
+
+def test_a_grasp(tmp_path: Path) -> None:
+    """Assert that a grasp shows goal and position, height, distance moved, phases, outcome and side view, in units."""
+    path = tmp_path / "g.recording.h5"
+    write_recording(path, grasp=True)
+    data = shown(path)
+    panels = {panel.title: panel for panel in data.panels}
+    motion = panels["Gripper, goal and position (up closes)"]
+    assert [line.name for line in motion.lines] == ["goal", "position"]
+    assert motion.lines[0].value.tolist() == [310.0] * (SLICES // 2)
+    height = panels["Object, height above the table, truth"]
+    assert (height.unit, height.lines[0].value[-1]) == ("mm", pytest.approx(60.0))
+    moved = panels["Object, moved in the gripper since the grip, truth"].lines[0]
+    assert np.isnan(moved.value[:GRIPPED]).all()
+    assert moved.value[-1] == pytest.approx(0.05 * (SLICES - 1 - GRIPPED) / 100, abs=1e-3)  # 0.05 mm a px
+    assert {lane.name: lane.slip for lane in data.phases} == {
+        "contact": [(0.0, 0.102)],
+        "lift": [(0.102, 0.2)],
+        "balance": [(0.2, 0.3)],
+    }
+    assert panels["Slip probability, detector while grasping"].levels == {"threshold": 0.4}
+    assert data.onsets == {"truth": None, "detector": 250}  # what it says in the light contact is no slip
+    assert data.moments["gripped"] == GRIPPED
+    assert data.side is not None
+    np.testing.assert_allclose(data.side.height_mm[[0, -1]], [60 * 4 / 299, 60.0], rtol=1e-5)
+    view.run([path], View(), None)
+    text = path.with_name("g.html").read_text()
+    for words in ("grasp <b>held to the end", "moved <b>1.2 mm", "object&#x27;s material <b>paper", "time [s]"):
+        assert words.replace("&#x27;", "'") in text, words
+
+
+def test_a_page_opens_where_something_is_seen(tmp_path: Path) -> None:
+    """Assert that the first image shown is the onset's, else the grip's, and never one without an event."""
+    write_recording(tmp_path / "g.recording.h5", grasp=True)
+    data = shown(tmp_path / "g.recording.h5")
+    assert data.frame_times[data.opens_at] == 250
+    data.onsets = {"truth": None}
+    assert data.frame_times[event_images.telling_frame(data)] == GRIPPED
+    data.events = [0] * len(data.events)
+    data.events[7] = 3
+    assert event_images.telling_frame(data) == 7
+
+
+def test_a_folder_is_for_report(trial: Path) -> None:
+    """Assert that a folder is refused with the command that shows one."""
+    with pytest.raises(InputError, match="one trial") as raised:
+        view.run([trial.parent], View(), None)
+    assert f"evetac report {trial.parent}" in raised.value.hint

@@ -17,6 +17,7 @@ from evetac_cli.store.provenance import Header, Recipe
 
 SLICES = 300
 ONSET = 200
+GRIPPED = 100  # in a grasp
 WIDTH, HEIGHT = 64, 48
 REST = np.stack(np.meshgrid([10.0, 25.0, 40.0], [12.0, 32.0]), axis=-1)
 NASTY = "</script><script>document.title='owned'</script><!-- \"quoted\" 'single' & ünïcode \u2028"
@@ -30,9 +31,17 @@ SENSOR = {
 
 
 def write_recording(
-    path: Path, slices: int = SLICES, rate: int = 4, *, truth: bool = True, scene: str = "slip"
+    path: Path,
+    slices: int = SLICES,
+    rate: int = 4,
+    *,
+    truth: bool = True,
+    scene: str = "slip",
+    grasp: bool = False,
+    number: int = 8,
+    seed: int = 1,
 ) -> Header:
-    """A recording whose events wander over the frame, `rate` a slice."""
+    """A recording whose events wander over the frame, `rate` a slice; of a grasp, or of a slip of object `number`."""
     rng = np.random.default_rng(5)
     t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, rate)
     count = len(t)
@@ -64,8 +73,38 @@ def write_recording(
             "truth/shear_force_n": np.ones((slices, 2), np.float32),
             "truth/sampled_parameters": "{}",
         }
-    parameters = {"scene": {"name": scene, "summary": scene}, "object": 8, "sensor": "evetac", "slices": slices}
-    return write_stage(path, Recipe("recording", 1, parameters, seed=1, simulated_source=truth), arrays)
+    parameters: dict[str, Any] = {"scene": {"name": scene, "summary": scene}, "object": number, "sensor": "evetac"}
+    parameters["slices"] = slices
+    if grasp:
+        arrays |= _grasp(slices)
+        parameters |= {
+            "controller": "paper",
+            "slip_threshold": 0.4,
+            "object_row": {"material": "paper", "width_mm": 35.0, "height_mm": 145.0},
+            "sensor_row": {"mm_per_px": 0.05},
+        }
+    return write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=truth), arrays)
+
+
+def _grasp(slices: int) -> dict[str, Any]:
+    """What a grasp has beside: gripped in slice GRIPPED, balanced from 200 on; slip is said at 10 and at 250."""
+    commands = np.arange(0, slices, 2)
+    moved = np.zeros((slices, 2), np.float32)
+    moved[:, 0] = np.arange(slices) / 100
+    return {
+        "gripper/current_target_ma": np.full(len(commands), np.nan),
+        "truth/slip": np.zeros(slices, np.uint8),
+        "truth/object_xy_px": moved,
+        "truth/table_gap_mm": np.linspace(0, 60, slices).astype(np.float32),
+        "control/t_us": commands * 1000,
+        "control/u_ff_ticks": np.zeros(len(commands), np.float32),
+        "control/x_ref_ticks": np.full(len(commands), 300, np.float32),
+        "control/goal_ticks": np.full(len(commands), 310, np.int32),
+        "control/slip": np.isin(commands, (10, 250)).astype(np.uint8),
+        "control/phase": np.select([commands <= GRIPPED, commands < 200], [0, 1], 2).astype(np.uint8),
+        "control/outcome": json.dumps({"lifted": True, "balanced": True, "moved_mm": 1.2, "force_end_n": 3.0}),
+        "control/probability": np.full(slices, 0.1, np.float32),
+    }
 
 
 def write_tracks(path: Path, parent: Header, dots: np.ndarray) -> Header:
@@ -84,14 +123,14 @@ def moving(slices: int = SLICES) -> np.ndarray:
     return REST.reshape(1, -1, 2) + np.linspace(0, 4, slices)[:, None, None] * np.array([1.0, 0.0])
 
 
-def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: str) -> Header:
+def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: Any) -> Header:
     label = np.full(slices, -1, np.int8)
     label[50:] = 0
     label[onset:] = 1
     arrays = {
         "label": label,
         "relative_flow_px": np.where(label < 0, np.nan, 0.1 + label).astype(np.float32),
-        "onset_slice": np.int64(onset),
+        "onset_slice": np.int64(onset if onset < slices else -1),
         "confidence": np.float64(1.0),
         "flow_pairs_computed": np.int64(9),
     }

@@ -1,0 +1,104 @@
+"""The figures of a whole study that stand at the top of the report, and those of two studies beside each other."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.inspect.report.study import Study, StudyTrial
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
+
+TIMING_MS = (metrics.EARLIEST_MS, metrics.LATEST_MS)
+LABELS_MS = (EARLIEST_MS, LATEST_MS)
+
+
+class Figure(NamedTuple):
+    """One figure of a study: what, how much (shares are 0 to 1), and over how many trials."""
+
+    name: str
+    value: float | int
+    over: str = ""
+    share: bool = False
+
+
+def headline(study: Study) -> list[Figure]:
+    """What is known of all trials together; what no trial tells is left out."""
+    trials = study.trials
+    seconds = [trial.row.slices / 1000 for trial in trials if trial.row.slices]
+    figures = [
+        Figure("trials", len(trials)),
+        Figure("recorded [min]", sum(seconds) / 60),
+        Figure("events [million]", sum(trial.events or 0 for trial in trials) / 1e6),
+        Figure("objects", len({trial.row.object for trial in trials if trial.row.object is not None})),
+        Figure("sensors", len({trial.row.sensor for trial in trials if trial.row.sensor is not None})),
+    ]
+    slipping = [trial for trial in trials if trial.t_s is not None and trial.labelled_by is not None]
+    errors = [trial.label_error_ms for trial in slipping if trial.label_error_ms is not None]
+    if slipping:
+        over = f"{len(slipping)} that slip"
+        right = sum(LABELS_MS[0] <= error <= LABELS_MS[1] for error in errors)
+        figures += [
+            Figure("onsets that have a label", len(errors) / len(slipping), over, share=True),
+            Figure("labels within -4..+3 ms of the truth", right / len(slipping), over, share=True),
+        ]
+    if errors:
+        figures.append(Figure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
+    judged = [ms for trial in trials for ms in trial.late_by]
+    if judged:
+        over = f"{len(judged)} trials times models"
+        known = [ms for ms in judged if ms is not None]
+        correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known)
+        figures.append(Figure("timing correct, all models", correct / len(judged), over, share=True))
+        figures += [Figure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
+    figures += [
+        Figure("F1 of the best model", found.summary[key])
+        for found in study.reports("evaluate slip")
+        for key in ("f1", "best_f1")
+        if found.summary.get(key) is not None
+    ][:1]
+    dots = [trial.tracking_px for trial in trials if trial.tracking_px is not None]
+    if dots:
+        rms = float(np.sqrt(np.mean(np.square(dots))))
+        figures.append(Figure("dots from the truth, rms [px]", rms, str(len(dots))))
+    grasps = [trial.grasp for trial in trials if trial.grasp is not None]
+    if grasps:
+        held = [grasp for grasp in grasps if grasp.get("balanced")]
+        figures.append(Figure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), share=True))
+        for name, key in (("object moved, median [mm]", "moved_mm"), ("grip at the end, median [N]", "force_end_n")):
+            values = [grasp[key] for grasp in held if isinstance(grasp.get(key), (int, float))]
+            figures += [Figure(name, float(np.median(values)), f"{len(values)} kept")] if values else []
+    return figures
+
+
+def matched(studies: Sequence[Study]) -> list[tuple[StudyTrial, StudyTrial]]:
+    """Trials that both have: of the same recipe, else of the same scene, object, sensor, seed and number."""
+    one, other = (study.trials for study in studies)
+    by_id = {trial.recording_id: trial for trial in other}
+    by_name = {_identity(trial): trial for trial in other if trial.row.seed is not None}
+    pairs = []
+    for trial in one:
+        match = by_id.get(trial.recording_id) or by_name.get(_identity(trial))
+        if match is not None:
+            pairs.append((trial, match))
+    return pairs
+
+
+def _identity(trial: StudyTrial) -> tuple[Any, ...]:
+    row = trial.row
+    return row.scene, row.object, row.sensor, row.seed, row.trial
+
+
+def missing(study: Study) -> list[str]:
+    """What a study lacks, each with the command that makes it."""
+    folder, files = study.folder, study.files
+    lines = []
+    if not files["recording"]:
+        lines.append("There are no recordings: no events, no truth, no thumbnails.")
+    for kind, command in (("labels", "label"), ("tracks", "track"), ("features", "featurize")):
+        without = sum(1 for trial in study.trials if kind not in trial.files and trial.grasp is None)
+        if without:
+            lines.append(f"{without} of {len(study.trials)} trials have no {kind}: evetac {command} {folder}")
+    if files["labels"] and not any(trial.has_truth for trial in study.trials):
+        lines.append("No recording has a truth: labels cannot be held against it.")
+    return lines

@@ -1,0 +1,199 @@
+"""The page that report writes: trials, onsets and evaluations of one study, or of two beside each other."""
+
+import html
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.inspect import pages
+from evetac_cli.inspect.report import charts, evaluations, figures
+from evetac_cli.inspect.report.charts import Chart
+from evetac_cli.inspect.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
+from evetac_cli.inspect.report.figures import TIMING_MS, Figure
+from evetac_cli.inspect.report.study import Found, Study
+from evetac_cli.inspect.report.tables import cell, figure_text, table
+from evetac_cli.inspect.report.trial_table import onset_charts, trial_table, trials_of_both
+from evetac_cli.resources import PACKAGE
+
+MOST_ROWS = 300  # of any other table
+
+
+class Drawn:
+    """The charts of a page, in the order in which they stand in it; Bokeh embeds them all at once."""
+
+    def __init__(self) -> None:
+        self._figures: list[Any] = []
+
+    def place(self, drawn: Iterable[Chart | None], study: str = "") -> str:
+        """HTML of these charts, with a mark where each figure goes."""
+        texts = []
+        for chart in drawn:
+            if chart is None:
+                continue
+            keys = "".join(
+                f"<span class='key' style='--colour:{colour}'>{pages.short(words)}</span>"
+                for words, colour in chart.keys.items()
+            )
+            title = " &middot; ".join(pages.short(part) for part in (study, chart.title) if part)
+            said = f"<p class='hint'>{pages.short(chart.says)}</p>" if chart.says else ""
+            head = f"<h3>{title}<span class='keys'>{keys}</span></h3>"
+            texts.append(f"<figure class='chart'>{head}{said}\0{len(self._figures)}\0</figure>")
+            self._figures.append(chart.figure)
+        return f"<div class='charts'>{''.join(texts)}</div>" if texts else ""
+
+    def embed(self, text: str) -> tuple[str, str, str]:
+        """Bokeh's script, its library, and the text with the figures in their places."""
+        script, library, places = pages.embed(self._figures)
+        for number, place in enumerate(places):
+            text = text.replace(f"\0{number}\0", place, 1)
+        return script, library, text
+
+
+def render(studies: Sequence[Study], page: Path) -> bytes:
+    """The whole page; EvetacError where it would be larger than 20 MB."""
+    drawn = Drawn()
+    title = " against ".join(study.name for study in studies)
+    simulated = any(study.simulated for study in studies)
+    sections = [("overview", "Overview", _overview(studies))]
+    if len(studies) > 1:
+        sections.append(("both", "Trials that both have", trials_of_both(studies)))
+    onsets = "".join(drawn.place(shown, study) for study, shown in onset_charts(studies))
+    sections.append(("trials", "Trials", onsets + trial_table(studies, page)))
+    absent = []
+    for section in SECTIONS:
+        text = _section(section, studies, drawn)
+        if text:
+            sections.append((section.name, section.title, text))
+        else:
+            absent.append(f"{section.title}: {section.made_by}")
+    sections.append(("missing", "What is missing", _missing(studies, absent)))
+    body = "".join(
+        f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
+    )
+    script, library, body = drawn.embed(body)
+    nav = "".join(f"<a href='#{name}'>{head}</a>" for name, head, _ in sections)
+    lead = "".join(
+        f"<p class='id'>{html.escape(str(study.folder.resolve()))}: "
+        + ", ".join(f"{kind} {count:,}" for kind, count in sorted(study.files.items()))
+        + "</p>"
+        for study in studies
+    )
+    parts = {
+        "TITLE": html.escape(title),
+        "HEADING": f"<h1>{html.escape(title)}</h1><div>{pages.badges((), simulated=simulated)}</div>{lead}",
+        "NAV": nav,
+        "BODY": body,
+        "LIBRARY": library,
+        "SCRIPT": script,
+    }
+    return pages.fill(
+        PACKAGE / "inspect" / "report" / "page.html", parts, studies[0].folder, "a report on a part of it"
+    )
+
+
+def _overview(studies: Sequence[Study]) -> str:
+    if len(studies) == 1:
+        tiles = "".join(
+            f"<div><dt>{html.escape(one.name)}</dt><dd>{_percent(one)}{_over(one)}</dd></div>"
+            for one in figures.headline(studies[0])
+        )
+        return f"<dl class='tiles'>{tiles}</dl>"
+    by_study = [{one.name: one for one in figures.headline(study)} for study in studies]
+    rows = []
+    for name in dict.fromkeys(name for of_study in by_study for name in of_study):
+        one, other = (of_study.get(name) for of_study in by_study)
+        difference = None if one is None or other is None else other.value - one.value
+        both = [cell(None) if figure is None else cell(figure.value, _over(figure)) for figure in (one, other)]
+        cells = [cell(name), *both, cell(difference)]
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    names = [html.escape(study.name) for study in studies]
+    return table(["figure", *names, f"{names[1]} minus {names[0]}"], rows)
+
+
+def _percent(figure: Figure) -> str:
+    return f"{figure.value:.0%}" if figure.share else figure_text(figure.value)
+
+
+def _over(figure: Figure) -> str:
+    return f" <small>over {html.escape(figure.over)}</small>" if figure.over else ""
+
+
+def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
+    """Charts and tables of the reports of a section; empty where there are none."""
+    several = len(studies) > 1
+    text = ""
+    for study in studies:
+        for found in study.found:
+            text += drawn.place(_charts_of(section.name, found), study.name if several else "")
+    for subject in SUBJECTS:
+        if subject.section != section.name:
+            continue
+        of_reports = [(study, found) for study in studies for found in study.reports(subject.command)]
+        # Without columns of its own a subject shows all that a report has, which differs from report to report.
+        for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
+            text += _subject(subject, some, several)
+    return f"<p class='hint'>{html.escape(section.says)}</p>{text}" if text else ""
+
+
+def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
+    """The table of a subject; empty where no report has such rows."""
+    entries = [(study, found, row) for study, found in of_reports for row in enumerate(subject.rows(found), start=1)]
+    if not entries:
+        return ""
+    columns = columns_of(subject, [row for *_, (_, row) in entries])
+    with_report, numbered = len(of_reports) > 1, subject.section == "cost"
+    heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
+    heads += [html.escape(column.heading) for column in columns]
+    rows = []
+    for study, found, (number, row) in entries[:MOST_ROWS]:
+        cells = [cell(study.name)] * several + [cell(found.path)] * with_report + [cell(number)] * numbered
+        cells += [_with_paper(column, row, found) for column in columns]
+        bad = " class='bad'" if row.get("ok") is False else ""
+        rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
+    simulated = all(found.simulated for _, found in of_reports)
+    badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
+    more = f" <small>the first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
+    title = subject.title if subject.columns else f"{subject.title}, {of_reports[0][1].path}"
+    return f"<h3>{pages.short(title)}{badge}{more}</h3>" + table(heads, rows)
+
+
+def _with_paper(column: evaluations.Column, row: dict[str, Any], found: Found) -> str:
+    """A cell with the paper's figure and its mark beside ours."""
+    paper = row.get(column.paper) if column.paper else None
+    mark = column.mark(row, found) if paper is not None else None
+    beside = f" <small class='paper'>({figure_text(paper)}, {mark})</small>" if mark else ""
+    return cell(row.get(column.key), beside)
+
+
+def _charts_of(section: str, found: Found) -> list[Chart | None]:
+    if (section, found.command) == ("slip", "evaluate slip"):
+        parts = {
+            "slip_correct": ("correct", charts.RIGHT),
+            "slip_early": ("early", charts.EARLY),
+            "slip_late": ("late or never", charts.LATE),
+        }
+        rows = evaluations.having("setting", "seeds")(found)
+        return [
+            charts.share_chart(rows, "setting", parts, "paper_slip_correct", f"Timing, {found.path}"),
+            *charts.detection_charts(found, TIMING_MS),
+        ]
+    if (section, found.command) == ("grasp", "evaluate grasp"):
+        rows = evaluations.having("setting", "columns")(found)
+        kept = {"success": ("lifted and kept", charts.RIGHT)}
+        return [charts.share_chart(rows, "setting", kept, "paper_success", f"Grasps, {found.path}")]
+    if (section, found.command) == ("cost", "evaluate cost"):
+        return [*charts.cost_charts(found)]
+    return []
+
+
+def _missing(studies: Sequence[Study], absent: Sequence[str]) -> str:
+    lines = [
+        f"{study.name}: {line}" if len(studies) > 1 else line
+        for study in studies
+        for line in (*figures.missing(study), *study.notes)
+    ]
+    text = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
+    if absent:
+        shown = "".join(f"<li>{html.escape(line)}</li>" for line in absent)
+        text += f"<li>No reports on these were found; each command makes one:<ul>{shown}</ul></li>"
+    return f"<ul>{text}</ul>" if text else "<p class='hint'>Nothing.</p>"

@@ -1,0 +1,220 @@
+"""report: what is read of a folder, what stands out, the paper beside it, and the page as a file."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.inspect import pages, report, view
+from evetac_cli.inspect.report import evaluations, figures
+from evetac_cli.inspect.report.evaluations import FITTED, OTHER, SAME
+from evetac_cli.inspect.report.figures import TIMING_MS
+from evetac_cli.inspect.report.study import Found, Study, read_study, remark
+from evetac_cli.inspect.report.tables import figure_text
+from evetac_cli.jobs import silent
+from evetac_cli.params.inspection import Report, View
+from tests.inspect.report.studies import slip_rows, write_report, write_trials
+from tests.inspect.view.trials import NASTY, ONSET, write_recording
+
+
+def made(folder: Path, out: Path, **chosen: Any) -> str:
+    report.run([folder], Report(**chosen), out, force=True)
+    return out.read_text(encoding="utf-8")
+
+
+def test_trials_have_their_onsets(study: Study) -> None:
+    """Assert that truth, labels and detections of each trial are its own, also where files have the same name."""
+    assert [trial.name for trial in study.trials] == [f"slip-00{number}" for number in range(5)]
+    assert {trial.t_s for trial in study.trials} == {ONSET}
+    assert [trial.label_error_ms for trial in study.trials] == [2, -1, None, 3, 40]
+    assert [trial.late_by for trial in study.trials] == [[0], [-120], [5], [None], [4]]
+    assert all(trial.thumbnail is not None and trial.events == 1200 for trial in study.trials)
+    assert [path for path, _ in study.unreadable] == ["broken.labels.h5"]
+    assert study.files == {"recording": 5, "labels": 5, "report": 2}
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The page of the study."""
+    return made(folder, tmp_path_factory.mktemp("page") / "r.html")
+
+
+def test_outliers_come_first(study: Study, text: str) -> None:
+    """Assert that a trial stands out by what is wrong with it, and that the table begins with the worst."""
+    remarks = [remark(trial, TIMING_MS)[1] for trial in study.trials]
+    assert remarks == [
+        "",
+        "model 120 ms early",
+        "slips, and the labels find no onset",
+        "slip not found by the model",
+        "labels 40 ms late",
+    ]
+    rows = re.findall(r"<tr data-row='0-(\d)'", text)
+    assert rows == ["2", "3", "1", "4", "0"]
+    assert "4 of 5 stand out" in text
+
+
+def test_the_page_is_whole(text: str) -> None:
+    """Assert that the page has trials, models beside the paper with a mark, cases, and what is missing; no network."""
+    assert "default-src 'none'" in text and "@@" not in text and "\0" not in text
+    assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)='?\"?(?!data:)[a-z]+:", text) == []
+    assert "0.5 <small class='paper'>(0.73, other method)</small>" in text
+    assert text.index("<td>thick") < text.index("<td>thin")  # the case that is not ok comes first
+    assert "&lt;b&gt;forces&lt;/b&gt; are balanced" in text
+    assert "broken.labels.h5" in text
+    for missing in ("5 of 5 trials have no tracks: evetac track", "Dot tracking: evetac evaluate tracking FOLDER"):
+        assert missing in text, missing
+    for present in ("id='slip'", "id='stability'", ">simulated<"):
+        assert present in text, present
+    assert "id='grasp'" not in text
+
+
+def test_a_page_of_its_own_is_linked(tmp_path: Path) -> None:
+    """Assert that a trial leads to its page of view, from wherever the report lies, and to no other HTML file."""
+    (tmp_path / "data").mkdir()
+    recording = tmp_path / "data" / "a b.recording.h5"
+    write_recording(recording)
+    (tmp_path / "data" / "a b.html").write_text("of somebody else")
+    assert "<a href='data/" not in made(tmp_path / "data", tmp_path / "r.html")
+    view.run([recording], View(images=2), None, force=True)
+    assert "<a href='data/a%20b.html'>" in made(tmp_path / "data", tmp_path / "r.html")
+    assert "<a href='a%20b.html'>" in made(tmp_path / "data", tmp_path / "data" / "report.html")
+
+
+def test_one_trial_and_none(tmp_path: Path) -> None:
+    """Assert that one recording without truth makes a page, and so does a lone report."""
+    write_recording(tmp_path / "a.recording.h5", 7, truth=False)
+    text = made(tmp_path, tmp_path / "r.html")
+    assert "0 of 1 stand out" in text and ">simulated<" not in text
+    assert "t_s [ms]</button>" not in text  # a column in which nothing is known is left out
+    (tmp_path / "a.recording.h5").unlink()
+    write_report(tmp_path / "g.cost.report.h5", "evaluate cost", [{"setting": "a", "error_ms": 1.0}], {})
+    text = made(tmp_path, tmp_path / "r.html")
+    assert "There are no trials here" in text and "id='cost'" in text
+
+
+def test_text_from_files_is_escaped(tmp_path: Path) -> None:
+    """Assert that names, scenes and texts of reports which look like markup stay text."""
+    write_recording(tmp_path / "a\"'<img src=x onerror=alert(1)>@@BODY@@ü.recording.h5", 20, scene=NASTY)
+    features = write_trials(tmp_path, [1])
+    write_report(
+        tmp_path / "s.report.h5", "evaluate slip", slip_rows(features, [1], setting=NASTY), {}, tuple(features)
+    )
+    text = made(tmp_path, tmp_path / "r.html")
+    assert "document.title='owned'" not in text.replace("\\u003c", "<")
+    assert "<img src=x" not in text
+
+
+def found(command: str = "", simulated: bool = True, scene: str = "", preset: str = "", method: str = "") -> Found:
+    history = {
+        "a": {"kind": "recording", "parameters": {"scene": {"name": scene}}},
+        "b": {"kind": "tracks", "parameters": {"preset": preset}},
+        "c": {"kind": "labels", "parameters": {"method": method}},
+    }
+    return Found("x", command, {"simulated": simulated, "history": history, "parents": []}, [], {})
+
+
+@pytest.mark.parametrize(
+    ("command", "key", "row", "report_", "mark"),
+    [
+        ("evaluate slip", "f1", {"preset": "adamw"}, found(preset="paper", method="farneback"), OTHER),
+        ("evaluate slip", "f1", {"preset": "paper"}, found(preset="stable", method="farneback"), OTHER),
+        ("evaluate slip", "f1", {"preset": "paper"}, found(preset="paper", method="farneback"), SAME),
+        ("evaluate tracking", "consistent_share", {"preset": "paper"}, found(scene="edge"), FITTED),
+        ("evaluate tracking", "dots_lost_mean", {"preset": "paper"}, found(scene="edge"), SAME),
+        ("evaluate tracking", "consistent_share", {"preset": "paper"}, found(scene="slip"), None),
+        ("evaluate tracking", "consistent_share", {"preset": "paper"}, found(simulated=False), SAME),
+        ("evaluate grasp", "success", {"setting": "none"}, found(), FITTED),
+        ("evaluate grasp", "success", {"setting": "paper"}, found(), OTHER),
+        ("evaluate force", "mae_n_x", {"sensor": "frames"}, found(preset="stable"), SAME),
+        ("evaluate force", "mae_n_x", {"sensor": "events"}, found(preset="stable"), OTHER),
+        ("evaluate vibration", "share", {"method": "paper"}, found(scene="vibration"), FITTED),
+        ("evaluate vibration", "share", {"method": "paper"}, found(scene="vibration-randomized"), SAME),
+        ("evaluate vibration", "share", {"method": "default"}, found(scene="vibration"), OTHER),
+        ("evaluate data-rate", "share_mean", {}, found(scene="data-rate"), FITTED),
+        ("evaluate data-rate", "share_mean", {}, found(scene="slip"), None),
+        ("evaluate data-rate", "share_mean", {}, found(simulated=False), SAME),
+    ],
+)
+def test_marks(command: str, key: str, row: dict[str, Any], report_: Found, mark: str | None) -> None:
+    """Assert that the paper's figure stands beside ours with the mark that it deserves, or not at all."""
+    columns = (column for subject in evaluations.SUBJECTS if subject.command == command for column in subject.columns)
+    column = next(column for column in columns if column.key == key)
+    assert column.mark(row, report_) == mark
+
+
+def test_headline(study: Study) -> None:
+    """Assert that figures of the whole study are those of its trials."""
+    values = {figure.name: figure.value for figure in figures.headline(study)}
+    assert values["trials"] == 5
+    assert values["events [million]"] == pytest.approx(0.006)
+    assert values["onsets that have a label"] == pytest.approx(4 / 5)
+    assert values["labels within -4..+3 ms of the truth"] == pytest.approx(3 / 5)
+    assert values["t_c - t_s, median [ms]"] == pytest.approx(2.5)
+    assert values["timing correct, all models"] == pytest.approx(3 / 5)
+
+
+def test_two_side_by_side(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that trials of the same recipe are matched, that changes come first, and that the name says both."""
+    other = tmp_path / "other"
+    other.mkdir()
+    write_trials(other, [2, -1, 9], names="again-{}")
+    monkeypatch.chdir(tmp_path)
+    row = report.run([folder, other], Report(compare=True), None).rows[0]
+    assert (row["page"], row["trials"]) == ("study-other.report.html", 8)
+    text = Path("study-other.report.html").read_text()
+    assert "3 trials; those whose outcome" in text
+    both = text[text.index("id='both'") : text.index("id='trials'")]
+    assert re.findall(r"<tr><td>(slip-00\d)</td>", both) == ["slip-002", "slip-000", "slip-001"]
+    pairs = figures.matched([read_study(folder, silent), read_study(other, silent)])
+    assert [(one.name, two.name) for one, two in pairs] == [(f"slip-00{n}", f"again-{n}") for n in range(3)]
+
+
+def evetac(*arguments: str | Path) -> Any:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], env={"COLUMNS": "200"})
+
+
+def test_command(folder: Path, tmp_path: Path) -> None:
+    """Assert that the command writes the page, says so in the one shape, and keeps what exists."""
+    page = tmp_path / "r.html"
+    result = evetac("report", folder, "--json", "-o", page)
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    (row,) = answer["rows"]
+    assert (answer["command"], answer["simulated"], row["page"]) == ("report", True, str(page))
+    assert (row["trials"], row["outliers"], row["reports"], row["unreadable"]) == (5, 4, 2, 1)
+    assert row["size_bytes"] == page.stat().st_size < pages.LARGEST_BYTES
+    result = evetac("report", folder, "-o", page)
+    assert (result.exit_code, "the output exists" in result.stderr) == (2, True)
+
+
+def test_refusals(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what cannot be shown is refused before anything is written, with what to do."""
+    (tmp_path / "notes.txt").write_text("no")
+    for folders, chosen, message in (
+        ([tmp_path / "gone"], {}, "no such folder"),
+        ([folder / "slip-000.recording.h5"], {}, "not a folder"),
+        ([tmp_path], {}, "no evetac files there"),
+        ([folder, folder], {}, "another number of folders"),
+        ([folder], {"compare": True}, "another number of folders"),
+    ):
+        with pytest.raises(InputError, match=message):
+            report.run(folders, Report(**chosen), tmp_path / "r.html")
+    monkeypatch.setattr(pages, "find_spec", lambda name: None)
+    with pytest.raises(EvetacError, match="is not installed") as raised:
+        report.run([folder], Report(), None)
+    assert "'.[plot]'" in raised.value.hint
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "-"), (float("nan"), "-"), (float("inf"), "never"), (True, "yes"), (0.12345, "0.123"), (12345, "12,345")],
+)
+def test_cells(value: Any, text: str) -> None:
+    assert figure_text(value) == text
