@@ -261,9 +261,10 @@ def _run(
     command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any], results: dict[Path, Outcome | EvetacError]
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
-    quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
+    shown = any(getattr(chosen, name, False) for name in ("live", "preview"))  # a view, with its own lines
+    quiet, force = running["quiet"] or shown, running["force"]
     engine = engines.Engine.parse(running["engine"])
-    exclusive = any(job.exclusive for job in jobs)
+    exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
         raise InputError("devices belong to this computer", where="--engine", expected="local", found=running["engine"])
     if engine.address and running["number_of_jobs"] > 1:

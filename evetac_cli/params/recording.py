@@ -56,7 +56,7 @@ class Record(Trials):
     )
     seconds: float | None = parameter(
         None,
-        "Devices and --live: record, or look, for so long; default: until the gripper has let go, or Ctrl-C.",
+        "Devices and --preview: record, or look, for so long; default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,
@@ -124,7 +124,7 @@ class Record(Trials):
         1e6, "Devices: events a second that the disk must have room for.", unit="1/s", low=0.0, high=1e9, recipe=False
     )
     resume: bool = parameter(False, "Devices: go on with a series, made with the same set-up.", recipe=False)
-    live: bool = parameter(False, "Show what the camera sees, and write nothing.", recipe=False)
+    preview: bool = parameter(False, "Show what the camera sees; write and move nothing.", recipe=False)
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,18 @@ class Trials:
     scans_per_ms: int | None = parameter(
         None, "Scans of the simulated readout; default: the scene's, or 5.", unit="1/ms", low=1, high=100
     )
+    live: bool = parameter(
+        False,
+        "Show it while it is recorded: a page in the browser with dots, slip, force and gripper.",
+        recipe=False,
+    )
+    live_in: str = parameter(
+        "auto",
+        "Where it is shown; browser: its address is printed; terminal: characters; auto: in a browser, where there is a"
+        " display.",
+        choices=("auto", "browser", "terminal"),
+        recipe=False,
+    )
     dry_run: bool = parameter(False, "Show what would be built, left out and paid; write nothing.", recipe=False)
 
     def solver(self) -> dict[str, Any]:
