@@ -9,7 +9,7 @@
   };
   const SECONDS = 20;  // that charts show
   const canvas = by("image"), pen = canvas.getContext("2d");
-  let about = null, samples = [], latest = null, picture = null, held = false, over = false, asked = false, drawn = [];
+  let about = null, samples = [], latest = null, picture = null, held = false, over = false, asked = false, drawn = [], came = [];
 
   // What there is to see, by the fields of a sample ----------------------------------------------------------------
   const number = (value, digits) => value === null || value === undefined ? "–"
@@ -26,8 +26,8 @@
 
   function tiles() {
     const now = samples.length ? samples[samples.length - 1] : {};
-    const before = samples.find((sample) => sample.t >= now.t - 2);
-    const pace = before && now.at > before.at ? (now.slices - before.slices) / (now.at - before.at) * 1000 : null;
+    const [began, ended] = [came[0], came[came.length - 1]];
+    const pace = came.length > 1 ? (ended.slices - began.slices) / (ended.at - began.at) * 1000 : null;
     const recent = drawn.filter((time) => time > performance.now() - 2000);
     const rate = recent.length > 1 ? (recent.length - 1) / (recent[recent.length - 1] - recent[0]) * 1000 : null;
     const rows = [
@@ -196,6 +196,7 @@
     const size = new DataView(message.data).getUint32(0, true);
     const news = JSON.parse(text.decode(new Uint8Array(message.data, 4, size)));
     if (news.ended) { end(news.ended); return; }
+    came = [...came, { at: performance.now(), slices: news.sample.slices }].slice(-60);
     if (news.about) know(news);
     else samples.push(complete(news.sample));
     while (samples.length && samples[0].t < news.sample.t - 2 * SECONDS) samples.shift();
