@@ -12,7 +12,7 @@ COLUMNS, ROWS = 80, 30  # characters, which are twice as high as wide
 SHADES = " .:-=+*#%@"
 FULL = 1.0  # events a pixel for the darkest shade
 LEAST_EVENTS = 4  # of a character that is shown: noise is scattered, and comes one at a time
-LEAST_OVER = 1.5  # times the median of all characters, which noise fills alike
+NOISE_SPREADS = 4.0  # a character is shown with so many standard deviations more events than noise gives each
 
 
 def screen(follower: Follower, sample: Mapping[str, Any], lost: str, said: Sequence[str]) -> str:
@@ -48,6 +48,7 @@ def picture(x: NDArray[Any], y: NDArray[Any], frame_px: tuple[int, int]) -> str:
     counts = np.bincount(place, minlength=ROWS * COLUMNS)
     pixels = width * height / (ROWS * COLUMNS)
     dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # events of a single dot are visible, too
-    dark[(counts < LEAST_EVENTS) | (counts < LEAST_OVER * np.median(counts))] = 0.0
+    noise = float(np.median(counts))  # most characters hold nothing else
+    dark[(counts < LEAST_EVENTS) | (counts <= noise + NOISE_SPREADS * np.sqrt(noise))] = 0.0
     shade = np.ceil(dark * (len(SHADES) - 1)).astype(np.int64).reshape(ROWS, COLUMNS)
     return "\n".join("".join(SHADES[value] for value in line) for line in shade)

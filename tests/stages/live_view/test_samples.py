@@ -96,7 +96,7 @@ def test_another_grid_is_tracked_without_slip(made: Made) -> None:
 
 
 def test_a_picture_counts_the_events_of_each_polarity() -> None:
-    """Assert each pixel's counts, clipped, of the latest SHOWN_MS slices alone; a pixel beside the frame is left out."""
+    """Assert each pixel's counts, clipped, of the latest SHOWN_MS slices alone, without what lies beside the frame."""
     shared = SharedView()
     follower = Follower(shared)
     follower.begin({"sensor/frame_px": np.array([64, 48], np.int32)}, refuse)
