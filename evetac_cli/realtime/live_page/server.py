@@ -11,6 +11,7 @@ What keeps others out, since one message from here takes a gripper's torque away
 - no other site may show the page in a frame, where somebody could be made to click on it.
 """
 
+import asyncio
 import json
 import logging
 import secrets
@@ -27,6 +28,7 @@ ADDRESS = "127.0.0.1"
 OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")  # by any port: ssh -L may listen at another one
 MOST_CLIENTS = 4
 MOST_BYTES = 4096  # of a message, or a request, to here
+LAST_S = 0.3  # for the last words to arrive
 NEXT, LET_GO = "next", "let go"  # all that a client can say
 CONTENT = {
     "": ("page.html", "text/html"),
@@ -59,7 +61,7 @@ class PageServer:
         routes = [(r"/([^/]*)/pictures", _Pictures, own), (r"/([^/]*)/([^/]*)", _Page, own)]
         application = web.Application(
             routes,
-            default_handler_class=_Nothing,
+            default_handler_class=_Guarded,  # which refuses what has no token
             default_handler_args=own,
             log_function=lambda _: None,
             websocket_max_message_size=MOST_BYTES,
@@ -92,12 +94,14 @@ class PageServer:
                 client.version = version
                 client.say({**news, **more}, image)
 
-    def end(self, news: Mapping[str, Any]) -> None:
-        """Tell every client why there will be no more pictures."""
+    async def end(self, news: Mapping[str, Any]) -> None:
+        """Tell every client why there will be no more pictures, and close."""
         for client in list(self.clients):
             client.say(news, b"")
             client.close()
         self._server.stop()
+        await asyncio.sleep(LAST_S)
+        await self._server.close_all_connections()
 
 
 class _Guarded(web.RequestHandler):
@@ -123,14 +127,6 @@ class _Guarded(web.RequestHandler):
         self.finish(f"{status_code}\n")
 
 
-class _Nothing(_Guarded):
-    """Any other address."""
-
-    def prepare(self) -> None:
-        super().prepare()
-        raise web.HTTPError(404)
-
-
 class _Page(_Guarded):
     """The page and its two files."""
 
@@ -152,7 +148,7 @@ class _Pictures(_Guarded, websocket.WebSocketHandler):
         """Whether a page that came from here asks; a program that is no browser names no origin."""
         return urlsplit(origin).netloc == self.request.host
 
-    def open(self, *token: str) -> None:
+    def open(self, *args: str, **kwargs: str) -> None:
         if len(self._page_server.clients) >= MOST_CLIENTS:
             self.close(1013, f"{MOST_CLIENTS} pages show this already")
             return

@@ -21,7 +21,6 @@ from evetac_cli.stages.live_view.samples import PERIOD_S, Follower, OpenDetector
 NICENESS = 19
 BROWSER, TERMINAL = "browser", "terminal"
 TERMINAL_PERIOD_S = 0.1
-LAST_S = 0.3  # for the last words to reach the page
 MOST_SAID = 20
 
 
@@ -139,8 +138,7 @@ async def _serve(state: ViewState, shared: SharedView, ready: Connection) -> Non
             news = {**state.news(sample), "let_go": shared.is_asked_to_let_go}
             server.send(news, state.follower.image(), state.known, state.version)
         await asyncio.sleep(_left_s(began_s, PERIOD_S))
-    server.end({"ended": state.ended})
-    await asyncio.sleep(LAST_S)
+    await server.end({"ended": state.ended})
 
 
 def _draw(state: ViewState) -> None:

@@ -84,7 +84,7 @@ class Follower:
         self.frame_px = int(width), int(height)
         if "sensor/window_px" in sensor:
             self.window_px = [int(edge) for edge in sensor["sensor/window_px"]]
-        if "sensor/dot_xy_px" not in sensor:
+        if not {"sensor/dot_xy_px", "sensor/dot_radius_px"} <= sensor.keys():
             self.notes = ["no dots, slip or force: where the dots are is not known (--calibration FILE)"]
             return
         try:

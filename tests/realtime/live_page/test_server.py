@@ -47,8 +47,7 @@ class Served:
             if self.server.is_asked:
                 self.server.send({"number": number}, b"image", lambda: {"about": "known"}, 1)
             await asyncio.sleep(0.005)
-        self.server.end({"ended": "it is over"})
-        await asyncio.sleep(0.05)
+        await self.server.end({"ended": "it is over"})
 
     def close(self) -> None:
         self.loop.call_soon_threadsafe(self.stop.set)

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -106,13 +106,16 @@ class Shown:
                 return
         raise AssertionError("".join(self.said))
 
-    def look(self, press_after_slices: int | None = None) -> list[dict[str, Any]]:
-        """All that a client is told until the recording ends; it presses the button once there are so many slices."""
+    def look(self, act: str | Callable[[], None] = "", after: int = 0) -> list[dict[str, Any]]:
+        """All that a client is told until the recording ends.
+
+        act: what it says, or does, once there are more slices than `after`.
+        """
 
         async def ask() -> list[dict[str, Any]]:
             socket = await websocket_connect(HTTPRequest(f"ws://{self.address}pictures"), max_message_size=1 << 24)
             news: list[dict[str, Any]] = []
-            pressed = press_after_slices is None
+            acts = bool(act)
             while not (news and "sample" not in news[-1]):
                 await socket.write_message("next")
                 message = await asyncio.wait_for(socket.read_message(), PATIENCE_S)
@@ -120,9 +123,12 @@ class Shown:
                 size = int.from_bytes(message[:4], "little")
                 news.append(json.loads(message[4 : 4 + size]))
                 assert len(message) - 4 - size in (0, 640 * 480)
-                if not pressed and news[-1]["sample"]["slices"] > (press_after_slices or 0):
-                    pressed = True
-                    await socket.write_message("let go")
+                if acts and news[-1].get("sample", {}).get("slices", 0) > after:
+                    acts = False
+                    if isinstance(act, str):
+                        await socket.write_message(act)
+                    else:
+                        act()
             socket.close()
             return news
 
@@ -130,8 +136,16 @@ class Shown:
 
     def end(self) -> tuple[int, str]:
         """Exit code and all that was said."""
-        _, rest = self.run.communicate(timeout=PATIENCE_S)
-        return self.run.returncode, "".join(self.said) + rest
+        assert self.run.stderr is not None
+        rest = self.run.stderr.read()
+        return self.run.wait(PATIENCE_S), "".join(self.said) + rest
+
+    @property
+    def view(self) -> int:
+        """The process that serves the page."""
+        children = Path(f"/proc/{self.run.pid}/task/{self.run.pid}/children").read_text().split()
+        (view,) = (pid for pid in children if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text())
+        return int(view)
 
 
 @contextmanager
@@ -182,7 +196,7 @@ def test_the_button_lets_go(command: str, tmp_path: Path) -> None:
     """Assert that the button ends a recording as Ctrl-C does: torque off in words, a valid file, exit code 130."""
     more = ["--hold-s", "100", "--expected-event-rate", "1e5"] if command == "record" else ["--controller", "fixed:5"]
     with shown(tmp_path, command, "--gripper", "virtual", "--watchdog-ms", "500", *more) as page:
-        news = page.look(press_after_slices=500)
+        news = page.look("let go", after=500)
         code, said = page.end()
     assert code == 130, said
     assert "let go by the button of the live view; torque is off (read back)" in said
@@ -196,12 +210,9 @@ def test_the_button_lets_go(command: str, tmp_path: Path) -> None:
 def test_a_recording_goes_on_without_its_view(tmp_path: Path) -> None:
     """Assert that a view that is killed takes no slice with it."""
     with shown(tmp_path, "record", "--gripper", "none", *FAST) as page:
-        parent = page.run.pid
-        children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
-        views = [int(each) for each in children if "spawn_main" in Path(f"/proc/{each}/cmdline").read_text()]
-        assert len(views) == 1
-        assert os.getpriority(os.PRIO_PROCESS, views[0]) == 19
-        os.kill(views[0], signal.SIGKILL)
+        view = page.view
+        assert os.getpriority(os.PRIO_PROCESS, view) == 19
+        os.kill(view, signal.SIGKILL)
         code, said = page.end()
     assert code == 0, said
     with StageFile(tmp_path / "a.recording.h5", "recording") as file:
@@ -212,10 +223,8 @@ def test_a_recording_goes_on_without_its_view(tmp_path: Path) -> None:
 def test_a_view_ends_with_whoever_records(tmp_path: Path) -> None:
     """Assert that a killed recording leaves no server behind, and that its page says what happened."""
     with shown(tmp_path, "record", "--gripper", "none", "--seconds", "60", "--expected-event-rate", "1e4") as page:
-        parent = page.run.pid
-        (view,) = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()[-1:]
-        os.kill(parent, signal.SIGKILL)
-        news = page.look()
+        view = page.view
+        news = page.look(page.run.kill)
         assert news[-1] == {"ended": "the program that records has gone"}
         end_s = time.monotonic() + PATIENCE_S
         while Path(f"/proc/{view}").exists() and "Z" not in Path(f"/proc/{view}/stat").read_text().split(")")[1][:3]:
