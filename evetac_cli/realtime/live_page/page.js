@@ -8,8 +8,9 @@
     return made;
   };
   const SECONDS = 20;  // that charts show
+  const FIGURES_MS = 90;  // figures and charts are drawn this often
   const canvas = by("image"), pen = canvas.getContext("2d");
-  let about = null, samples = [], latest = null, picture = null, held = false, over = false, asked = false, drawn = [], came = [];
+  let about = null, samples = [], latest = null, picture = null, held = false, over = false, asked = false, drawn = [], came = [], figuresAt = 0;
 
   // What there is to see, by the fields of a sample ----------------------------------------------------------------
   const number = (value, digits) => value === null || value === undefined ? "–"
@@ -183,6 +184,8 @@
     for (const part of document.querySelectorAll("[data-for=dots]")) part.hidden = latest.dots.length === 0;
     for (const part of document.querySelectorAll("[data-for=window]")) part.hidden = !latest.window_px;
     if (!held) draw();
+    if (performance.now() < figuresAt) return;  // figures need not change as often as pictures
+    figuresAt = performance.now() + FIGURES_MS;
     tiles();
     lines();
   }
@@ -241,7 +244,7 @@
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
     const typing = event.target.tagName === "BUTTON" || event.target.tagName === "SELECT" || event.target.tagName === "INPUT";
-    if (event.key === "Escape") letGo();
+    if (event.key === "Escape" && event.target.tagName !== "SELECT") letGo();  // there it closes the menu
     else if (event.key === " " && !typing) { event.preventDefault(); hold(); }
     else if (event.key === "d" || event.key === "w") { const box = by(event.key === "d" ? "dots" : "window"); box.checked = !box.checked; show(); }
     else if (event.key === "a") { const menu = by("arrows"); menu.selectedIndex = (menu.selectedIndex + 1) % menu.options.length; show(); }
