@@ -50,7 +50,7 @@ class Client:
     left_out: int = 0
     ended: str = ""
 
-    async def look(self, address: str) -> None:
+    async def watch(self, address: str) -> None:
         socket = await websocket_connect(HTTPRequest(f"ws://{address}pictures"), max_message_size=1 << 24)
         while not self.ended:
             await socket.write_message(NEXT)
@@ -99,9 +99,9 @@ def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, An
         thread = None
         for line in run.stderr or ():
             said.append(line)
-            found = ADDRESS.search(line)
-            if found:
-                thread = threading.Thread(target=lambda address: asyncio.run(client.look(address)), args=found.groups())
+            address = ADDRESS.search(line)
+            if address:
+                thread = threading.Thread(target=asyncio.run, args=(client.watch(address.group(1)),))
                 thread.start()
         printed = run.stdout.read() if run.stdout else ""
     if thread is not None:

@@ -46,7 +46,7 @@ class SeenSlices(NamedTuple):
     probability: NDArray[np.float32]  # (n,) of slip, as the loop knows it; NaN where it does not
 
     @property
-    def count(self) -> int:
+    def slices(self) -> int:
         """How many slices."""
         return len(self.late_us)
 
@@ -72,11 +72,13 @@ class SharedView:
 
     def _attach(self) -> None:
         memory = memoryview(self._block).cast("B")
-        columns, at = {}, 0
+        columns: dict[str, NDArray[Any]] = {}
+        at = 0
         for name, (kind, length) in _COLUMNS.items():
             columns[name] = np.frombuffer(memory, kind, length, at)
             at += columns[name].nbytes
-        self._head, self._end, self._late_us, self._probability, *self._events, self._let_go = columns.values()
+        self._head, self._end, self._late_us, self._probability, x, y, p, self._let_go = columns.values()
+        self._events = (x, y, p)
         self._gripper = SharedRow(memory, at, f"{GRIPPER_NUMBERS}d")
 
     def __getstate__(self) -> dict[str, object]:

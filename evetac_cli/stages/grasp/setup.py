@@ -19,6 +19,7 @@ from evetac_cli.stages import live_view
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.live_view import LiveView
+from evetac_cli.stages.live_view.process import Title
 from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, Trial
 from evetac_cli.store.files import StageFile
@@ -84,7 +85,7 @@ def view_of(trial: SimulatedTrial | DeviceTrial, params: Grasp) -> AbstractConte
         return nullcontext()
     moves = isinstance(trial, DeviceTrial)
     simulated = isinstance(trial, SimulatedTrial) or trial.cameras[0].shows_simulation()
-    title = live_view.Title(f"grasp {trial.output.name}", simulated, moves)
+    title = Title(f"grasp {trial.output.name}", simulated, moves)
     open_ = partial(open_view_detector, model_path_for(params), params.tracker, params.slip_threshold)
     return live_view.opened(params.live_in, title, open_)
 

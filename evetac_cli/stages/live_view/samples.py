@@ -104,7 +104,7 @@ class Follower:
         seen = self._shared.since(first)
         self.left_out += seen.first - self._next
         own = self._take(seen)
-        self._next = seen.first + seen.count
+        self._next = seen.first + seen.slices
         known = seen.probability[~np.isnan(seen.probability)]
         probability = float(known.max()) if len(known) else own
         late_us = seen.late_us[~np.isnan(seen.late_us)]
@@ -113,7 +113,7 @@ class Follower:
             "t": self._next * SLICE_US * 1e-6,
             "slices": self._next,
             "events": len(seen.x),
-            "events_per_s": len(seen.x) / (seen.count * 1e-3) if seen.count else None,
+            "events_per_s": len(seen.x) / (seen.slices * 1e-3) if seen.slices else None,
             "late_ms": float(np.median(late_us)) * 1e-3 if len(late_us) else None,
             "late_most_ms": float(late_us.max()) * 1e-3 if len(late_us) else None,
             "probability": probability,
@@ -127,7 +127,7 @@ class Follower:
     def _take(self, seen: SeenSlices) -> float:
         """Track and detect over new slices; the highest probability, NaN where there is none."""
         highest = math.nan
-        for k in range(seen.count):
+        for k in range(seen.slices):
             part = slice(int(seen.starts[k]), int(seen.starts[k + 1]))
             x, y, p = seen.x[part], seen.y[part], seen.p[part]
             self._latest.append((x, y, p))
@@ -175,8 +175,8 @@ class _ForceModel:
         with StageFile(resources.FORCE_MODEL, "force-model") as file:
             self._model = gel_model.read_gel_model(file)
         modulus = gel_model.MODULI["shear"]
-        told = {modulus: float(sensor[f"sensor/{modulus}"])} if f"sensor/{modulus}" in sensor else {}
-        self._gel = gel_model.gel_of(self._model, told, PredictForce().stiffness_error)
+        known = {modulus: float(sensor[f"sensor/{modulus}"])} if f"sensor/{modulus}" in sensor else {}
+        self._gel = gel_model.gel_of(self._model, known, PredictForce().stiffness_error)
         self._tracking = tracking
         self._rest_mm = (tracking.rest_xy_px - np.asarray(sensor["sensor/frame_px"]) / 2) * self._gel.mm_per_px
         self._over_modulus: deque[NDArray[np.float64]] = deque(maxlen=KEPT)  # creep depends on what was before

@@ -13,6 +13,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import live_view
 from evetac_cli.stages.live_view import LiveView
+from evetac_cli.stages.live_view.process import Title
 from evetac_cli.stages.record.capture_plan import settings
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial
 from evetac_cli.store.calibration import read_calibration
@@ -29,7 +30,7 @@ def view_of(trial: SimulatedTrial | DeviceTrial, params: Record) -> AbstractCont
     moves = isinstance(trial, DeviceTrial) and trial.gripper.is_moved and not params.preview
     simulated = isinstance(trial, SimulatedTrial) or trial.cameras[0].shows_simulation()
     what = f"preview of {_camera(trial)}" if params.preview else f"record {trial.output.name}"
-    title = live_view.Title(what, simulated, moves)
+    title = Title(what, simulated, moves)
     open_detector = partial(open_view_detector, None, "stable", None)
     return live_view.opened(params.live_in, title, open_detector)
 

@@ -80,6 +80,13 @@ def connect(served: Served, token: str, **headers: str) -> Any:
     return websocket_connect(HTTPRequest(url, headers=headers, request_timeout=PATIENCE_S))
 
 
+async def close(socket_: Any) -> None:
+    """Close a websocket, and wait until the other side has closed it too."""
+    socket_.close()
+    while await asyncio.wait_for(socket_.read_message(), PATIENCE_S) is not None:
+        pass
+
+
 def news_of(message: bytes) -> tuple[dict[str, Any], bytes]:
     size = int.from_bytes(message[:4], "little")
     return json.loads(message[4 : 4 + size]), message[4 + size :]
@@ -162,7 +169,7 @@ def test_the_button_needs_the_token_and_the_page_itself(served: Served) -> None:
             await socket_.write_message(word)
         await socket_.write_message("next")
         assert await asyncio.wait_for(socket_.read_message(), PATIENCE_S)
-        socket_.close()
+        await close(socket_)
 
     for token, headers in (
         ("x" * 32, {"Origin": own}),
@@ -182,7 +189,7 @@ def test_the_button_needs_the_token_and_the_page_itself(served: Served) -> None:
 def test_a_picture_for_every_request_and_no_more(served: Served) -> None:
     """Assert that a client that asks for nothing gets nothing, and what is known is told once; then why it ended."""
 
-    async def look() -> None:
+    async def watch() -> None:
         socket_ = await connect(served, served.server.token)
         waiting = asyncio.ensure_future(socket_.read_message())
         await asyncio.sleep(0.05)
@@ -200,21 +207,23 @@ def test_a_picture_for_every_request_and_no_more(served: Served) -> None:
         assert last == {"ended": "it is over"}
         assert image == b""
         assert await asyncio.wait_for(socket_.read_message(), PATIENCE_S) is None  # closed
+        socket_.close()
 
-    asyncio.run(look())
+    asyncio.run(watch())
 
 
 def test_no_more_than_a_few_look_at_once(served: Served) -> None:
     """Assert that one client more than there may be is sent away."""
 
-    async def look() -> None:
+    async def watch() -> None:
         sockets = [await connect(served, served.server.token) for _ in range(MOST_CLIENTS)]
         for each in sockets:  # all are in
             await each.write_message("next")
             assert await asyncio.wait_for(each.read_message(), PATIENCE_S)
         further = await connect(served, served.server.token)
         assert await asyncio.wait_for(further.read_message(), PATIENCE_S) is None
+        further.close()
         for each in sockets:
-            each.close()
+            await close(each)
 
-    asyncio.run(look())
+    asyncio.run(watch())

@@ -44,11 +44,11 @@ def browser(folder: Path) -> Iterator[str]:
     with subprocess.Popen([CHROMIUM, *words, "about:blank"], stderr=subprocess.PIPE, text=True) as run:
         try:
             for line in run.stderr or ():
-                if found := re.search(r"listening on ws://([^/]+)/", line):
+                if address := re.search(r"listening on ws://([^/]+)/", line):
                     break
             else:
                 raise AssertionError("chromium did not start")
-            with urllib.request.urlopen(f"http://{found.group(1)}/json/list") as answer:
+            with urllib.request.urlopen(f"http://{address.group(1)}/json/list") as answer:
                 pages = [page for page in json.load(answer) if page["type"] == "page"]
             yield pages[0]["webSocketDebuggerUrl"]
         finally:

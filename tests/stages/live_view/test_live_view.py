@@ -101,12 +101,12 @@ class Shown:
         self.said: list[str] = []
         for line in run.stderr:
             self.said.append(line)
-            if found := re.search(r"live view: http://(\S+)", line):
-                self.address = found.group(1)
+            if address := re.search(r"live view: http://(\S+)", line):
+                self.address = address.group(1)
                 return
         raise AssertionError("".join(self.said))
 
-    def look(self, act: str | Callable[[], None] = "", after: int = 0) -> list[dict[str, Any]]:
+    def watch(self, act: str | Callable[[], None] = "", after: int = 0) -> list[dict[str, Any]]:
         """All that a client is told until the recording ends.
 
         act: what it says, or does, once there are more slices than `after`.
@@ -129,6 +129,7 @@ class Shown:
                         await socket.write_message(act)
                     else:
                         act()
+            assert await asyncio.wait_for(socket.read_message(), PATIENCE_S) is None
             socket.close()
             return news
 
@@ -172,7 +173,7 @@ def shown(folder: Path, command: str, *more: str) -> Iterator[Shown]:
 def test_a_recording_is_seen_while_it_is_made(tmp_path: Path) -> None:
     """Assert pictures with dots, slip and force of every part of a recording, and its end in words."""
     with shown(tmp_path, "record", "--gripper", "none", *FAST) as page:
-        news = page.look()
+        news = page.watch()
         code, said = page.end()
     assert code == 0, said
     assert news[-1]["ended"] == "after the seconds asked for"
@@ -196,7 +197,7 @@ def test_the_button_lets_go(command: str, tmp_path: Path) -> None:
     """Assert that the button ends a recording as Ctrl-C does: torque off in words, a valid file, exit code 130."""
     more = ["--hold-s", "100", "--expected-event-rate", "1e5"] if command == "record" else ["--controller", "fixed:5"]
     with shown(tmp_path, command, "--gripper", "virtual", "--watchdog-ms", "500", *more) as page:
-        news = page.look("let go", after=500)
+        news = page.watch("let go", after=500)
         code, said = page.end()
     assert code == 130, said
     assert "let go by the button of the live view; torque is off (read back)" in said
@@ -224,7 +225,7 @@ def test_a_view_ends_with_whoever_records(tmp_path: Path) -> None:
     """Assert that a killed recording leaves no server behind, and that its page says what happened."""
     with shown(tmp_path, "record", "--gripper", "none", "--seconds", "60", "--expected-event-rate", "1e4") as page:
         view = page.view
-        news = page.look(page.run.kill)
+        news = page.watch(page.run.kill)
         assert news[-1] == {"ended": "the program that records has gone"}
         end_s = time.monotonic() + PATIENCE_S
         while Path(f"/proc/{view}").exists() and "Z" not in Path(f"/proc/{view}/stat").read_text().split(")")[1][:3]:
