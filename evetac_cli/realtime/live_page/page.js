@@ -21,7 +21,7 @@
     { title: "Gripper current", fields: ["current_ma", "goal_ma"], names: ["current", "goal"], unit: "mA", digits: 0 },
     { title: "Force on the gel, estimated", fields: ["normal_n", "shear_n"], names: ["normal", "shear"], unit: "N", digits: 2, low: 0 },
     { title: "Events", fields: ["events_per_s"], names: ["rate"], unit: "1/s", digits: 0, low: 0 },
-    { title: "Slices are late by", fields: ["late_ms", "late_most_ms"], names: ["median", "most"], unit: "ms", digits: 2 },
+    { title: "Slices are late by", fields: ["late_ms", "late_most_ms"], names: ["median", "most"], unit: "ms", digits: 2, low: 0 },
   ];
   const PHASES = ["contact", "lift", "balance"];
 
@@ -73,7 +73,7 @@
   function lines() {
     const style = getComputedStyle(document.documentElement);
     const colour = (name) => style.getPropertyValue(name).trim();
-    const end = samples.length ? samples[samples.length - 1].t : 0, from = end - SECONDS;
+    const end = samples.length ? samples[samples.length - 1].t : 0, from = Math.max(0, end - SECONDS);
     const shown = samples.filter((sample) => sample.t >= from);
     for (const chart of charts) {
       const values = chart.fields.map((field) => shown.map((sample) => sample[field]));
@@ -98,9 +98,9 @@
         ink.beginPath(); ink.moveTo(left, y(level)); ink.lineTo(wide - 4, y(level)); ink.stroke();
       }
       ink.textAlign = "left";
-      ink.fillText(`${number(Math.max(from, 0), 0)} s`, left, high - 3);
+      ink.fillText(`${number(from, 0)} s`, left, high - 3);
       ink.textAlign = "right";
-      ink.fillText(`${number(end, 1)} s`, wide - 4, high - 3);
+      ink.fillText(`${number(from + SECONDS, 0)} s`, wide - 4, high - 3);
       if (chart.level && about[chart.level] !== null) {
         ink.setLineDash([4, 3]);
         ink.strokeStyle = colour("--quiet");
@@ -116,7 +116,7 @@
         ink.beginPath();
         let open = false;
         series.forEach((value, k) => {
-          const here = value !== null && value !== undefined && shown[k].t >= Math.max(from, 0);
+          const here = value !== null && value !== undefined;
           if (here) { if (open) ink.lineTo(x(shown[k].t), y(value)); else ink.moveTo(x(shown[k].t), y(value)); }
           open = here;
         });
@@ -159,7 +159,8 @@
       const tip = [x + dx * longer, y + dy * longer], angle = Math.atan2(dy, dx);
       pen.lineWidth = 2; pen.strokeStyle = "#ffffff";
       pen.beginPath(); pen.moveTo(x, y); pen.lineTo(...tip);
-      for (const turn of [2.6, -2.6]) { pen.moveTo(...tip); pen.lineTo(tip[0] + 6 * Math.cos(angle + turn), tip[1] + 6 * Math.sin(angle + turn)); }
+      const head = Math.min(6, size / 2);
+      for (const turn of [2.6, -2.6]) { pen.moveTo(...tip); pen.lineTo(tip[0] + head * Math.cos(angle + turn), tip[1] + head * Math.sin(angle + turn)); }
       pen.stroke();
     }
   }

@@ -96,8 +96,9 @@ class Page:
 
     async def click(self, name: str) -> None:
         """With the mouse, in the middle of the element of this id."""
-        middle = f"(() => {{ const b = document.getElementById('{name}').getBoundingClientRect();"
-        x, y = await self.value(middle + " return [b.x + b.width / 2, b.y + b.height / 2]; })()")
+        script = "(() => { const element = document.getElementById('NAME'); element.scrollIntoView();"
+        script += " const b = element.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        x, y = await self.value(script.replace("NAME", name))
         for kind in ("mousePressed", "mouseReleased"):
             await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
@@ -121,8 +122,9 @@ async def drive(debugger: str, address: str, end_by: str) -> Page:
     for width in WIDTHS:
         await page.ask("Emulation.setDeviceMetricsOverride", width=width, **size)
         await asyncio.sleep(1.0)
-        assert await page.value("document.documentElement.scrollWidth <= innerWidth"), width
+        assert await page.value("document.documentElement.scrollWidth <= document.documentElement.clientWidth"), width
         await page.keep(f"live-{width}")
+    await page.ask("Emulation.setDeviceMetricsOverride", width=1280, **size)
     hold = "document.getElementById('pause').getAttribute('aria-pressed')"
     await page.press(" ")
     assert await page.value(hold) == "true"
