@@ -82,6 +82,9 @@ class Page:
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
+    def close(self) -> None:
+        self._socket.close()
+
     async def until(self, script: str) -> None:
         """Wait until an expression is true."""
         end_s = time.monotonic() + PATIENCE_S
@@ -109,9 +112,18 @@ class Page:
             (Path(PICTURES) / f"{name}.png").write_bytes(base64.b64decode(shot["data"]))
 
 
-async def drive(debugger: str, address: str, end_by: str) -> Page:
-    """Look at the page at all widths, use its keys and buttons, and end by the button or its key."""
+async def complaints(debugger: str, address: str, end_by: str) -> list[str]:
+    """What a browser complains of while somebody uses the page, and ends by the button or its key."""
     page = Page(await websocket_connect(debugger, max_message_size=1 << 26))
+    try:
+        await use(page, address, end_by)
+    finally:
+        page.close()
+    return page.complaints
+
+
+async def use(page: Page, address: str, end_by: str) -> None:
+    """See the page at all widths, use its keys and buttons, and let go."""
     for part in ("Runtime", "Log", "Page"):
         await page.ask(f"{part}.enable")
     size = {"height": 900, "deviceScaleFactor": 1, "mobile": False}
@@ -141,7 +153,6 @@ async def drive(debugger: str, address: str, end_by: str) -> Page:
     await page.until("document.getElementById('state').textContent.startsWith('ended')")
     assert "let go by the button" in await page.value("document.getElementById('state').textContent")
     await page.keep("live-ended")
-    return page
 
 
 @pytest.mark.parametrize("end_by", ["mouse", "key"])
@@ -149,7 +160,7 @@ def test_the_page_works_in_a_browser(end_by: str, tmp_path: Path) -> None:
     """Assert that nothing is complained of, nothing is wider than the window, and keys and mouse do what they say."""
     more = ["--gripper", "virtual", "--hold-s", "100", "--expected-event-rate", "1e5", "--watchdog-ms", "500"]
     with browser(tmp_path / "profile") as debugger, shown(tmp_path, "record", *more) as live:
-        page = asyncio.run(drive(debugger, f"http://{live.address}", end_by))
+        said_by_browser = asyncio.run(complaints(debugger, f"http://{live.address}", end_by))
         code, said = live.end()
-    assert page.complaints == []
+    assert said_by_browser == []
     assert code == 130, said
