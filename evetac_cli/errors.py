@@ -22,7 +22,7 @@ MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 EXTRAS = {
     "camera": ("dv_processing",),
     "convert": ("rosbags", "faery", "hdf5plugin"),
-    "plot": ("matplotlib", "bokeh", "PIL"),
+    "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "cluster": ("dask", "distributed"),
 }
 MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated

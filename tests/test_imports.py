@@ -51,6 +51,7 @@ ONLY_IN = {
     "rich": ("console.py",),
     "dask": ("cli/engines.py",),
     "distributed": ("cli/engines.py",),
+    "tornado": ("realtime/live_page/*",),
 }
 
 

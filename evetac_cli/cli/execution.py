@@ -72,7 +72,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
                 console.show(title, first_rows(shown_rows), summary, simulated=simulated, as_json=False)
                 done = [job for job in jobs if isinstance(run.results[job.output], Outcome)]
                 written = [path for job in done for path in getattr(job, "outputs", [job.output])]
-                console.print_result(verdict, [] if getattr(chosen, "live", False) else written)
+                console.print_result(verdict, [] if getattr(chosen, "preview", False) else written)
         if errors:
             for error in errors[1:]:
                 console.say(f"error: {error}")
@@ -141,9 +141,10 @@ def run_jobs(
     command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any], results: dict[Path, Outcome | EvetacError]
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
-    quiet, force = running["quiet"] or getattr(chosen, "live", False), running["force"]  # --live has its own lines
+    shown = any(getattr(chosen, name, False) for name in ("live", "preview"))  # a view, with its own lines
+    quiet, force = running["quiet"] or shown, running["force"]
     engine = engines.Engine.parse(running["engine"])
-    exclusive = any(job.exclusive for job in jobs)
+    exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
         raise InputError("devices belong to this computer", where="--engine", expected="local", found=running["engine"])
     if engine.address and running["number_of_jobs"] > 1:

@@ -72,7 +72,7 @@ class Record(Trials):
     )
     seconds: float | None = parameter(
         None,
-        "Record, or with --live look, for so long; default: until the gripper has let go, or Ctrl-C.",
+        "Record, or with --preview look, for so long; default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,
@@ -162,7 +162,9 @@ class Record(Trials):
         panel=DEVICES,
     )
     resume: bool = parameter(False, "Go on with a series, made with the same set-up.", recipe=False, panel=DEVICES)
-    live: bool = parameter(False, "Show what the camera sees, and write nothing.", recipe=False)
+    preview: bool = parameter(
+        False, "Show what the camera sees; write and move nothing.", recipe=False, panel=VIEW
+    )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 from evetac_cli.params.parameter import RUNNING, parameter
 
-SCENE, SOLVER = "Scene", "Precision of the simulation"  # panels of --help
+SCENE, SOLVER, VIEW = "Scene", "Precision of the simulation", "Live view"  # panels of --help
 SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_substeps", "scans_per_ms")
 
 
@@ -83,6 +83,20 @@ class Trials:
         low=1,
         high=100,
         panel=SOLVER,
+    )
+    live: bool = parameter(
+        False,
+        "Show it while it is recorded: a page in the browser with dots, slip, force and gripper.",
+        recipe=False,
+        panel=VIEW,
+    )
+    live_in: str = parameter(
+        "auto",
+        "Where it is shown; browser: its address is printed; terminal: characters; auto: in a browser, where there is a"
+        " display.",
+        choices=("auto", "browser", "terminal"),
+        recipe=False,
+        panel=VIEW,
     )
     dry_run: bool = parameter(False, "Show what it would build and cost; write nothing.", recipe=False, panel=RUNNING)
 

@@ -29,6 +29,7 @@ from evetac_cli.store.segments import RecordingWriter, refuse_leftover
 
 INTERRUPTED = "interrupted"
 OPENED = "opened by the emergency key"
+LET_GO = "let go by the button of the live view"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
 PRIORITY = 10  # of `record` while a gripper moves
 SPEED = "`evetac doctor --speed` says what is too slow"
@@ -323,7 +324,7 @@ def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome |
     """Let what ended the trial go on from here, with what was saved and the rows of its files.
 
     error: what failed; ended: why the recording ended, in words; torque: what it was left with, in words. The emergency
-    key ends a series as Ctrl-C does: no further trial moves the gripper.
+    key and the button of a live view end a series as Ctrl-C does: no further trial moves the gripper.
     """
     then = f"; {torque}" if torque else ""
     if error is not None:
@@ -332,7 +333,7 @@ def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome |
             failed.message += then
         failed.kept = saved
         raise attach_outcome(failed, result)
-    if ended in (INTERRUPTED, OPENED):
+    if ended in (INTERRUPTED, OPENED, LET_GO):
         raise attach_outcome(KeyboardInterrupt(f"{ended}{then}: {saved}"), result)
 
 

@@ -24,7 +24,8 @@ class Source(StrEnum):
     RECORDED = "a recording from a device (--camera virtual, dvxplorer, dv or replay:FILE)"
     SENSOR = "a camera that can be set up (--camera virtual, dvxplorer or dv)"
     MOVED = "a gripper that is moved (--gripper virtual or PORT)"
-    LIVE = "--live"
+    PREVIEW = "--preview"
+    SHOWN = "what is shown (--live or --preview)"
     GRASPED = "a grasp with devices (--camera virtual, dvxplorer or dv)"
 
 
@@ -32,11 +33,12 @@ class Source(StrEnum):
 RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("scene", "objects", "sensor", "gel", "texture", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
     "tones": (Source.STEPPED,),
-    **dict.fromkeys(("count", "seed", "live"), (Source.SCENE, Source.DEVICE)),
+    **dict.fromkeys(("count", "seed", "live", "preview"), (Source.SCENE, Source.DEVICE)),
+    "live_in": (Source.SHOWN,),
     **dict.fromkeys(("frame_size", "sort", "stream"), (Source.IMPORT,)),
-    "calibration": (Source.IMPORT, Source.RECORDED),
+    "calibration": (Source.IMPORT, Source.RECORDED, Source.PREVIEW),
     "gripper": (Source.SCENE, Source.DEVICE),
-    "seconds": (Source.DEVICE, Source.LIVE),
+    "seconds": (Source.DEVICE, Source.PREVIEW),
     **dict.fromkeys(
         ("closing_ma", "holding_ma", "hold_s", "lowest_ma", "current_of", "watchdog_ms", "arm"), (Source.MOVED,)
     ),
@@ -44,6 +46,8 @@ RECORD: dict[str, tuple[Source, ...]] = {
     **dict.fromkeys(("expected_event_rate", "resume"), (Source.RECORDED,)),
 }
 GRASP: dict[str, tuple[Source, ...]] = {
+    "live": (Source.SCENE, Source.GRASPED),
+    "live_in": (Source.SHOWN,),
     **dict.fromkeys(("objects", "sensor", "gel", "texture", "readout", *SOLVER_OPTIONS), (Source.SCENE,)),
     **dict.fromkeys(("calibration", "arm", "max_current_ma", "max_seconds", "watchdog_ms"), (Source.GRASPED,)),
 }
@@ -85,8 +89,9 @@ def refuse_unused_of_record(params: Record, cameras: Sequence[NamedCamera], grip
 
 def refuse_unused_of_grasp(params: Grasp, camera: NamedCamera) -> None:
     """InputError for an option of grasp that is not at its default and belongs to nothing that this run has."""
-    scene = {Source.SCENE} if camera.simulates_scene else set()
-    _refuse(params, GRASP, scene | ({Source.GRASPED} if camera.is_adjustable else set()), _source_flags(params))
+    sources = {Source.SCENE} if camera.simulates_scene else set()
+    sources |= {Source.GRASPED} if camera.is_adjustable else set()
+    _refuse(params, GRASP, sources | ({Source.SHOWN} if params.live else set()), _source_flags(params))
 
 
 def refuse_unused_of_train_force(params: TrainForce) -> None:
@@ -109,14 +114,15 @@ def refuse_unused_of_predict_force(params: PredictForce) -> None:
 def _record_sources(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> set[Source]:
     if params.source is not None:
         return {Source.IMPORT}
+    shown = {Source.SHOWN} if params.live or params.preview else set()
     if cameras[0].is_stepped:
-        return {Source.SCENE, Source.STEPPED} | ({Source.LIVE} if params.live else set())
-    sources = {Source.DEVICE, Source.LIVE if params.live else Source.RECORDED}
+        return {Source.SCENE, Source.STEPPED} | shown | ({Source.PREVIEW} if params.preview else set())
+    sources = {Source.DEVICE, Source.PREVIEW if params.preview else Source.RECORDED} | shown
     if any(camera.simulates_scene for camera in cameras):
         sources.add(Source.SCENE)
     if any(camera.is_adjustable for camera in cameras):
         sources.add(Source.SENSOR)
-    if gripper.is_moved and not params.live:
+    if gripper.is_moved and not params.preview:
         sources.add(Source.MOVED)
     return sources
 
@@ -144,5 +150,5 @@ def _source_flags(params: Record | Grasp) -> str:
     if isinstance(params, Record) and params.source is not None:
         return f"--from {params.source}"
     gripper = f", --gripper {params.gripper}" if params.gripper is not None else ""
-    live = ", --live" if isinstance(params, Record) and params.live else ""
-    return f"--camera {params.camera}{gripper}{live}"
+    shown = ", --preview" if isinstance(params, Record) and params.preview else ", --live" if params.live else ""
+    return f"--camera {params.camera}{gripper}{shown}"

@@ -43,9 +43,9 @@ def test_an_armed_recording_moves_it(gripper: VirtualGripper, tmp_path: Path) ->
 
 
 def test_what_moves_nothing_needs_no_arm(tmp_path: Path) -> None:
-    """Assert that --dry-run and --live of a named port, and virtual grippers, are not refused."""
+    """Assert that --dry-run and --preview of a named port, and virtual grippers, are not refused."""
     port: dict[str, Any] = {"camera": "dvxplorer", "gripper": "/dev/ttyNothing"}
-    for flags in ({**port, "dry_run": True}, {**port, "live": True}, {"camera": "virtual", "gripper": "virtual"}):
+    for flags in ({**port, "dry_run": True}, {**port, "preview": True}, {"camera": "virtual", "gripper": "virtual"}):
         assert record.jobs([], Record(**flags), tmp_path)
     assert grasp.jobs([], Grasp(**port, dry_run=True), tmp_path)
 

@@ -25,7 +25,7 @@ from evetac_cli.stages.unused_options import (
 FILE = {"source": Path("one.txt")}
 REPLAY = {"camera": "replay:a.recording.h5"}
 PREPARED = {"camera": "virtual:prepared"}
-LIVE = {"camera": "dvxplorer", "live": True}
+PREVIEW = {"camera": "dvxplorer", "preview": True}
 
 
 def refuse_unused(params: Record | Grasp) -> None:
@@ -39,7 +39,7 @@ def refuse_unused(params: Record | Grasp) -> None:
 @pytest.mark.parametrize(
     ("run", "option", "flag", "belongs"),
     [
-        ({}, {"seconds": 3.0}, "--seconds", "a device .* or --live"),
+        ({}, {"seconds": 3.0}, "--seconds", "a device .* or --preview"),
         ({}, {"closing_ma": 20}, "--closing-ma", "a gripper that is moved"),
         ({}, {"calibration": Path("a.json")}, "--calibration", "an import .* or a recording from a device"),
         ({}, {"stream": "a"}, "--stream", "an import"),
@@ -51,14 +51,16 @@ def refuse_unused(params: Record | Grasp) -> None:
         (FILE, {"scene": "data-rate"}, "--scene", "a simulated scene"),
         (FILE, {"count": 2}, "--count", "a simulated scene .* or a device"),
         (FILE, {"live": True}, "--live", "a simulated scene .* or a device"),
+        ({"live": True}, {"seconds": 3.0}, "--seconds", "a device .* or --preview"),
+        ({}, {"live_in": "browser"}, "--live-in", "what is shown"),
         (REPLAY, {"readout_rate": "variable-5000"}, "--readout-rate", "a camera that can be set up"),
         (REPLAY, {"sensor": "second"}, "--sensor", "a simulated scene"),
         (PREPARED, {"scene": "data-rate"}, "--scene", "a simulated scene"),
         ({"camera": "dvxplorer"}, {"lowest_ma": 3.0}, "--lowest-ma", "a gripper that is moved"),
         ({"camera": "dvxplorer"}, {"sort": True}, "--sort", "an import"),
         ({"camera": "virtual"}, {"tones": "200"}, "--tone", "a simulated scene in its own time"),
-        (LIVE, {"expected_event_rate": 1e4}, "--expected-event-rate", "a recording from a device"),
-        ({**LIVE, "gripper": "/dev/ttyUSB0"}, {"hold_s": 3.0}, "--hold-s", "a gripper that is moved"),
+        (PREVIEW, {"expected_event_rate": 1e4}, "--expected-event-rate", "a recording from a device"),
+        ({**PREVIEW, "gripper": "/dev/ttyUSB0"}, {"hold_s": 3.0}, "--hold-s", "a gripper that is moved"),
     ],
 )
 def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], flag: str, belongs: str) -> None:
@@ -72,13 +74,14 @@ def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], 
     "flags",
     [
         {"tones": "200", "scene": "vibration", "count": 3, "seed": 4, "sensor": "second", "readout": "ideal"},
-        {"live": True, "seconds": 3.0},
+        {"preview": True, "seconds": 3.0, "live_in": "terminal"},
+        {"live": True, "live_in": "browser"},
         {**FILE, "frame_size": "640x480", "sort": True, "stream": "a", "calibration": Path("a.json")},
         {"camera": "virtual", "scene": "data-rate", "objects": "3", "count": 2, "seconds": 3.0, "hold_s": 3.0},
         {**PREPARED, "threshold_on": 3, "gripper": "none", "expected_event_rate": 1e4},
         {"camera": "dvxplorer", "gripper": "/dev/ttyUSB0", "closing_ma": 20, "resume": True, "seed": 3},
         {**REPLAY, "gripper": "virtual", "lowest_ma": 3.0, "calibration": Path("a.json")},
-        {**LIVE, "threshold_off": 3, "seconds": 1.0},
+        {**PREVIEW, "threshold_off": 3, "seconds": 1.0},
     ],
 )
 def test_options_of_this_source(flags: dict[str, Any]) -> None:

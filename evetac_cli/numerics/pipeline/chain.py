@@ -96,7 +96,7 @@ def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip")
 
 def chain_of(made: SimulatedTrial) -> Chain:
     """Record a trial, and everything that is made from it, beside it."""
-    _, record_s = timed(lambda: simulated_record.run(made, force=False, progress=silent))
+    _, record_s = timed(lambda: simulated_record.run(made, Record(), force=False, progress=silent))
     path = made.output
 
     def further() -> int | None:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
+COUNTED_SLICES = 100  # the recorder gets to know what the camera lost after so many
 FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluated the sooner
 WARM_UP_SLICES = 30  # of noise, before the camera runs
 WARM_UP_EVENTS = 3000  # in each
@@ -80,6 +81,7 @@ class SliceBatch:
     probability: list[float] = field(default_factory=list)
     at_us: list[float] = field(default_factory=list)  # when it was evaluated
     late_us: list[float] = field(default_factory=list)  # from the end of a slice until it was evaluated, where known
+    counted: Mapping[str, int] | None = None  # what the camera lost so far, by reason; now and then
 
     @property
     def events(self) -> Events:
@@ -243,6 +245,8 @@ def detect(
         batch.at_us.append(now_us)
         batch.late_us.append(now_us - zero_us - slices * SLICE_US)
         if len(slices_held) >= BATCH_MS:
+            if slices % COUNTED_SLICES < BATCH_MS:
+                batch.counted = dict(camera.counted)
             _hand_over(outbox, batch, slices_held)
             slices_held, batch = [], SliceBatch()
             if os.getppid() != parent:

@@ -145,6 +145,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         session.wait_for_object(trial)
     with ExitStack() as opened:
         came = opened.enter_context(session.signals_interrupt())
+        view = opened.enter_context(setup.view_of(trial, params))
         durations = {"lift_s": params.lift_s, "balance_s": params.balance_s}
         world, servo = open_peers(
             camera, gripper, trial.plan, seeds, opened, armed=params.arm, tells_truth=True, **durations
@@ -181,6 +182,8 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
             console.say(note)
         sensor = {**camera_ready.sensor, **sensor, "t_offset": np.int64(0)}
         described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
+        if view is not None:
+            view.begin(sensor)
         recipe = _recipe(trial, params, described, sensor, parents)
         writer = RecordingWriter(trial.output, sensor, discard_leftover=False, recipe=recipe)
         if gripper.is_hardware and not signals:
@@ -192,7 +195,9 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
             # A grasp lasts while its recorder is alive.
             with at_niceness(RECORDER_NICE if gripper.is_hardware else BESIDE_VIRTUAL):
                 recorded = record(
-                    processes, world, writer, timing.end_ms, signals, key, lambda done: progress(done, timing.end_ms)
+                    *(processes, world, writer, timing.end_ms, signals, key),
+                    lambda done: progress(done, timing.end_ms),
+                    view,
                 )
         except BaseException as error:
             writer.leave()
@@ -200,6 +205,8 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
             console.say(f"{gripper}: {processes.last_words()}")
             raise session.with_hint(error, writer) from None
         processes.close()
+        if view is not None:
+            view.end(recorded.ended)
         datasets = {
             **recorded.datasets(),
             "capture/scheduling": f"detector {camera_ready.scheduling}, controller {gripper_ready.scheduling}",

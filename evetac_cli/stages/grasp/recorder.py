@@ -31,7 +31,8 @@ from evetac_cli.stages.grasp import controller_process, detector_process
 from evetac_cli.stages.grasp.controller_process import OVER, ControllerEnded, ControllerSettings, GripperReady
 from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings, SliceBatch
 from evetac_cli.stages.grasp.loop import TrialBuffer
-from evetac_cli.stages.session import INTERRUPTED, OPENED, LateSlices, lost_datasets, signals_held, spread
+from evetac_cli.stages.live_view import LiveView
+from evetac_cli.stages.session import INTERRUPTED, LET_GO, OPENED, LateSlices, lost_datasets, signals_held, spread
 from evetac_cli.store.segments import RecordingWriter
 
 if TYPE_CHECKING:
@@ -235,23 +236,30 @@ class RecordedGrasp:
                 rows |= lost_datasets({f"{name}.{why}": count for why, count in ended.counted.items()})
         return rows
 
-    def take_steps(self, rows: list[dict[str, Any]], writer: RecordingWriter) -> None:
+    def take_steps(self, rows: list[dict[str, Any]], writer: RecordingWriter, view: LiveView | None = None) -> None:
         """Write steps of the controller, and remember what of them says how the grasp went."""
         for row in rows:
             writer.append_rows(row)
+            if view is not None:
+                view.add_command(row)
             self.steps.append_rows({name: row[name] for name in grasp_outcome.NEEDED if name in row})
             self.step_late_us.append(row["control/late_us"])
             if row["control/phase"] != Phase.CONTACT and not math.isnan(row["control/latency_us"]):
                 self.latency_us.append(row["control/latency_us"])  # in contact the law does not react to slip
 
-    def take_slices(self, batch: SliceBatch, writer: RecordingWriter, now_s: float = -math.inf) -> None:
+    def take_slices(
+        self, batch: SliceBatch, writer: RecordingWriter, now_s: float = -math.inf, view: LiveView | None = None
+    ) -> None:
         """Write slices of the camera, but for those after the end of a virtual world. now_s: when they came here."""
         self.behind_s = max([self.behind_s, *(now_s - at_us * 1e-6 for at_us in batch.at_us[-1:])])
         first = 0
         for k, count in enumerate(batch.counts):
             if self.world_over and self.slices >= self.truths:
                 break
-            writer.append(batch.events.part(first, first + count), {"control/probability": batch.probability[k]})
+            events = batch.events.part(first, first + count)
+            writer.append(events, {"control/probability": batch.probability[k]})
+            if view is not None:
+                view.add_slice(events, batch.late_us[k], batch.probability[k])
             first += count
             self.first_us = batch.at_us[k] if not self.slices else self.first_us
             self.last_us = batch.at_us[k]
@@ -259,6 +267,8 @@ class RecordedGrasp:
             self.late_slices.add(batch.late_us[k], count)
             self.slices += 1
         self.events += first
+        if view is not None and batch.counted is not None:
+            view.lost({f"camera.{why}": count for why, count in batch.counted.items()})
 
     def take_truth(self, rows: Mapping[str, NDArray[Any]] | None) -> None:
         """Truth of some slices of a virtual world; None once it is over, which it is too when the object has fallen."""
@@ -294,7 +304,7 @@ class RecordedGrasp:
             if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
                 self.error.message += f"; {self.torque}"
         opened = controller is not None and self.ended == OPENED == controller.ended
-        if opened or (controller is not None and self.ended in (INTERRUPTED, FELL)):
+        if opened or (controller is not None and self.ended in (INTERRUPTED, LET_GO, FELL)):
             self.error = None
         else:
             self.ended = str(self.error).splitlines()[0] if self.error or controller is None else controller.ended
@@ -321,10 +331,11 @@ def record(
     signals: list[int],
     key: EmergencyKey,
     progress: Callable[[int], None],
+    view: LiveView | None = None,
 ) -> RecordedGrasp:
     """Write until both have ended; what failed is in the result.
 
-    signals: grows when Ctrl-C is pressed; key: opens the gripper.
+    signals: grows when Ctrl-C is pressed; key: opens the gripper; view: shows the grasp, and its button lets go.
     """
     recorded = RecordedGrasp(end_ms)
     truths = None if world is None else world.truths
@@ -339,14 +350,14 @@ def record(
             recorded.take_truth(message)
         for message in processes.slices.take():
             if isinstance(message, SliceBatch):
-                recorded.take_slices(message, writer, processes.now_s())
+                recorded.take_slices(message, writer, processes.now_s(), view)
                 progress(recorded.slices)
             else:
                 recorded.detector = message
         processes.give_sign_of_life()  # a segment may have been written, which takes a while
         for message in processes.steps.take():
             if isinstance(message, list):
-                recorded.take_steps(message, writer)
+                recorded.take_steps(message, writer, view)
             else:
                 recorded.controller = message
         now_s = time.monotonic()
@@ -355,6 +366,8 @@ def record(
         recorded.detector_died = processes.slices.ended and recorded.detector is None
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
+        if view is not None and view.is_asked_to_let_go and not recorded.ended:
+            recorded.ended = LET_GO
         if key.pressed and not recorded.ended:
             recorded.ended = OPENED
             processes.status.open_gripper()

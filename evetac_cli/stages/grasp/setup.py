@@ -1,7 +1,9 @@
 """Law, model, phases and detector of a grasp by its flags; the same in simulation and in real time."""
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,13 @@ from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import scene
+from evetac_cli.stages import live_view
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.stages.live_view import LiveView
+from evetac_cli.stages.live_view.process import Title
 from evetac_cli.stages.slip_detectors import check_graph
-from evetac_cli.stages.trials import Trial
+from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, Trial
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -63,6 +68,26 @@ def open_detector(
     detector = OnlineSlipDetector.start(model, sensor["sensor/dot_xy_px"], window_px, constants, known)
     detector.threshold = slip_threshold
     return detector
+
+
+def open_view_detector(
+    model_path: Path | None, preset: str, slip_threshold: float | None, sensor: Mapping[str, Any]
+) -> OnlineSlipDetector:
+    """The detector that a live view follows a recording with; None: the package's model, and the model's threshold."""
+    with StageFile(model_path or resources.MODEL, "model") as model:
+        threshold = float(model.read("threshold")) if slip_threshold is None else slip_threshold
+        return open_detector(model, sensor, preset, threshold)
+
+
+def view_of(trial: SimulatedTrial | DeviceTrial, params: Grasp) -> AbstractContextManager[LiveView | None]:
+    """The live view of a grasp, if one is asked for."""
+    if not params.live:
+        return nullcontext()
+    moves = isinstance(trial, DeviceTrial)
+    simulated = isinstance(trial, SimulatedTrial) or trial.cameras[0].shows_simulation()
+    title = Title(f"grasp {trial.output.name}", simulated, moves)
+    open_ = partial(open_view_detector, model_path_for(params), params.tracker, params.slip_threshold)
+    return live_view.opened(params.live_in, title, open_)
 
 
 def grasp_parameters(trial: Trial, params: Grasp, control: Control) -> dict[str, Any]:

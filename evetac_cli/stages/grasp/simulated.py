@@ -23,7 +23,9 @@ from evetac_cli.stages.grasp.setup import (
     model_headers,
     model_path_for,
     open_detector,
+    view_of,
 )
+from evetac_cli.stages.live_view import LiveView, shown_in_real_time
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -44,7 +46,8 @@ def run(trial: SimulatedTrial, params: Grasp, *, force: bool, progress: Progress
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
     buffer, timing = TrialBuffer(), make_timing(params)
-    devices, slipping = play(trial, buffer.append, params=params, progress=progress)
+    with view_of(trial, params) as view:
+        devices, slipping = play(trial, buffer.append, params=params, progress=progress, view=view)
     arrays = buffer.arrays()
     figures = grasp_outcome.outcome(arrays, trial.plan["sensor_row"]["mm_per_px"], timing.end_ms)
     arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
@@ -62,6 +65,7 @@ def play(
     *,
     params: Grasp,
     progress: Progress = silent,
+    view: LiveView | None = None,
 ) -> tuple[Rig, int]:
     """Hand over every slice of a grasp and its rows, until it ends or `append` raises.
 
@@ -76,6 +80,9 @@ def play(
     )
     devices = rig(trial.plan, trial.seeds(), lift_s=params.lift_s, balance_s=params.balance_s)
     try:
+        if view is not None:
+            view.begin(devices.camera.sensor)
+        append = shown_in_real_time(view, append)
         detector = None
         if model_path is not None:
             with StageFile(model_path, "model") as model:

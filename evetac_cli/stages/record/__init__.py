@@ -1,7 +1,7 @@
 """record: events of one trial into a file, from a simulated scene, from devices or from a foreign event file.
 
 Each of the three is a type of job with a module of its own: SimulatedTrial (simulated.py), DeviceTrial (capture.py) and
-ImportJob (imported.py). With --live, live_view.py shows what the camera of a trial sees, and nothing is written.
+ImportJob (imported.py). With --preview, preview.py shows what the camera of a trial sees, and nothing is written.
 """
 
 import re
@@ -19,7 +19,7 @@ from evetac_cli.formats.read.read_rosbag import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import part_costs
-from evetac_cli.stages.record import capture, capture_plan, imported, live_view, simulated
+from evetac_cli.stages.record import capture, capture_plan, imported, preview, simulated
 from evetac_cli.stages.record.imported import ImportJob
 from evetac_cli.stages.trials import OUTPUT as OUTPUT
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, device_trials, simulated_trials
@@ -42,7 +42,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
         return [ImportJob((params.source,), output_path(params.source, OUTPUT, out))]
     if cameras[0].is_stepped:
         return simulated_trials(SCENE_KINDS, params, out, params.tones)
-    require_arm(gripper, armed=params.arm or params.dry_run or params.live)  # --live moves nothing
+    require_arm(gripper, armed=params.arm or params.dry_run or params.preview)  # which moves nothing
     return device_trials(("ramp", "hold"), cameras, gripper, params, out)
 
 
@@ -69,7 +69,7 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
     if params.source is not None and not cameras[0].is_stepped:
         raise InputError("either a file or a camera", where="--from, --camera", found=params.camera)
     scenes = any(camera.simulates_scene for camera in cameras)
-    if len(cameras) > 1 and (scenes or params.live):
+    if len(cameras) > 1 and (scenes or params.preview):
         expected = "one camera of a simulated world" if scenes else "one camera to look through"
         raise InputError("too many cameras", where="--camera", expected=expected, found=params.camera)
     return cameras, gripper
@@ -84,18 +84,18 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progres
     if not scenes:
         raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
     for trial in scenes:
-        if not params.live:
+        if not params.preview:
             up_to_date(trial.output, simulated.make_recipe(trial), force=force)
     return part_costs.dry_run(scenes, simulated.play_through, progress=progress)
 
 
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Record one trial, or import one file; with --live, show the camera of the trial instead."""
+    """Record one trial, or import one file; with --preview, show the camera of the trial instead."""
     match job:
-        case SimulatedTrial() | DeviceTrial() if params.live:
-            return live_view.run(job, params)
+        case SimulatedTrial() | DeviceTrial() if params.preview:
+            return preview.run(job, params)
         case SimulatedTrial():
-            return simulated.run(job, force=force, progress=progress)
+            return simulated.run(job, params, force=force, progress=progress)
         case DeviceTrial():
             return capture.run(job, params, force=force, progress=progress)
         case ImportJob():

@@ -9,6 +9,7 @@ Several cameras of one trial fill a file each; these share a trajectory id and s
 The first camera leads: it gives the number of slices, and its file has the gripper.
 """
 
+import math
 import sys
 import threading
 import time
@@ -34,9 +35,11 @@ from evetac_cli.params.recording import Record
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.stages import session
+from evetac_cli.stages.live_view import LiveView
 from evetac_cli.stages.record.capture_plan import asked_holding_ma, check, is_done, make_hold, settings
 from evetac_cli.stages.record.current_ramp import GripperLoop, Hold, start, step
-from evetac_cli.stages.session import INTERRUPTED, LateSlices, TimeSample
+from evetac_cli.stages.record.preview import view_of
+from evetac_cli.stages.session import INTERRUPTED, LET_GO, LateSlices, TimeSample
 from evetac_cli.stages.trials import OUTPUT, DeviceTrial
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
@@ -113,6 +116,7 @@ class CameraRecording:
     error: Exception | None = None
     first_s: float = 0.0  # when the first and the last slice came
     last_s: float = 0.0
+    late_us: float = math.nan  # of the last slice, from its end until it came, where that is known
     delays: TimeSample = field(default_factory=TimeSample)
     late_slices: LateSlices = field(default_factory=lambda: LateSlices(1e6 * session.BEHIND_S))
     loop: GripperLoop | None = None  # commands the gripper, if there is one
@@ -126,9 +130,9 @@ class CameraRecording:
         self.events += events.size
         host_us = getattr(self.rig.camera, "host_us", None)
         if host_us is not None:
-            late_us = came_s * 1e6 - host_us(self.slices * SLICE_US)
-            self.delays.add(late_us)
-            self.late_slices.add(late_us, events.size)
+            self.late_us = came_s * 1e6 - host_us(self.slices * SLICE_US)
+            self.delays.add(self.late_us)
+            self.late_slices.add(self.late_us, events.size)
         self.writer.append(events)
 
     def datasets(self, first: Rig) -> dict[str, Any]:
@@ -166,6 +170,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
         came = opened.enter_context(session.signals_interrupt())
+        view = opened.enter_context(view_of(trial, params))
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
         held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
         priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
@@ -178,13 +183,15 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
             opened.callback(rig.close)
             for note in getattr(rig.camera, "notes", ()):
                 console.say(note)
-            recordings.append(_begin(trial, params, rig, place, trajectory))
+            recordings.append(_begin(trial, params, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
         with session.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
-            _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, key, progress)
+            _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, key, progress, view)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with session.signals_held():
                 _release(recordings)
+            if view is not None:
+                view.end(recordings[0].ended)
             priority.close()
             signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
             _finish(recordings, datasets)
@@ -202,13 +209,22 @@ def _earlier(trial: DeviceTrial) -> Outcome:
     return Outcome(rows, simulated[0], made=False)
 
 
-def _begin(trial: DeviceTrial, params: Record, rig: Rig, place: int, trajectory: Mapping[str, Any]) -> CameraRecording:
+def _begin(
+    trial: DeviceTrial,
+    params: Record,
+    rig: Rig,
+    place: int,
+    trajectory: Mapping[str, Any],
+    view: LiveView | None,
+) -> CameraRecording:
     """Begin the file of the camera at this place among those of a trial."""
     output = trial.outputs[place]
     sensor = {**rig.known_sensor(), "t_offset": np.int64(0)}
     if params.calibration is not None:
         width, height = sensor["sensor/frame_px"]
         sensor |= read_calibration(params.calibration, (int(width), int(height))).arrays()
+    if view is not None:
+        view.begin(sensor)
     hold, asked_ma = _hold(trial, params, rig), asked_holding_ma(trial, params)
     # A current that every trial draws for itself belongs to the trial, not to how the series is set up.
     drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
@@ -306,6 +322,7 @@ def _write(
     signals: list[int],
     key: EmergencyKey,
     progress: Progress,
+    view: LiveView | None,
 ) -> None:
     """Follow the cameras until something ends the recording; a device that failed is in the result."""
     first = recordings[0]
@@ -324,7 +341,7 @@ def _write(
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     try:
-        _follow(recordings, most, signals, progress)
+        _follow(recordings, most, signals, progress, view)
     except DeviceError as error:
         first.error = error
         first.ended = str(error).splitlines()[0]
@@ -343,12 +360,18 @@ def _write(
         for recording in recordings[1:]:
             if recording.thread is not None:
                 recording.thread.stop()
-    _fetch(recordings)
+    _fetch(recordings, view)
     for recording in recordings[1:]:
         recording.ended = first.ended
 
 
-def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: list[int], progress: Progress) -> None:
+def _follow(
+    recordings: Sequence[CameraRecording],
+    most: int | None,
+    signals: list[int],
+    progress: Progress,
+    view: LiveView | None,
+) -> None:
     """Read and write slice by slice until something ends the recording, and say what; a failure is raised."""
     first = recordings[0]
     loop = first.loop
@@ -363,8 +386,10 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
             return
         if first.slices == 0 and loop is not None:
             loop.start()
-        _fetch(recordings)
+        _fetch(recordings, view)
         first.append(events, camera_time(first.rig.camera).now_s())
+        if view is not None:
+            view.add_slice(events, first.late_us)
         failed = [part.error for part in (loop, *(each.thread for each in recordings)) if part and part.error]
         if failed:
             raise failed[0]
@@ -374,25 +399,33 @@ def _follow(recordings: Sequence[CameraRecording], most: int | None, signals: li
         if signals:
             first.ended = INTERRUPTED
             return
+        if view is not None and view.is_asked_to_let_go:
+            first.ended = LET_GO
+            return
         if first.slices % NEWS_SLICES == 0:
             progress(first.slices, most or 0)
-            _tell(recordings, news)
+            _tell(recordings, news, view)
     first.ended = "after the seconds asked for"
 
 
-def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews]) -> None:
+def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews], view: LiveView | None) -> None:
     """Say what was lost since the last time; a second camera by the name of its file."""
+    if view is not None:
+        view.lost(recordings[0].rig.counted())
+    say = console.say if view is None else view.say
     for recording, each in zip(recordings, news, strict=True):
         for sentence in each.of(recording.rig.counted(), time.monotonic()):
-            console.say(sentence if len(recordings) == 1 else f"{recording.output.name}: {sentence}")
+            say(sentence if len(recordings) == 1 else f"{recording.output.name}: {sentence}")
 
 
-def _fetch(recordings: Sequence[CameraRecording]) -> None:
+def _fetch(recordings: Sequence[CameraRecording], view: LiveView | None) -> None:
     """Write what came beside the slices of the first camera: commands, and slices of the others."""
     first = recordings[0]
     if first.loop is not None:
         for row in first.loop.rows():
             first.writer.append_rows(row)
+            if view is not None:
+                view.add_command(row)
     for recording in recordings[1:]:
         if recording.thread is not None:
             for events, came_s in recording.thread.take():

@@ -29,7 +29,7 @@ def check(trial: DeviceTrial, params: Record, *, force: bool) -> None:
             read_calibration(params.calibration, frame_px)
     if trial.gripper.is_moved and asked_holding_ma(trial, params) is not None:
         make_hold(trial, params, 0.0)
-    if params.live:
+    if params.preview:
         return
     session.refuse_taken(trial, again="a recording from a device", hint=TAKEN, force=force, resume=params.resume)
     hint = "--expected-event-rate and --seconds say what is needed"

@@ -14,8 +14,11 @@ import numpy as np
 from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.params.recording import Record
+from evetac_cli.stages.live_view import LiveView, shown_in_real_time
 from evetac_cli.stages.record.current_course import CurrentCourse
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
+from evetac_cli.stages.record.preview import view_of
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import up_to_date
 from evetac_cli.store.provenance import Recipe
@@ -31,20 +34,28 @@ def make_recipe(trial: SimulatedTrial) -> Recipe:
     return Recipe(OUTPUT, METHOD, {**trial.plan, "trial": trial.number}, seed=trial.seed, simulated_source=True)
 
 
-def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
+def run(trial: SimulatedTrial, params: Record, *, force: bool, progress: Progress) -> Outcome:
     """Simulate one trial and write it; nothing is left of one that is broken off."""
     recipe = make_recipe(trial)
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
+    with view_of(trial, params) as view:
+        return _record(trial, recipe, view, progress)
+
+
+def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progress: Progress) -> Outcome:
     devices, slices = play(trial)
     expected = _expected_slices(devices, GripperSchedule.read(trial.plan["scene"]))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     writer = RecordingWriter(trial.output, known, discard_leftover=True)
+    if view is not None:
+        view.begin(devices.camera.sensor)
+    append = shown_in_real_time(view, writer.append)
     written = event_count = 0
     solver = SolverFigures()
     try:
         for events, rows in slices:
-            writer.append(events, rows)
+            append(events, rows)
             written += 1
             event_count += events.size
             solver.add(rows)

@@ -1,0 +1,156 @@
+"""What a live view reads of a recording that is under way: the latest slices and commands, in shared memory.
+
+The loop that records writes here and never waits: the oldest is written over, whether or not anybody has read it. A
+reader that was too slow for a slice never sees it. The other way goes one byte: whether somebody asked to let go.
+
+Why so: a view may be late and may leave out what it likes, a recording may not. So a reader takes no lock. A slice
+costs its writer 4 us with 1000 events. What is written over while it is read is only ever shown, and every pixel and
+polarity in the memory is a valid one, so a picture with a few wrong events is the worst that can come of it.
+"""
+
+import multiprocessing
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.realtime.shared_row import SharedRow
+
+SLICES = 1 << 13  # 8 s
+EVENTS = 1 << 21  # 2 s of a million a second
+MOST_EVENTS = EVENTS // 8  # of one slice; so many may be under way while others are read
+GRIPPER_NUMBERS = 6
+_COLUMNS: dict[str, tuple[Any, int]] = {
+    "head": (np.int64, 2),  # slices so far, events so far
+    "end": (np.int64, SLICES),  # events so far after each slice
+    "late_us": (np.float32, SLICES),
+    "probability": (np.float32, SLICES),
+    "x": (np.uint16, EVENTS),
+    "y": (np.uint16, EVENTS),
+    "p": (np.uint8, EVENTS),
+    "let_go": (np.uint8, 8),
+}
+_GRIPPER_BYTES = 128
+
+
+class SeenSlices(NamedTuple):
+    """Slices in a row, from number `first` on: slice k has the events [starts[k], starts[k + 1])."""
+
+    first: int
+    starts: NDArray[np.int64]  # (n + 1,)
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    p: NDArray[np.uint8]
+    late_us: NDArray[np.float32]  # (n,) how late each came, from its end; NaN where that is not known
+    probability: NDArray[np.float32]  # (n,) of slip, as the loop knows it; NaN where it does not
+
+    @property
+    def slices(self) -> int:
+        """How many slices."""
+        return len(self.late_us)
+
+
+class GripperNumbers(NamedTuple):
+    """The latest command of a gripper and what was read before it; NaN for what is not commanded, or not known."""
+
+    position_ticks: float
+    goal_ticks: float
+    current_ma: float
+    goal_ma: float
+    missed: float  # commands so far
+    phase: float  # of a grasp
+
+
+class SharedView:
+    """The shared memory; may be given to a process that is being spawned."""
+
+    def __init__(self) -> None:
+        size = sum(np.dtype(kind).itemsize * length for kind, length in _COLUMNS.values())
+        self._block = multiprocessing.get_context("spawn").RawArray("B", size + _GRIPPER_BYTES)
+        self._attach()
+
+    def _attach(self) -> None:
+        memory = memoryview(self._block).cast("B")
+        columns: dict[str, NDArray[Any]] = {}
+        at = 0
+        for name, (kind, length) in _COLUMNS.items():
+            columns[name] = np.frombuffer(memory, kind, length, at)
+            at += columns[name].nbytes
+        self._head, self._end, self._late_us, self._probability, x, y, p, self._let_go = columns.values()
+        self._events = (x, y, p)
+        self._gripper = SharedRow(memory, at, f"{GRIPPER_NUMBERS}d")
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"_block": self._block}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(state)
+        self._attach()
+
+    def add_slice(self, events: Events, late_us: float = float("nan"), probability: float = float("nan")) -> None:
+        """For the loop: one more slice. The events of one that has more than MOST_EVENTS are left out."""
+        slices, written = self._head.tolist()
+        size = events.size
+        if size <= MOST_EVENTS:
+            at = written % EVENTS
+            whole = min(size, EVENTS - at)
+            for column, values in zip(self._events, events[1:], strict=True):
+                column[at : at + whole] = values[:whole]
+                if whole < size:
+                    column[: size - whole] = values[whole:]
+            written += size
+        place = slices % SLICES
+        self._end[place] = written
+        self._late_us[place] = late_us
+        self._probability[place] = probability
+        self._head[1] = written
+        self._head[0] = slices + 1
+
+    def set_gripper(self, numbers: GripperNumbers) -> None:
+        """For the loop: the latest command."""
+        self._gripper.write(*numbers)
+
+    @property
+    def is_asked_to_let_go(self) -> bool:
+        """For the loop: whether `let_go` was called."""
+        return bool(self._let_go[0])
+
+    def let_go(self) -> None:
+        """For the view: somebody wants the gripper to let go."""
+        self._let_go[0] = 1
+
+    @property
+    def slices(self) -> int:
+        """How many slices there were so far."""
+        return int(self._head[0])
+
+    @property
+    def gripper(self) -> GripperNumbers | None:
+        """The latest command; None before the first."""
+        row = self._gripper.read()
+        return None if row is None else GripperNumbers(*row[1])
+
+    def since(self, first: int) -> SeenSlices:
+        """Copies of the slices from number `first` on, without those that were written over already."""
+        slices = self.slices
+        first = min(max(first, slices - SLICES // 2), slices)
+        bounds = self._end[np.arange(first - 1, slices) % SLICES]
+        if first == 0:
+            bounds[0] = 0
+        bounds = np.maximum.accumulate(bounds)  # some processors show what another wrote in another order
+        places = np.arange(first, slices) % SLICES
+        late_us, probability = self._late_us[places], self._probability[places]
+        kept = self._kept(bounds)
+        positions = np.arange(bounds[kept], bounds[-1]) % EVENTS
+        x, y, p = (column[positions] for column in self._events)
+        over = self._kept(bounds)  # by what was written since
+        if over > kept:
+            x, y, p = (column[bounds[over] - bounds[kept] :] for column in (x, y, p))
+        starts = bounds[over:] - bounds[over]
+        return SeenSlices(first + over, starts, x, y, p, late_us[over:], probability[over:])
+
+    def _kept(self, bounds: NDArray[np.int64]) -> int:
+        """The first slice of which no event was, or is being, written over."""
+        oldest = int(self._head[1]) + MOST_EVENTS - EVENTS
+        return min(int(np.searchsorted(bounds, oldest)), len(bounds) - 1)
