@@ -176,7 +176,8 @@ def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> No
     assert list(faulty) == ["libusb", "opencv", "free space"]
     assert "pip uninstall opencv-python opencv-contrib-python-headless" in faulty["opencv"]["fix"]
     extra = rows_of_device(result, "software")["extra convert"]
-    assert (extra["ok"], extra["fix"]) == (None, "pip install '.[convert]'")
+    assert (extra["ok"], extra["fix"]) == (None, "in the clone: pip install '.[convert]'")
+    assert extra["found"].startswith("without faery: no AEDAT4")
 
 
 def test_extras_are_those_that_can_be_installed() -> None:
@@ -186,6 +187,7 @@ def test_extras_are_those_that_can_be_installed() -> None:
     assert {name: len(packages) for name, packages in offered.items()} == {
         name: len(modules) for name, modules in doctor.EXTRAS.items()
     }
+    assert doctor.SERVES.keys() == doctor.EXTRAS.keys()
 
 
 def adapter(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import EvetacError, InputError, install_hint
 from evetac_cli.inspect.view.event_images import choose_frame_times, draw_pictures, frame_size_px, place_dots, window_px
 from evetac_cli.inspect.view.page import render_page
 from evetac_cli.inspect.view.time_series import model_output, series_panels, slip_lanes, slip_onsets
@@ -54,7 +54,7 @@ def _check_libraries(names: Iterable[str]) -> None:
     """EvetacError, before any work is done, where a library that draws is missing."""
     for name in names:
         if find_spec(name) is None:
-            raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install '.[plot]'")
+            raise EvetacError(f"{name}, which draws the page, is not installed", hint=install_hint("plot"))
 
 
 def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
