@@ -52,6 +52,13 @@ def test_a_hint_installs_into_the_environment_that_it_is_for(
     assert install_hint() == f"in the clone: {way} ."
 
 
+def test_the_page_on_installing_has_every_extra() -> None:
+    """Assert a row for each extra that a user may want, with the libraries that it brings."""
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \|", (ROOT / "docs" / "install.md").read_text(), re.MULTILINE)
+    brought = {extra: [re.split("[><=]", one)[0] for one in OFFERED[extra]] for extra in EXTRAS}
+    assert {extra: libraries.split(", ") for extra, libraries in rows if extra in brought} == brought
+
+
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "Dockerfile", *sorted((ROOT / "docs").rglob("*.md"))])
 def test_extras_that_pages_name_can_be_installed(page: Path) -> None:
     """Assert that a page names extras of a folder, of a clone, and only such as there are."""

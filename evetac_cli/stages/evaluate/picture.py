@@ -96,9 +96,9 @@ def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[An
 def legend(figure: Any, axes: Iterable[Any], **more: Any) -> None:
     """One legend for several panels, below them: each label once."""
     entries: dict[str, Any] = {}
-    for one in axes:
-        handles, labels = one.get_legend_handles_labels()
-        entries = dict(zip(labels, handles, strict=True)) | entries
+    for panel in axes:
+        handles, labels = panel.get_legend_handles_labels()
+        entries |= {label: one for label, one in zip(labels, handles, strict=True) if label not in entries}
     if entries:
         columns = _legend_columns(list(entries), figure.bbox.width / figure.dpi)
         figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns, **more)

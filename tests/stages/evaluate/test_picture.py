@@ -10,8 +10,8 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.stages.evaluate import grasp, picture, slip, tracking
 
 matplotlib = pytest.importorskip("matplotlib")
-from matplotlib.figure import Figure
-from matplotlib.legend import Legend
+Figure = pytest.importorskip("matplotlib.figure").Figure
+Legend = pytest.importorskip("matplotlib.legend").Legend
 
 
 def drawn(draw: Callable[[Any], None], size_in: tuple[float, float]) -> Any:
