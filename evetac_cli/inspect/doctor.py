@@ -128,6 +128,9 @@ def _software(host: Host) -> Iterator[Row]:
     loads = host.has_libusb()
     fix = "" if loads else "pip install --force-reinstall libusb-package"
     yield check("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
+    missing = host.missing_libraries()
+    state = f"without {', '.join(missing)}" if missing else "installed"
+    yield check("software", "libraries", not missing, state, "", install_hint() if missing else "")
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages if not host.has_package(name)]
         state = f"without {', '.join(lacking)}: no {SERVES[extra]}" if lacking else "installed"
