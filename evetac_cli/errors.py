@@ -13,6 +13,7 @@ Where files were made all the same, an error or Ctrl-C takes along what came of 
 """
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -105,10 +106,13 @@ def missing_library(error: BaseException | None) -> EvetacError | None:
 def install_hint(extra: str = "") -> str:
     """How to install evetac, and one of EXTRAS with it, into the environment that it runs in.
 
-    From a clone, for there is no distribution of this name on the package index.
+    From a clone, for there is no distribution of this name on the package index. pipx and uv make the environment anew,
+    so that extras which are there are named too.
     """
-    installed_by = (way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file())
-    return f"in the clone: {next(installed_by, 'pip install')} " + (f"'.[{extra}]'" if extra else ".")
+    way = next((way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file()), None)
+    there = [name for name, modules in EXTRAS.items() if all(map(find_spec, modules))] if way else []
+    extras = ",".join(dict.fromkeys([*there, extra] if extra else there))
+    return f"in the clone: {way or 'pip install'} " + (f"'.[{extras}]'" if extras else ".")
 
 
 def attach_outcome(error: AnyError, outcome: Any) -> AnyError:

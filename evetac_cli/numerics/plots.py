@@ -33,7 +33,7 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         panels = picture.panels(subfigure, len(names), len(names))
         for axes, name in zip(panels, names, strict=True):
             draw_panel(axes, part_rows, name)
-        subfigure.supxlabel("run time of a millisecond (one slice), median [us]", fontsize=9)
+        picture.label_x(panels, "run time of a millisecond\n(one slice), median [us]")
         picture.legend(subfigure, panels)
 
 

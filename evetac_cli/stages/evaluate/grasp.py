@@ -226,7 +226,8 @@ def _draw(figure: Any, rows: Rows) -> None:
     by_object = _by_object(rows)
     lines, shown = _lines(by_object)
     settings = len({row["setting"] for row in by_object})
-    figure.suptitle("Grasps (simulated)" + ("" if settings == len(shown) else f"; {MOST_SETTINGS} of {settings}"))
+    of_all = "" if settings == len(shown) else f"; the first {MOST_SETTINGS} of {settings} settings"
+    figure.suptitle(f"Grasps (simulated){of_all}")
     panels = picture.panels(figure, len(PANELS), len(PANELS), sharey=True)
     for axes, (name, of_trial, title) in zip(panels, PANELS, strict=True):
         for place, row in lines:

@@ -30,7 +30,7 @@ PAPER = {
 }
 INTERVAL = {"fmt": "none", "ecolor": "black", "elinewidth": 1.2, "capsize": 3, "zorder": 4}
 DPI = 120
-STYLE = {
+STYLE: dict[Any, Any] = {  # matplotlib names the keys that it knows
     "figure.dpi": DPI,
     "font.family": "DejaVu Sans",  # matplotlib brings it: the same picture on every computer
     "font.size": 9,
@@ -93,6 +93,17 @@ def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[An
     return list(axes[:count])
 
 
+def label_x(panels: Sequence[Any], words: str) -> None:
+    """The same words below the last panel of each column.
+
+    Why so: matplotlib's own label of a whole figure lies under a legend that stands outside.
+    """
+    lowest = {axes.get_subplotspec().colspan.start: axes for axes in panels}
+    for axes in lowest.values():
+        axes.set_xlabel(words)
+        axes.tick_params(labelbottom=True)
+
+
 def legend(figure: Any, axes: Iterable[Any], **more: Any) -> None:
     """One legend for several panels, below them: each label once."""
     entries: dict[str, Any] = {}
@@ -121,8 +132,8 @@ def wilson(share: float, count: float) -> list[list[float]]:
     """
     from evetac_cli.kernels.identify.estimates import share as estimate
 
-    found = estimate(share * count, count)
-    return [[max(share - found.low, 0.0)], [max(found.high - share, 0.0)]]
+    interval = estimate(share * count, count)
+    return [[max(share - interval.low, 0.0)], [max(interval.high - share, 0.0)]]
 
 
 def share_axis(axis: Any) -> None:
@@ -162,5 +173,7 @@ def written_out(value: float) -> str:
 
 
 def say_instead(axes: Any, text: str) -> None:
-    """Words in the middle of a panel that has nothing to show."""
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="0.4")
+    """Words in a panel that has nothing of ours to show; without numbers at its axes where it shows nothing at all."""
+    axes.text(0.5, 0.75, text, transform=axes.transAxes, ha="center", va="center", color="0.4")
+    if not any(len(line.get_xdata()) for line in axes.lines):
+        axes.tick_params(labelbottom=False, labelleft=False)

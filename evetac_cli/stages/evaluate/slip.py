@@ -146,10 +146,8 @@ def _draw(figure: Any, outcome: Outcome) -> None:
     picture.legend(above, (timing, f1))
     panels = picture.panels(below, len(settings), PANELS, sharex=True, sharey=True)
     for axes, row in zip(panels, settings, strict=True):
-        _draw_onsets(axes, [one for one in trajectories if one["setting"] == row["setting"]])
-        if len(settings) > 1:
-            axes.set_title(_wrapped(row["setting"]), fontsize=8.5)
-    below.supxlabel("onset by the model minus onset in the labels [ms]", fontsize=9)
+        _draw_onsets(axes, [one for one in trajectories if one["setting"] == row["setting"]], row["setting"])
+    picture.label_x(panels, "onset by the model minus\nonset in the labels [ms]")
     below.supylabel("share of slips detected by then", fontsize=9)
     picture.legend(below, panels)
 
@@ -181,7 +179,7 @@ def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:
         axes.plot(row["f1"], place, "o", color=picture.CORRECT, markersize=8, label="F1, mean over objects and seeds")
 
 
-def _draw_onsets(axes: Any, trajectories: Rows) -> None:
+def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
     """Shares that were detected by then: a thin line for every object, a thick one for all, a mark for each detection.
 
     Why so: the plain share of trajectories, where the paper smooths with a Gaussian kernel. Detections that are far too
@@ -203,8 +201,8 @@ def _draw_onsets(axes: Any, trajectories: Rows) -> None:
     axes.set(xlim=SHOWN_MS, ylim=(-0.1, 1.03), yticks=(0, 0.2, 0.4, 0.6, 0.8, 1.0))
     before = sum(value < SHOWN_MS[0] for value in late_by)
     after = len(slips) - before - len(shown)
-    axes.text(0.99, 0.03, f"farther left {before}, farther right or never {after}", transform=axes.transAxes,
-              ha="right", fontsize=7.5, color="0.3", bbox={"color": "white", "alpha": 0.7, "pad": 1})  # fmt: skip
+    beyond = f"{before} before this range, {after} after it or never, of {len(slips)}"
+    axes.set_title(f"{_wrapped(setting)}\n{beyond}", fontsize=8.5)
 
 
 def _share_by(slips: Rows, steps: NDArray[np.int64]) -> NDArray[np.float64]:
