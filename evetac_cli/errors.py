@@ -12,6 +12,9 @@ Kernels raise ValueError; the stage that calls them knows where the value came f
 Where files were made all the same, an error or Ctrl-C takes along what came of them: `attach_outcome`.
 """
 
+import sys
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar
 
 AnyError = TypeVar("AnyError", bound=BaseException)
@@ -25,6 +28,8 @@ EXTRAS = {
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "cluster": ("dask", "distributed"),
 }
+# What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
+INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}
 MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
 
 
@@ -94,9 +99,20 @@ def missing_library(error: BaseException | None) -> EvetacError | None:
     name = error.name.partition(".")[0]
     if name == __package__:
         return None
-    extra = next((extra for extra, names in EXTRAS.items() if name in names), None)
-    hint = f"pip install '.[{extra}]'" if extra else "pip install ."
-    return EvetacError(f"the library {name} is not installed", hint=hint)
+    extra = next((extra for extra, names in EXTRAS.items() if name in names), "")
+    return EvetacError(f"the library {name} is not installed", hint=install_hint(extra))
+
+
+def install_hint(extra: str = "") -> str:
+    """How to install evetac, and one of EXTRAS with it, into the environment that it runs in.
+
+    From a clone, for there is no distribution of this name on the package index. pipx and uv make the environment anew,
+    so that extras which are there are named too.
+    """
+    way = next((way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file()), None)
+    there = [name for name, modules in EXTRAS.items() if all(map(find_spec, modules))] if way else []
+    extras = ",".join(dict.fromkeys([*there, extra] if extra else there))
+    return f"in the clone: {way or 'pip install'} " + (f"'.[{extras}]'" if extras else ".")
 
 
 def attach_outcome(error: AnyError, outcome: Any) -> AnyError:

@@ -45,6 +45,7 @@ from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.resources import MODEL
+from evetac_cli.stages.evaluate import picture
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
@@ -274,43 +275,46 @@ def files() -> list[Row]:
 
 
 def draw(measured: dict[str, list[Row]], path: Path) -> None:
-    """A panel for every part, both axes logarithmic but for workers."""
+    """A panel for every part, both axes logarithmic but for workers, in the style of the pictures beside reports."""
     import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("svg")
-    matplotlib.rcParams["svg.hashsalt"] = "growth"  # the same picture for the same figures
-    import matplotlib.pyplot as plt
-
-    lines = {
-        "events": ("events", "what", ("us",), "step [us]"),
-        "dots": ("dots", None, ("track_us", "features_us"), "step [us]"),
-        "slices": ("length_s", "stage", ("cpu_s",), "processor time [s]"),
-        "trajectories": ("trajectories", None, ("cpu_s",), "processor time [s]"),
-        "workers": ("engine", None, ("took_s",), "time [s]"),
-        "files": ("files", None, ("index_cpu_s", "info_cpu_s"), "processor time [s]"),
+    # Column across, column that names a line, columns drawn with their words, axes in words.
+    lines: dict[str, tuple[str, str | None, dict[str, str], str, str]] = {
+        "events": ("events", "what", {"us": ""}, "events a slice", "time of a step [us]"),
+        "dots": ("dots", None, {"track_us": "track", "features_us": "features"}, "dots", "time of a step [us]"),
+        "slices": ("length_s", "stage", {"cpu_s": ""}, "length of the recording [s]", "processor time [s]"),
+        "trajectories": ("trajectories", None, {"cpu_s": "four stages"}, "trajectories", "processor time [s]"),
+        "workers": ("engine", None, {"took_s": "four stages"}, "workers", "time on the clock [s]"),
+        "files": ("files", None, {"index_cpu_s": "index", "info_cpu_s": "info"}, "files", "processor time [s]"),
     }
     shown = [part for part in lines if part in measured]
-    columns = min(3, len(shown))
-    figure, panels = plt.subplots(math.ceil(len(shown) / columns), columns, squeeze=False, layout="constrained",
-                                  figsize=(4.6 * columns, 3.6 * math.ceil(len(shown) / columns)))  # fmt: skip
-    for axes in panels.flat[len(shown) :]:
-        axes.set_axis_off()
-    for axes, part in zip(panels.flat, shown, strict=False):
-        across, group, values, label = lines[part]
-        rows = measured[part]
-        for name in dict.fromkeys(row[group] for row in rows) if group else (None,):
-            chosen = [row for row in rows if group is None or row[group] == name]
-            for value in values:
-                axes.plot([row[across] for row in chosen], [row[value] for row in chosen], marker=".", linewidth=1.2,
-                          label=name or value)  # fmt: skip
-        if part != "workers":
-            axes.set_xscale("symlog" if part == "events" else "log", **({"linthresh": 50} if part == "events" else {}))
-            axes.set_yscale("log")
-        axes.set_xlabel({"length_s": "recording [s]", "events": "events a slice"}.get(across, across))
-        axes.set_ylabel(label)
-        axes.legend(fontsize=6, frameon=False)
-    figure.suptitle("How cost grows (simulated)")
-    figure.savefig(path, metadata={"Date": None})
+    # The salt makes it the same picture for the same figures.
+    with matplotlib.rc_context({**picture.STYLE, "svg.hashsalt": "growth"}):
+        rows_of_panels = math.ceil(len(shown) / 3)
+        figure = Figure(figsize=(14.0, 0.4 + 4.4 * rows_of_panels), layout="constrained")
+        places = figure.subfigures(rows_of_panels, math.ceil(len(shown) / rows_of_panels), squeeze=False).ravel()
+        for place, part in zip(places, shown, strict=False):  # each with a legend of its own
+            axes = place.subplots()
+            across, group, values, *words = lines[part]
+            number = 0
+            for name in dict.fromkeys(row[group] for row in measured[part]) if group else (None,):
+                chosen = [row for row in measured[part] if group is None or row[group] == name]
+                for value, label in values.items():
+                    drawn = [(row[across], row[value]) for row in chosen]
+                    axes.plot(*zip(*drawn, strict=True), label=name or label, **picture.series(number))
+                    number += 1
+            axes.set(xlabel=words[0], ylabel=words[1])
+            if part == "events":
+                axes.set_xscale("symlog", linthresh=50)
+                axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+            elif part != "workers":
+                picture.log_axis(axes.xaxis)
+            if part != "workers":
+                picture.log_axis(axes.yaxis)
+            picture.legend(place, [axes])
+        figure.suptitle("How cost grows (simulated)")
+        figure.savefig(path, format="svg", metadata={"Date": None})
 
 
 def spread(part: str, rows: list[Row]) -> list[Row]:

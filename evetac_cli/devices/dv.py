@@ -15,7 +15,7 @@ import numpy as np
 
 from evetac_cli.devices.device_slices import DeviceSlices
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import DeviceError, install_hint
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 
 POLL_S = 0.0005
@@ -131,7 +131,7 @@ def _library(where: str) -> Any:
         import dv_processing
     except ImportError as error:
         raise DeviceError(
-            "dv-processing is not installed", where=where, found=str(error), hint="pip install '.[camera]'"
+            "dv-processing is not installed", where=where, found=str(error), hint=install_hint("camera")
         ) from error
     return dv_processing
 

@@ -5,6 +5,7 @@ place of real ones.
 """
 
 import os
+import re
 import shutil
 from collections.abc import Iterable
 from contextlib import suppress
@@ -148,6 +149,15 @@ class Host:
     def has_package(self, name: str) -> bool:
         """Whether the module `name` is installed; it is not imported."""
         return find_spec(name) is not None
+
+    def missing_libraries(self) -> list[str]:
+        """Distributions that evetac needs for all it does without extras, and that are not installed."""
+        try:
+            needed = [one for one in metadata.requires("evetac") or () if "extra ==" not in one]
+        except metadata.PackageNotFoundError:  # it runs from its folder, not installed: nothing says what it needs
+            return []
+        names = [re.split(r"[^\w.-]", one)[0] for one in needed]
+        return [name for name in names if not self.distributions([name])]
 
     def distributions(self, names: Iterable[str]) -> list[str]:
         """Those of some distributions that are installed."""

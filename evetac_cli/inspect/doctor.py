@@ -18,7 +18,7 @@ from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.probe import FTDI, Host
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
-from evetac_cli.errors import EXTRAS, DeviceError
+from evetac_cli.errors import EXTRAS, DeviceError, install_hint
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.inspection import Doctor
@@ -38,6 +38,14 @@ SPEEDS = {
     5: "USB 3, 10 Gbit/s",
 }
 OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
+
+# What is missing without the extra of that name.
+SERVES = {
+    "camera": "--camera dv",
+    "convert": "AEDAT4, bags, Prophesee's files",
+    "plot": "pictures beside reports, pages, films",
+    "cluster": "--engine dask",
+}
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
@@ -120,10 +128,13 @@ def _software(host: Host) -> Iterator[Row]:
     loads = host.has_libusb()
     fix = "" if loads else "pip install --force-reinstall libusb-package"
     yield check("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
+    missing = host.missing_libraries()
+    state = f"without {', '.join(missing)}" if missing else "installed"
+    yield check("software", "libraries", not missing, state, "", install_hint() if missing else "")
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages if not host.has_package(name)]
-        state = f"without {', '.join(lacking)}" if lacking else "installed"
-        fix = f"pip install '.[{extra}]'" if lacking else ""
+        state = f"without {', '.join(lacking)}: no {SERVES[extra]}" if lacking else "installed"
+        fix = install_hint(extra) if lacking else ""
         yield check("software", f"extra {extra}", None if lacking else True, state, "", fix)
     installed = host.distributions(OPENCV)
     yield check(

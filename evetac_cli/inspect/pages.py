@@ -29,7 +29,7 @@ def check_libraries(names: Iterable[str]) -> None:
     """EvetacError, before any work is done, where a library that draws is missing."""
     for name in names:
         if find_spec(name) is None:
-            raise EvetacError(f"{name}, which draws the page, is not installed", hint="pip install '.[plot]'")
+            raise EvetacError(f"{name}, which draws the page, is not installed", hint=install_hint("plot"))
 
 
 # Where a page goes ----------------------------------------------------------------------------------------------------

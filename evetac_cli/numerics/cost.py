@@ -75,6 +75,7 @@ PARTS: dict[str, Part] = {
         models.measure,
         models.summary,
         models.draw,
+        models.size_in,
         takes_trials=False,
         inputs=models.inputs,
     ),

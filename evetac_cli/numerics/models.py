@@ -238,11 +238,17 @@ def front(rows: Rows, error: str) -> list[bool]:
     return [point[1] is not None and not beaten(point) for point in points]
 
 
+def size_in(rows: Rows) -> tuple[float, float]:
+    """Width and height of the picture in inches."""
+    return 12.0, 4.6 + picture.legend_height_in([row["setting"] for row in rows], 12.0)
+
+
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     """Errors against run time, filled where on the front of its task; without errors, parameters against it."""
-    panels = [name for name in errors if name in rows[0]] or ["parameters"]
+    names = [name for name in errors if name in rows[0]] or ["parameters"]
     titles = {"error_share_timing": "share of slips not timed right", "error_share_f1": "1 - F1"}
-    for axes, name in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+    panels = picture.panels(figure, len(names), len(names))
+    for axes, name in zip(panels, names, strict=True):
         front_column = name.replace("error_share", "pareto")
         for task, shade in zip(sorted({row["horizon_ms"] for row in rows}), ("0.2", "0.5", "0.75"), strict=False):
             on_front = [row for row in rows if row.get(front_column) and row["horizon_ms"] == task]
@@ -252,10 +258,13 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
                 axes.step([x for x, _ in best], [y for _, y in best], where="post", color=shade, label=label)
         for number, row in enumerate(rows):
             if row[name] is not None:
-                style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "linestyle": "none"}
+                style = {**picture.series(number), "markersize": 7, "linestyle": "none"}
                 style |= {} if row.get(front_column) else {"markerfacecolor": "white"}
                 axes.plot(row["time_us_median"], row[name], label=row["setting"], **style)
-        axes.set_xscale("log")
-        axes.set(xlabel="time of one inference, median [us]", ylabel=titles.get(name, name))
-        picture.quiet_grid(axes)
-        axes.legend(fontsize=7)
+        axes.set(xlabel="run time of one inference, median [us]", ylabel=titles.get(name, "trained parameters"))
+        picture.log_axis(axes.xaxis)
+        if name == "parameters":
+            picture.log_axis(axes.yaxis)
+        else:
+            axes.set_ylim(0, None)
+    picture.legend(figure, panels, title="filled: on the Pareto front" if names != ["parameters"] else None)

@@ -15,7 +15,7 @@ UM_PER_PX = 32.9  # of the sensor `evetac`
 
 def size_in(rows: Rows) -> tuple[float, float]:
     """Width and height in inches: as high as there are different values in the column `part`."""
-    return 15.0, 4.6 * len({row.get("part") for row in rows})
+    return 14.0, 4.2 * len({row.get("part") for row in rows})
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
@@ -29,16 +29,12 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         part_rows = [row for row in rows if row["part"] == part]
         names = [name for name in errors if name in part_rows[0]]
         if len(parts) > 1:
-            subfigure.suptitle(part, fontsize=13)
-        panels = subfigure.subplots(1, len(names), squeeze=False)[0]
+            subfigure.suptitle(part)
+        panels = picture.panels(subfigure, len(names), len(names))
         for axes, name in zip(panels, names, strict=True):
             draw_panel(axes, part_rows, name)
-        subfigure.supxlabel("run time of a simulated millisecond, median [us]", fontsize=10)
-        legend: dict[str, Any] = {}
-        for axes in panels:
-            handles, labels = axes.get_legend_handles_labels()
-            legend |= dict(zip(labels, handles, strict=True))
-        subfigure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+        picture.label_x(panels, "run time of a millisecond\n(one slice), median [us]")
+        picture.legend(subfigure, panels)
 
 
 def draw_panel(axes: Any, rows: Rows, error: str) -> None:
@@ -62,8 +58,7 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
             knobs = [row["setting"].rpartition(", ")[2] for row in members]
             label = f"{line}, {_knob_range(knobs[len(unstable)], knobs[-1])}"
             label += f"; blows up from {knobs[len(unstable) - 1]} on" if unstable else ""
-            style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 5}
-            axes.loglog(times, errors, label=label, **style)
+            axes.plot(times, errors, label=label, **picture.series(number))
     axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
     first, *rest = error.removeprefix("error_").split("_")
     title, unit = (" ".join(rest), f" [{first}]") if first in UNITS else (" ".join((first, *rest)), "")
@@ -71,12 +66,11 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
     if first == "um":
         in_px = axes.secondary_yaxis("right", functions=(lambda um: um / UM_PER_PX, lambda px: px * UM_PER_PX))
         in_px.set_ylabel("[px]")
-    picture.quiet_grid(axes)
-    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        # whole decades, and labels at these alone: those between would lie on each other
-        axis.set_minor_formatter("")
-        if axis.get_scale() == "log":
-            axis.set_view_interval(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)), ignore=True)
+    if any(len(line.get_xdata()) and line.get_marker() != "None" for line in axes.lines):
+        for axis in (axes.xaxis, axes.yaxis):
+            picture.log_axis(axis)
+    else:
+        picture.say_instead(axes, "errors are 0 or unknown")
 
 
 def _knob_range(first: str, last: str) -> str:

@@ -70,10 +70,9 @@ def summary(rows: Rows) -> dict[str, Any]:
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     """A panel for each scene: bars of what a slice takes as it is and with one part the other way."""
     scenes = list(dict.fromkeys(row["part"] for row in rows))
-    for axes, scene in zip(figure.subplots(len(scenes), 1, squeeze=False)[:, 0], scenes, strict=True):
+    for axes, scene in zip(picture.panels(figure, len(scenes), 1), scenes, strict=True):
         own = [row for row in rows if row["part"] == scene and row["time_us_mean"] is not None][::-1]
-        bars = axes.barh([row["setting"] for row in own], [row["time_us_mean"] for row in own], color="C0", height=0.6)
-        axes.bar_label(bars, fmt="%.0f", padding=3, fontsize=9)
-        axes.set(title=scene, xlabel="run time of a simulated millisecond, mean [us]")
+        bars = axes.barh([row["setting"] for row in own], [row["time_us_mean"] for row in own], height=0.6)
+        axes.bar_label(bars, fmt="%.0f", padding=3)
+        axes.set(title=f"scene {scene}", xlabel="run time of a simulated millisecond, mean [us]")
         axes.margins(x=0.12)
-        picture.quiet_grid(axes)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evetac_cli.params.parameter import parameter
-from evetac_cli.params.trials import SCENE, Trials
+from evetac_cli.params.trials import SCENE, VIEW, Trials
 
 DEVICES, IMPORT = "Devices", "Import"  # panels of --help
 
@@ -162,9 +162,7 @@ class Record(Trials):
         panel=DEVICES,
     )
     resume: bool = parameter(False, "Go on with a series, made with the same set-up.", recipe=False, panel=DEVICES)
-    preview: bool = parameter(
-        False, "Show what the camera sees; write and move nothing.", recipe=False, panel=VIEW
-    )
+    preview: bool = parameter(False, "Show what the camera sees; write and move nothing.", recipe=False, panel=VIEW)
 
 
 @dataclass(frozen=True)

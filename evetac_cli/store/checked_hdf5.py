@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, install_hint
 from evetac_cli.store.hdf5_text import TextTooLong, attribute_text, dataset_text
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
@@ -219,7 +219,7 @@ class CheckedHdf5:
                     f"{name} is compressed with a filter that is not installed here",
                     where=self.where,
                     found=spoken,
-                    hint="convert it with Prophesee's tools" if prophesee else "pip install hdf5plugin",
+                    hint="convert it with Prophesee's tools" if prophesee else install_hint("convert"),
                 )
         if len({number for number, *_ in used}) < len(used):
             self._refuse(f"{name} is compressed twice with the same filter", "a filter that is named twice")

@@ -9,19 +9,18 @@ import argparse
 from pathlib import Path
 
 import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.sim import scene
+from evetac_cli.stages.evaluate import picture
 from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.store.read import Recording, open_recording
 
 SHOWN_MS = 5  # the paper's images show 5 ms
 IMAGES = 4
-INK, QUIET, WARM, COOL = "#22303f", "#8a95a1", "#b5502a", "#2f6690"
+COOL, WARM = picture.COLOURS[0], picture.COLOURS[3]
 
 
 def frame_times(recording: Recording) -> list[int]:
@@ -43,45 +42,42 @@ def strip(path: Path, out: Path) -> Path:
     """Draw one recording."""
     with open_recording(path) as recording:
         chosen = frame_times(recording)
-        figure = plt.figure(figsize=(11, 5.6), dpi=110, layout="constrained")
+        figure = Figure(figsize=(11, 5.6), layout="constrained")
         grid = figure.add_gridspec(3, IMAGES, height_ratios=(2.6, 1, 1))
         for place, start in enumerate(chosen):
             axes = figure.add_subplot(grid[0, place])
             axes.imshow(image(recording, start), cmap="gray", vmin=-1, vmax=1, interpolation="nearest")
-            axes.set_title(f"{start / 1000:.3f} s", fontsize=10, color=INK)
+            axes.set_title(f"{start / 1000:.3f} s", loc="center")
+            axes.spines[:].set_visible(True)
             axes.set_xticks([])
             axes.set_yticks([])
         seconds = np.arange(len(recording)) / 1000
         rate = figure.add_subplot(grid[1, :])
         rate.fill_between(seconds, np.maximum(np.diff(recording.starts), 1), 1, color=COOL, linewidth=0, step="mid")
-        rate.set_yscale("log")
-        rate.set_ylabel("events / ms", color=INK)
+        rate.set_ylabel("events a ms")
+        picture.log_axis(rate.yaxis)
         force = figure.add_subplot(grid[2, :], sharex=rate)
         if recording.has("truth"):
-            force.plot(seconds, recording.read("truth/normal_force_n"), color=INK, label="normal force")
+            force.plot(seconds, recording.read("truth/normal_force_n"), color="black", label="normal force")
             shear = np.linalg.norm(recording.read("truth/shear_force_n"), axis=1)
             force.plot(seconds, shear, color=WARM, label="shear force")
             slip = recording.read("truth/slip") > 0
             force.fill_between(seconds, 0, 1, where=slip, color=WARM, alpha=0.2, linewidth=0, label="gross slip",
                                transform=force.get_xaxis_transform())  # fmt: skip
-            force.legend(loc="lower left", bbox_to_anchor=(0, 0.98), ncols=3, frameon=False, fontsize=9)
-        force.set_ylabel("N", color=INK)
-        force.set_xlabel("s", color=INK)
+        force.set(xlabel="time [s]", ylabel="force [N]")
         for axes in (rate, force):
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.tick_params(colors=INK)
             for start in chosen:
-                axes.axvline(start / 1000, color=QUIET, linewidth=0.8, linestyle=":")
+                axes.axvline(start / 1000, color="0.5", linewidth=0.8, linestyle=":")
         rate.set_xlim(0, seconds[-1])
         rate.tick_params(labelbottom=False)
         what = recording.header["parameters"]["scene"]
         object_number = recording.header["parameters"]["object"]
         name = what["name"] + (f", object {object_number}" if object_number else "")
-        figure.suptitle(f"{name} (simulated): {what['summary']}", fontsize=11, color=INK, x=0.01, ha="left")
+        figure.suptitle(f"{name} (simulated): {what['summary']}")
+        picture.legend(figure, [force])
         out.mkdir(parents=True, exist_ok=True)
         target = out / f"{what['name']}.png"
-        figure.savefig(target)
-        plt.close(figure)
+        figure.savefig(target, dpi=110)
     return target
 
 
@@ -95,8 +91,9 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.short_vibration:
         chosen.short_vibration.write_text(scene.changed("vibration", {"time": {"tone_s": 3.0}}))
-    for path in chosen.recordings:
-        print(strip(path, chosen.out))
+    with matplotlib.rc_context(picture.STYLE):
+        for path in chosen.recordings:
+            print(strip(path, chosen.out))
 
 
 if __name__ == "__main__":

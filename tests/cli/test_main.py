@@ -315,7 +315,11 @@ ENDINGS += [
     (
         ModuleNotFoundError("No module named 'bokeh.embed'", name="bokeh.embed"),
         1,
-        {"kind": "EvetacError", "message": "the library bokeh is not installed", "hint": "pip install '.[plot]'"},
+        {
+            "kind": "EvetacError",
+            "message": "the library bokeh is not installed",
+            "hint": "in the clone: pip install '.[plot]'",
+        },
     ),
     (ZeroDivisionError("bug"), 1, {"kind": "InternalError", "message": "internal error: ZeroDivisionError: bug"}),
 ]

@@ -512,7 +512,7 @@ def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> 
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(32001, "pip install hdf5plugin"), (0x8ECF, "Prophesee"), (511, "HDF5 filter 511")]
+    ("number", "words"), [(32001, "pip install '.[convert]'"), (0x8ECF, "Prophesee"), (511, "HDF5 filter 511")]
 )
 def test_a_missing_filter_is_named(
     dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, number: int, words: str

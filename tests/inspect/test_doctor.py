@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import importlib.metadata
 import json
 import os
 import tomllib
@@ -171,12 +172,25 @@ def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(Made, "has_package", lambda self, name: name != "faery")
     monkeypatch.setattr(Made, "free_bytes", lambda self, folder: 5_000_000)
     monkeypatch.setattr(Made, "distributions", lambda self, names: ["opencv-python 4.1", f"{names[-1]} 5.0"])
+    monkeypatch.setattr(Made, "missing_libraries", lambda self: ["torch", "onnx"])
     result = doctor.run(Doctor(), dataclasses.replace(machine, usb_backend=None))
     faulty = wrong(result)
-    assert list(faulty) == ["libusb", "opencv", "free space"]
+    assert list(faulty) == ["libusb", "libraries", "opencv", "free space"]
+    assert (faulty["libraries"]["found"], faulty["libraries"]["fix"]) == (
+        "without torch, onnx",
+        "in the clone: pip install .",
+    )
     assert "pip uninstall opencv-python opencv-contrib-python-headless" in faulty["opencv"]["fix"]
     extra = rows_of_device(result, "software")["extra convert"]
-    assert (extra["ok"], extra["fix"]) == (None, "pip install '.[convert]'")
+    assert (extra["ok"], extra["fix"]) == (None, "in the clone: pip install '.[convert]'")
+    assert extra["found"].startswith("without faery: no AEDAT4")
+
+
+def test_libraries_that_are_missing_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that of what evetac requires, extras left out, what is not installed is named."""
+    required = ["numpy>=2.0", "not-there-1>=3", "not.there[fast]~=2; python_version > '3'", "nor-this>=1; extra == 'x'"]
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: required)
+    assert Host().missing_libraries() == ["not-there-1", "not.there"]
 
 
 def test_extras_are_those_that_can_be_installed() -> None:
@@ -186,6 +200,7 @@ def test_extras_are_those_that_can_be_installed() -> None:
     assert {name: len(packages) for name, packages in offered.items()} == {
         name: len(modules) for name, modules in doctor.EXTRAS.items()
     }
+    assert doctor.SERVES.keys() == doctor.EXTRAS.keys()
 
 
 def adapter(

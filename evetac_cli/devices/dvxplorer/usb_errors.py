@@ -2,7 +2,7 @@
 
 import errno
 
-from evetac_cli.errors import DeviceError, DeviceTimeout
+from evetac_cli.errors import DeviceError, DeviceTimeout, install_hint
 
 _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
 _UNPLUGGED = (
@@ -46,7 +46,7 @@ def no_libusb() -> DeviceError:
         "there is no libusb",
         where="--camera dvxplorer",
         expected="the shared library that the package libusb-package brings",
-        hint="pip install libusb-package",
+        hint=install_hint(),
     )
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, install_hint
 
 
 def load_faery(what: str, where: str) -> Any:
@@ -15,7 +15,7 @@ def load_faery(what: str, where: str) -> Any:
     try:
         import faery
     except ImportError as error:
-        hint = "pip install '.[convert]'"
+        hint = install_hint("convert")
         raise InputError(f"{what} faery", where=where, found=str(error), hint=hint) from None
     return faery
 

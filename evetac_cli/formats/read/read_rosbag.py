@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, install_hint
 from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
 from evetac_cli.formats.read.faery_library import scratch_file
@@ -231,7 +231,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
 
         limit_unpacking()
     except (ImportError, AttributeError) as error:
-        hint = "pip install '.[convert]'"
+        hint = install_hint("convert")
         raise InputError("ROS bags need rosbags", where=where, found=str(error), hint=hint) from None
     kind: Any = Reader2
     if path.is_dir():

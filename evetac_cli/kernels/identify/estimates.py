@@ -43,7 +43,7 @@ def rate_over_blocks(counts: NDArray[np.integer], exposure: float) -> Estimate:
     return Estimate(poisson.value, max(0.0, poisson.value - half), poisson.value + half)
 
 
-def share(part: int, of: int) -> Estimate:
+def share(part: float, of: float) -> Estimate:
     """A share from a count, with Wilson's interval; between 0 and 1 where nothing was counted."""
     if of == 0:
         return Estimate(float("nan"), 0.0, 1.0)

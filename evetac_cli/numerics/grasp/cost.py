@@ -37,6 +37,11 @@ CONTROLLERS = Extent[tuple[str, ...]](
 LATENCIES_MS = Extent[tuple[int, ...]](quick=(5, 10, 20, 50), full=(2, 5, 10, 20, 30, 50))
 RATES_HZ = Extent[tuple[float, ...]](quick=(50.0, 100.0, 1000.0), full=(50.0, 100.0, 200.0, 250.0, 1000.0))
 BALANCE_S = 8.0
+TITLES = {
+    "error_share_lost": "share of objects lost",
+    "error_mm_moved": "object moved in the gripper, mean [mm]",
+    "force_n": "grip force at the end, mean [N]",
+}
 
 
 @dataclass(frozen=True)
@@ -136,14 +141,22 @@ def _moved_mm(results: Sequence[GraspResult]) -> Floats:
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     """Errors and force of every setting, a colour for each controller."""
     settings = list(dict.fromkeys(row["setting"].partition(", ")[2] for row in rows))
-    columns = (*errors, "force_n")
-    for axes, name in zip(figure.subplots(1, len(columns), sharey=True), columns, strict=True):
-        for controller in dict.fromkeys(row["setting"].partition(", ")[0] for row in rows):
+    controllers = list(dict.fromkeys(row["setting"].partition(", ")[0] for row in rows))
+    panels = picture.panels(figure, len(TITLES), len(TITLES), sharey=True)
+    for axes, (name, title) in zip(panels, TITLES.items(), strict=True):
+        for number, controller in enumerate(controllers):
             known = [row for row in rows if row["setting"].startswith(f"{controller}, ") and row[name] is not None]
-            heights = [settings.index(row["setting"].partition(", ")[2]) for row in known]
-            axes.plot([row[name] for row in known], heights, marker="o", linestyle="none", label=controller)
-        axes.set_xlabel(name)
-        picture.quiet_grid(axes)
-    axes.set_yticks(range(len(settings)), settings)
-    axes.invert_yaxis()
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+            apart = 0.5 * ((number + 0.5) / len(controllers) - 0.5)
+            heights = [settings.index(row["setting"].partition(", ")[2]) + apart for row in known]
+            if name == "error_share_lost":
+                for row, height in zip(known, heights, strict=True):
+                    reach = picture.wilson(row[name], row["trials"])
+                    label = "95 % interval by the number of trials (Wilson)"
+                    axes.errorbar(row[name], height, xerr=reach, label=label, **picture.INTERVAL)
+            style = {**picture.series(number), "markersize": 7, "linestyle": "none"}
+            axes.plot([row[name] for row in known], heights, label=f"controller {controller}", **style)
+        axes.set_xlabel(title)
+    picture.share_axis(panels[0].xaxis)
+    panels[0].set_yticks(range(len(settings)), settings)
+    panels[0].set_ylim(len(settings) - 0.5, -0.5)
+    picture.legend(figure, panels)

@@ -227,7 +227,7 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 def size_in(rows: Rows) -> tuple[float, float]:
     """Width and height of the picture in inches."""
-    return 15.0, 9.5
+    return 13.0, 7.6
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
@@ -237,12 +237,12 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     for row in settings[1:]:
         lines.setdefault(row["setting"].partition(", ")[0], []).append(row)
     names = [name for name in errors if name in TITLES]
-    panels = figure.subplots(2, -(-len(names) // 2)).ravel()
-    for axes, name in zip(panels, names, strict=False):
+    panels = picture.panels(figure, len(names), 3)
+    for axes, name in zip(panels, names, strict=True):
         time = "grasp_us_median" if name in GRASP_ERRORS else "time_us_median"
         for number, (line_name, members) in enumerate(lines.items()):
             drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
-            style = {"color": f"C{number % 10}", "marker": "osD^vP*X"[number % 8], "markersize": 6}
+            style = picture.series(number)
             around = [row for row in (settings[1], *drawn) if row[name] is not None]
             around.sort(key=lambda row: float(row[time]))
             axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
@@ -256,13 +256,6 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         axes.set(
             title=TITLES[name], ylabel=f"error [{'N' if unit == 'n' else unit}]", ylim=(0, 1.1 * top if top else 1.0)
         )
-        axes.set_xlabel(f"{'grasp' if name in GRASP_ERRORS else 'chain'}, run time of a ms, median [us]")
-        picture.quiet_grid(axes)
-    for axes in panels[len(names) :]:
-        axes.set_axis_off()
-    handles: dict[str, Any] = {}
-    for axes in panels[: len(names)]:
-        shown, labels = axes.get_legend_handles_labels()
-        handles |= dict(zip(labels, shown, strict=True))
-    note = "filled: surely on the Pareto front"
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, frameon=False, title=note)
+        what = "simulated ms of the grasp" if name in GRASP_ERRORS else "recorded ms, whole chain"
+        axes.set_xlabel(f"run time of a {what}, median [us]")
+    picture.legend(figure, panels, title="filled: surely on the Pareto front")

@@ -77,7 +77,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
     outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
     shown = min(len(job.inputs), SHOWN)
     return picture.beside(
-        outcome, job.output, lambda figure: _draw(figure, job.inputs, params, outcome), (11.0, 0.8 + 2.2 * shown)
+        outcome, job.output, lambda figure: _draw(figure, job.inputs, params, outcome), (11.0, 1.2 + 2.0 * shown)
     )
 
 
@@ -209,9 +209,12 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
     """Bytes a second over time, one panel a recording, up to SHOWN; the RGB sensor's as a line."""
     simulated = " (simulated)" if outcome.simulated else ""
     more = f", the first {SHOWN} of {len(paths)} recordings" if len(paths) > SHOWN else ""
-    figure.suptitle(f"Data rate, mean over {SHOWN_MS} ms{more}{simulated}")
+    figure.suptitle(f"Data rate, means over {SHOWN_MS} ms{more}{simulated}")
     shown = paths[:SHOWN]
-    for axes, path in zip(figure.subplots(len(shown), 1, squeeze=False)[:, 0], shown, strict=True):
+    panels = picture.panels(figure, len(shown), 1)
+    rgb = f"RGB sensor, {params.rgb_frame} bytes at {params.rgb_hz:g} Hz"
+    shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s about the onset of slip", picture.EARLY))
+    for axes, path in zip(panels, shown, strict=True):
         with open_recording(path) as recording:
             bytes_a_slice = np.diff(recording.starts) * params.event_bytes
             spans = intervals(recording, params.around_s)
@@ -219,14 +222,11 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
         width = np.diff(np.append(edges, len(bytes_a_slice)))
         mb_s = np.add.reduceat(bytes_a_slice, edges) / width * 1e-3
         axes.step(edges / 1000, mb_s, where="post", linewidth=0.8, color=picture.CORRECT, label="events")
-        axes.axhline(_rgb_bytes_s(params) * 1e-6, color="black", linestyle="--", linewidth=1, label="RGB sensor")
-        for name, colour in (("contact", "0.6"), ("slip", picture.EARLY)):
+        axes.axhline(_rgb_bytes_s(params) * 1e-6, color="black", linestyle="--", linewidth=1, label=rgb)
+        for name, label, colour in shaded:
             if not spans[name].missing_because:
                 span = (spans[name].start / 1000, spans[name].stop / 1000)
-                axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=name)
-        top = 1.25 * max(float(mb_s.max()), _rgb_bytes_s(params) * 1e-6)  # leaves room for the legend
-        axes.set(ylabel="MB/s", xlim=(0, len(bytes_a_slice) / 1000), ylim=(0, top))
-        axes.set_title(path.name, fontsize=8)
-        picture.quiet_grid(axes)
-        axes.legend(fontsize=7, loc="upper left", ncols=4)
-    axes.set_xlabel("time [s]")
+                axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=label)
+        axes.set(ylabel="data rate [MB/s]", xlim=(0, len(bytes_a_slice) / 1000), ylim=(0, None), title=path.name)
+    panels[-1].set_xlabel("time [s]")
+    picture.legend(figure, panels)

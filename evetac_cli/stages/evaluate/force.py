@@ -33,7 +33,7 @@ from evetac_cli.store.provenance import Header
 OUTPUT = "report"
 METHOD = 2
 PAPER = {"events": "evetac", "frames": "rgb"}  # the sensors of the paper's table
-STYLES = {"regression": ("C0", "linear regression"), "network": ("C1", "network")}
+STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
 
 Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by sort of sensor
 
@@ -239,11 +239,9 @@ def _draw(figure: Any, trials: list[TrialForce]) -> None:
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, label="force sensor")
             for name, (colour, words) in STYLES.items():
                 axes.plot(order, one.predicted_n[name][0][:, axis], color=colour, linewidth=1.0, label=words)
-            axes.set_title(f"{sensor}, {one.sensor_name}: shear force {forces.AXES[axis]}")
-            axes.set_ylabel("force [N]")
-            picture.quiet_grid(axes)
+            axes.set_title(f"dots in {sensor}, sensor {one.sensor_name}")
+            axes.set_ylabel(f"shear force {forces.AXES[axis]} [N]")
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
     figure.suptitle("Shear force from dots, an unseen trajectory (simulated)")
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    picture.legend(figure, panels[0])

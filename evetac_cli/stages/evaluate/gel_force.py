@@ -256,12 +256,11 @@ def _draw(figure: Any, trial: Trial) -> None:
         )
         for axes, (what, true, shown_n, sd) in zip(panels[:, column], shown, strict=True):
             axes.plot(time_s, true, color="black", linewidth=1.5, label="true")
-            axes.plot(time_s, shown_n, color="C0", linewidth=1.0, label="predicted")
-            axes.fill_between(time_s, shown_n - sd, shown_n + sd, color="C0", alpha=0.2, linewidth=0, label="one sd")
+            axes.plot(time_s, shown_n, color=picture.COLOURS[0], linewidth=1.0, label="predicted")
+            band = {"color": picture.COLOURS[0], "alpha": 0.2, "linewidth": 0}
+            axes.fill_between(time_s, shown_n - sd, shown_n + sd, label="one standard deviation", **band)
             axes.set_ylabel(f"{what} [N]" if column == 0 else "")
-            picture.quiet_grid(axes)
         panels[0, column].set_title(f"gel {name}")
         panels[-1, column].set_xlabel("time [s]")
     figure.suptitle(f"Force from dots, {trial.sensor_name}, an unseen trajectory (simulated)")
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    picture.legend(figure, panels[0])

@@ -37,15 +37,19 @@ MEANS = (
     "reopened_share",
 )
 
-SIZE_IN = (13.0, 10.0)
+Lines = list[tuple[int, dict[str, Any]]]  # of the picture, from the top down: number and row
+
+WIDTH_IN = 13.0
 PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
-MOST_SETTINGS = 8  # colours that can be distinguished
+MOST_SETTINGS = 8  # marks that can be distinguished
+# Column of the rows by object, that of the trials behind it, if any, and words.
 PANELS = (
-    ("success", "share of trials lifted and balanced"),
-    ("opening_after_balance_ticks", "change of opening at the end [ticks]"),
-    ("force_end_n", "grip force at the end [N]"),
-    ("moved_mm_median", "object moved, median [mm]"),
+    ("success", "", "share of trials lifted and balanced"),
+    ("opening_after_balance_ticks", "opening_after_balance_ticks", "change of the opening at the end, mean [ticks]"),
+    ("force_end_n", "force_end_n", "grip force at the end, mean [N]"),
+    ("moved_mm_median", "moved_mm", "object moved in the gripper, median [mm]"),
 )
+NOTES = ("95 % interval by the number of trials (Wilson)", "the paper, real gripper (other method)")
 
 
 def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
@@ -76,7 +80,7 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
         return tables(trials)
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows), SIZE_IN)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows), _size_in(outcome.rows))
 
 
 def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
@@ -207,44 +211,85 @@ def _paper_setting(setting: str, columns: int) -> dict[str, Any]:
     return {**published, "paper_success": tested[0]} if tested else published
 
 
+def _size_in(rows: Rows) -> tuple[float, float]:
+    """Width and height in inches: a line for every setting of every object, and the legend."""
+    lines, shown = _lines(_by_object(rows))
+    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + picture.legend_height_in([*shown, *NOTES], WIDTH_IN)
+
+
+def _by_object(rows: Rows) -> Rows:
+    return [row for row in rows if "moved_mm_median" in row and "object" in row]
+
+
+def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
+    """The line of each row of an object and setting, one left free between objects; and the settings that are drawn."""
+    shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
+    lines: Lines = []
+    for number in sorted({row["object"] for row in by_object}, key=_figure_place):
+        of_object = {row["setting"]: row for row in by_object if row["object"] == number}
+        start = lines[-1][0] + 2 if lines else 0
+        present = [setting for setting in shown if setting in of_object]
+        lines += [(start + place, of_object[setting]) for place, setting in enumerate(present)]
+    return lines, shown
+
+
 def _draw(figure: Any, rows: Rows) -> None:
-    """Draw the rows by object into an empty figure."""
-    by_object = [row for row in rows if "moved_mm_median" in row and "object" in row]
-    settings = list(dict.fromkeys(row["setting"] for row in by_object))
-    shown = settings[:MOST_SETTINGS]
-    numbers = sorted({row["object"] for row in by_object}, key=_figure_place)
-    figure.suptitle("grasps (simulated)" + ("" if shown == settings else f"; {MOST_SETTINGS} of {len(settings)}"))
-    width = 0.8 / max(len(shown), 1)
-    for axes, (name, title) in zip(figure.subplots(len(PANELS), 1, sharex=True), PANELS, strict=True):
-        for place, setting in enumerate(shown):
-            values = {row["object"]: row[name] for row in by_object if row["setting"] == setting}
-            at = [index + (place + 0.5) * width - 0.4 for index, number in enumerate(numbers) if number in values]
-            heights = [values[number] or 0.0 for number in numbers if number in values]
-            axes.bar(at, heights, width=0.9 * width, color=f"C{place}", label=setting)
-        for label, at_x, value in _paper_points(name, numbers):
-            axes.plot(at_x, value, label=label, **picture.PAPER)
-        axes.set_ylabel(title, fontsize=8)
-        picture.quiet_grid(axes)
-    axes.set_xticks(range(len(numbers)), [f"object {number}" for number in numbers], fontsize=8)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    """A line for every setting of every object: share of trials, then figures of the trials that held their object."""
+    by_object = _by_object(rows)
+    lines, shown = _lines(by_object)
+    settings = len({row["setting"] for row in by_object})
+    of_all = "" if settings == len(shown) else f"; the first {MOST_SETTINGS} of {settings} settings"
+    figure.suptitle(f"Grasps (simulated){of_all}")
+    panels = picture.panels(figure, len(PANELS), len(PANELS), sharey=True)
+    for axes, (name, of_trial, title) in zip(panels, PANELS, strict=True):
+        for place, row in lines:
+            number = shown.index(row["setting"])
+            style = {**picture.series(number), "linestyle": "none"}
+            if of_trial:
+                values = [one[of_trial] for one in _held(rows, row)]
+                axes.plot(values, np.full(len(values), place), **{**style, "markersize": 3.5, "alpha": 0.35})
+            else:
+                reach = picture.wilson(row[name], row["trials"])
+                axes.errorbar(row[name], place, xerr=reach, label=NOTES[0], **picture.INTERVAL)
+            if row[name] is not None:
+                axes.plot(row[name], place, label=f"controller {row['setting']}", **{**style, "markersize": 8})
+        _draw_paper(axes, lines, name)
+        if of_trial and all(row[name] is None for _, row in lines):
+            picture.say_instead(axes, "no object was held")
+        axes.set_xlabel(title)
+    picture.share_axis(panels[0].xaxis)
+    middles = _middles(lines)
+    panels[0].set_yticks(list(middles.values()), [f"object {number}" for number in middles])
+    panels[0].set_ylim(lines[-1][0] + 0.8, -0.8)
+    picture.legend(figure, panels)
 
 
-def _paper_points(name: str, numbers: list[int]) -> list[tuple[str, list[float], list[float]]]:
-    """The paper's points of a panel, if it has any: label, x, y."""
+def _held(rows: Rows, of: dict[str, Any]) -> Rows:
+    """The trials of an object and setting that held it to the end."""
+    trials = (row for row in rows if "file" in row and row["balanced"])
+    return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]
+
+
+def _middles(lines: Lines) -> dict[int, float]:
+    """The middle of each object's lines."""
+    places: dict[int, list[int]] = {}
+    for place, row in lines:
+        places.setdefault(row["object"], []).append(place)
+    return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
+
+
+def _draw_paper(axes: Any, lines: Lines, name: str) -> None:
+    for number, place in _middles(lines).items():
+        published = _paper_figure(name, number)
+        if published is not None:
+            axes.plot(published, place, label=NOTES[1], **picture.PAPER)
+
+
+def _paper_figure(name: str, number: int) -> float | None:
+    """The paper's figure of a panel for an object, with the gain that the paper used; None where it has none."""
     grasp = table("paper")["grasp"]
-    published = {**grasp["objects_higher_gain"], **grasp["objects"]}
-    points = []
-    for index, number in enumerate(numbers):
-        row = published.get(str(number), {})
-        if name == "success" and row:
-            points.append((float(index), row["lifted"] * row["balanced"]))
-        elif name in row:
-            points.append((float(index), row[name]))
-    if not points:
-        return []
-    at_x, values = (list(column) for column in zip(*points, strict=True))
-    return [("printed in the paper", at_x, values)]
+    row: dict[str, float] = {**grasp["objects_higher_gain"], **grasp["objects"]}.get(str(number), {})
+    return row["lifted"] * row["balanced"] if name == "success" and row else row.get(name)
 
 
 def _figure_place(number: int) -> int:

@@ -1,20 +1,59 @@
-"""Pictures beside reports: what they have in common, and how they are written.
+"""Pictures beside reports: one style for all of them, and how they are written.
 
 A picture is drawn from the rows of its report, and again only where it is missing. Without matplotlib (the extra
 `plot`) a report is made all the same and says how to get the picture.
+
+Legends stand outside the panels, so that they cover nothing.
 """
 
 import dataclasses
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.errors import install_hint
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.disk import taking_the_place_of
 
-EARLY, CORRECT, LATE = "#e6a23c", "#3b7dd8", "#8c8c8c"  # the same three everywhere slip timing is shown
-PAPER = {"marker": "D", "color": "black", "markersize": 5, "linestyle": "none"}
+# Okabe and Ito's colours, which most kinds of colour blindness tell apart, but for yellow, too pale for a line.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#666666")
+MARKERS = "os^vP*Xh"  # another number than of colours: 56 series differ
+CORRECT, EARLY, LATE = COLOURS[0], COLOURS[1], "#A6A6A6"  # the same three wherever slip timing is shown
+PAPER = {
+    "marker": "D",
+    "markersize": 7,
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+    "linestyle": "none",
+    "zorder": 5,
+}
+INTERVAL = {"fmt": "none", "ecolor": "black", "elinewidth": 1.2, "capsize": 3, "zorder": 4}
 DPI = 120
+STYLE: dict[Any, Any] = {  # matplotlib names the keys that it knows
+    "figure.dpi": DPI,
+    "font.family": "DejaVu Sans",  # matplotlib brings it: the same picture on every computer
+    "font.size": 9,
+    "figure.titlesize": 12,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "axes.prop_cycle": f"cycler('color', {list(COLOURS)})",
+    "axes.edgecolor": "0.4",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "0.9",
+    "lines.linewidth": 1.3,
+}
+INCH_A_LETTER, INCH_A_LINE = 0.078, 0.19  # of a legend
+MOST_TICKS = 9  # of a logarithmic axis
 
 
 def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in: tuple[float, float]) -> Outcome:
@@ -26,24 +65,115 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
     if not outcome.made and path.exists():
         return outcome
     try:
+        import matplotlib
         from matplotlib.figure import Figure
     except ImportError:
-        shown = "none: needs matplotlib, pip install '.[plot]'"
+        shown = f"none, for want of matplotlib; {install_hint('plot')}"
     else:
-        figure = Figure(figsize=size_in, layout="constrained")
-        draw(figure)
-        save(figure, path)
+        with matplotlib.rc_context(STYLE):
+            figure = Figure(figsize=size_in, layout="constrained")
+            draw(figure)
+            with taking_the_place_of(path) as temporary:
+                figure.savefig(temporary, format="png", dpi=DPI)
         shown = str(path)
     return dataclasses.replace(outcome, summary={**outcome.summary, "plot": shown})
 
 
-def save(figure: Any, path: Path) -> None:
-    """Write a matplotlib figure as PNG, all or nothing; InputError if it cannot be written."""
-    with taking_the_place_of(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI)
+def series(number: int) -> dict[str, Any]:
+    """Colour and marker of a series."""
+    return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 5.5}
 
 
-def quiet_grid(axes: Any) -> None:
-    """A light grid behind what is drawn."""
-    axes.grid(which="major", color="0.9")
-    axes.set_axisbelow(True)
+def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[Any]:
+    """So many axes in rows of equal length, what is left of the last row empty."""
+    rows = math.ceil(count / most_columns)
+    axes = figure.subplots(rows, math.ceil(count / rows), squeeze=False, **shared).ravel()
+    for empty in axes[count:]:
+        empty.set_axis_off()
+    return list(axes[:count])
+
+
+def label_x(panels: Sequence[Any], words: str) -> None:
+    """The same words below the last panel of each column.
+
+    Why so: matplotlib's own label of a whole figure lies under a legend that stands outside.
+    """
+    lowest = {axes.get_subplotspec().colspan.start: axes for axes in panels}
+    for axes in lowest.values():
+        axes.set_xlabel(words)
+        axes.tick_params(labelbottom=True)
+
+
+def legend(figure: Any, axes: Iterable[Any], **more: Any) -> None:
+    """One legend for several panels, below them: each label once."""
+    entries: dict[str, Any] = {}
+    for panel in axes:
+        handles, labels = panel.get_legend_handles_labels()
+        entries |= {label: one for label, one in zip(labels, handles, strict=True) if label not in entries}
+    if entries:
+        columns = _legend_columns(list(entries), figure.bbox.width / figure.dpi)
+        figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns, **more)
+
+
+def legend_height_in(labels: Sequence[str], width_in: float) -> float:
+    """How many inches a legend takes below panels of this width."""
+    return 0.15 + INCH_A_LINE * math.ceil(len(labels) / _legend_columns(labels, width_in))
+
+
+def _legend_columns(labels: Sequence[str], width_in: float) -> int:
+    longest_in = INCH_A_LETTER * (max(map(len, labels), default=0) + 8)  # with its mark and the gap beside it
+    return max(1, min(len(labels), int(width_in / longest_in)))
+
+
+def wilson(share: float, count: float) -> list[list[float]]:
+    """How far Wilson's 95 % interval of a share of `count` trials reaches below and above it, as matplotlib wants it.
+
+    It stays within 0 and 1, also where all or none of the trials succeed.
+    """
+    from evetac_cli.kernels.identify.estimates import share as estimate
+
+    interval = estimate(share * count, count)
+    return [[max(share - interval.low, 0.0)], [max(interval.high - share, 0.0)]]
+
+
+def share_axis(axis: Any) -> None:
+    """From 0 to 1, with room for a mark at either end."""
+    axis.set_view_interval(-0.03, 1.03, ignore=True)
+    axis.set_ticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+def log_axis(axis: Any) -> None:
+    """Make what is drawn fill a logarithmic axis from tick to tick, with numbers that are written out.
+
+    Ticks stand at whole decades, where the axis spans only one or two also at 2 and 5 of each.
+    """
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    low, high = sorted(axis.get_view_interval())
+    finer = (1, 2, 5) if math.log10(high / low) < 2 else (1,)
+    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
+    ticks = [digit * 10.0**decade for decade in decades for digit in finer]
+    first = max(index for index, tick in enumerate(ticks) if tick <= low * (1 + 1e-9))
+    last = min(index for index, tick in enumerate(ticks) if tick >= high * (1 - 1e-9))
+    axis.set_major_locator(FixedLocator(ticks[first : last + 1 : 1 + (last - first) // MOST_TICKS]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: written_out(value)))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_view_interval(ticks[first], ticks[last], ignore=True)
+
+
+def written_out(value: float) -> str:
+    """A tick of a logarithmic axis: 0.001 to 100,000 in figures, others as a power of ten."""
+    if 0.99e-3 < value < 1.01e5:
+        return f"{value:,.10g}"
+    exponent = math.floor(math.log10(value) + 1e-9)
+    digit = round(value / 10.0**exponent)
+    return f"$10^{{{exponent}}}$" if digit == 1 else f"${digit}\\cdot10^{{{exponent}}}$"
+
+
+def say_instead(axes: Any, text: str) -> None:
+    """Words in a panel that has nothing of ours to show; without numbers at its axes where it shows nothing at all."""
+    axes.text(0.5, 0.75, text, transform=axes.transAxes, ha="center", va="center", color="0.4")
+    if not any(len(line.get_xdata()) for line in axes.lines):
+        axes.tick_params(labelbottom=False, labelleft=False)

@@ -298,10 +298,10 @@ def _relative(first: float, second: float) -> float:
 
 def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -> None:
     """Times between events of hot pixels, rates of pixels, spectrum of the event rate, and the dots' edges."""
-    figure.suptitle(f"Real: {real.name}; simulated: {simulated.name}")
-    panels = figure.subplots(2, 2).ravel()
+    figure.suptitle(f"Real: {real.name}\nSimulated: {simulated.name}")
+    panels = picture.panels(figure, 4, 2)
     for side, colour, label in ((real, "black", "real"), (simulated, picture.CORRECT, "simulated")):
-        style = {"color": colour, "label": label, "linewidth": 1.2}
+        style = {"color": colour, "label": label}
         if side.rest:
             seconds = side.rest.duration_us * 1e-6
             hot, _, _ = figures.split_hot(*side.rest.events, frame_px, seconds)
@@ -311,25 +311,27 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
             pixel = side.rest.events.y.astype(np.int64) * frame_px[0] + side.rest.events.x
             busiest = np.sort(np.bincount(pixel))[::-1] / seconds
             if busiest.any():
-                panels[1].loglog(1 + np.arange(len(busiest)), busiest, **style)
+                panels[1].plot(1 + np.arange(np.count_nonzero(busiest)), busiest[busiest > 0], **style)
         phase = side.motion or side.rest
         if phase:
             frequency_hz, power = figures.spectrum(phase.counts)
             if power.any():
-                panels[2].loglog(frequency_hz, power, **style)
+                panels[2].plot(frequency_hz, power, **style)
         if side.press:
             rims = side.press.profile
             panels[3].plot(rims.distance_px, rims.share, **style)
-    panels[0].set(xscale="log", xlabel="time between events of a hot pixel [us]", ylabel="cumulative share")
-    panels[1].set(xlabel="pixels, the busiest first", ylabel="events a second")
-    panels[2].set(xlabel="frequency [Hz]", ylabel="power of the events a slice")
+    panels[0].set(xlabel="time between events of a hot pixel [us]", ylabel="share of the times up to this")
+    panels[1].set(xlabel="rank of the pixel, the busiest is 1", ylabel="rate of the pixel [events/s]")
+    panels[2].set(xlabel="frequency [Hz]", ylabel="power of the events a slice [events\u00b2/Hz]")
     panels[3].set(xlabel="distance from the dot's edge [px]", ylabel="share of darkening events", xlim=(-8, 8))
-    if not (real.press or simulated.press):
-        panels[3].text(0.5, 0.5, "no dots were stroked", transform=panels[3].transAxes, ha="center", color="0.4")
-    for axes in panels:
-        picture.quiet_grid(axes)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize=7)
+    missing = ("no hot pixel at rest", "no rest", "nothing moves", "no dots were stroked")
+    for axes, words, logarithmic in zip(panels, missing, ("x", "xy", "xy", ""), strict=True):
+        if not axes.lines:
+            picture.say_instead(axes, words)
+            continue
+        for letter in logarithmic:
+            picture.log_axis(getattr(axes, f"{letter}axis"))
+    picture.legend(figure, panels)
 
 
 def _cumulative(axes: Any, values: NDArray, **style: Any) -> None:

@@ -9,12 +9,14 @@ The rows are five tables with different columns: the figures of a setting beside
 the labels' onset it first detected slip; the figures by object; by model; by trajectory.
 """
 
+import math
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
@@ -162,75 +164,109 @@ def _verdict(row: dict[str, Any]) -> str:
 
 def _size_in(rows: Rows) -> tuple[float, float]:
     """Width and height in inches: room for every setting's bars and panel."""
-    settings = len(_settings(rows))
-    return 13.0, 1.5 + 0.42 * settings + 3.1 * -(-settings // PANELS)
+    return 12.0, sum(_heights_in(len(_settings(rows))))
+
+
+def _heights_in(settings: int) -> tuple[float, float]:
+    """Of the bars, and of the panels below them."""
+    return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS)
 
 
 def _draw(figure: Any, outcome: Outcome) -> None:
-    """Bars of timing and F1 with the paper's figures, and below, for each setting, the CDF of t_m - t_c."""
+    """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected."""
     settings = _settings(outcome.rows)
-    rows = -(-len(settings) // PANELS)
-    above, below = figure.subfigures(2, 1, height_ratios=[1.2 + 0.42 * len(settings), 3.1 * rows])
-    timing, f1 = above.subplots(1, 2, sharey=True, width_ratios=[3, 2])
-    above.suptitle("Slip timing and F1, mean and sd over objects and seeds" + _simulated(outcome), fontsize=12)
-    at = np.arange(len(settings), dtype=float)
-    bars = (
-        ("slip_early", "too early", picture.EARLY),
-        ("slip_correct", "correct", picture.CORRECT),
-        ("slip_late", "too late", picture.LATE),
-    )
-    for place, (key, label, colour) in enumerate(bars):
-        lengths = [row[key] or 0.0 for row in settings]
-        errors = [row["slip_correct_sd"] or 0.0 for row in settings] if key == "slip_correct" else None
-        timing.barh(at + 0.27 * (place - 1), lengths, 0.25, xerr=errors, color=colour, label=label)
-    errors = [row["f1_sd"] or 0.0 for row in settings]
-    f1.barh(at, [row["f1"] or 0.0 for row in settings], 0.5, xerr=errors, color=picture.CORRECT)
-    for axes, key, title in ((timing, "slip_correct", "share of trajectories"), (f1, "f1", "F1")):
-        published = [(row[f"paper_{key}"], y) for row, y in zip(settings, at, strict=True)]
-        published = [pair for pair in published if pair[0] is not None]
-        axes.plot([x for x, _ in published], [y for _, y in published], label="the paper", **picture.PAPER)
-        axes.set(xlim=(0, 1.05), xlabel=title)
-        picture.quiet_grid(axes)
-    timing.set_yticks(at, [row["setting"] for row in settings])
-    timing.invert_yaxis()
-    timing.legend(loc="upper left", bbox_to_anchor=(0, -0.12), ncols=4, fontsize=8, frameon=False)
-    panels = below.subplots(rows, PANELS, sharey=True, squeeze=False).ravel()
-    below.suptitle("First detection against the labels' onset: share detected by then", fontsize=12)
     trajectories = [row for row in outcome.rows if "t_c_ms" in row]
-    for axes, row in zip(panels, settings, strict=False):
-        _draw_cdf(axes, [one for one in trajectories if one["setting"] == row["setting"]], row["setting"])
-    for axes in panels[len(settings) :]:
-        axes.set_axis_off()
-    handles, labels = panels[0].get_legend_handles_labels()
-    below.legend(handles, labels, loc="outside lower center", ncols=10, fontsize=8, frameon=False)
+    above, below = figure.subfigures(2, 1, height_ratios=_heights_in(len(settings)))
+    timing, f1 = above.subplots(1, 2, sharey=True, width_ratios=[3, 2])
+    above.suptitle("Timing and F1 of slip detectors" + (" (simulated)" if outcome.simulated else ""))
+    names = []
+    for place, row in enumerate(settings):
+        slips = sum(one["t_c_ms"] is not None for one in trajectories if one["setting"] == row["setting"])
+        slips //= row["seeds"]
+        names.append(f"{_wrapped(row['setting'])}\nslips: {slips}, seeds: {row['seeds']}")
+        _draw_timing(timing, place, row, slips)
+        _draw_f1(f1, place, row, [one for one in outcome.rows if "object" in one and "trajectories" in one])
+    for axes, key in ((timing, "slip_correct"), (f1, "f1")):
+        known = [(row[f"paper_{key}"], place) for place, row in enumerate(settings) if row[f"paper_{key}"] is not None]
+        if known:
+            at_x, at_y = zip(*known, strict=True)
+            axes.plot(at_x, np.array(at_y) - 0.14, label="the paper, real sensor (other method)", **picture.PAPER)
+        picture.share_axis(axes.xaxis)
+    timing.set(xlabel="share of slips, by the time of their first detection", ylim=(len(settings) - 0.4, -0.6))
+    timing.set_yticks(range(len(settings)), names)
+    f1.set_xlabel("F1 over slices")
+    picture.legend(above, (timing, f1))
+    panels = picture.panels(below, len(settings), PANELS, sharex=True, sharey=True)
+    for axes, row in zip(panels, settings, strict=True):
+        _draw_onsets(axes, [one for one in trajectories if one["setting"] == row["setting"]], row["setting"])
+    picture.label_x(panels, "onset by the model minus\nonset in the labels [ms]")
+    below.supylabel("share of slips detected by then", fontsize=9)
+    picture.legend(below, panels)
 
 
-def _draw_cdf(axes: Any, trajectories: Rows, title: str) -> None:
-    """A thin line for every object, a thick one for all, a mark for every detection.
+def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None:
+    """A bar of shares that make up 1, and the interval of the first: as many slips, whatever the number of seeds."""
+    bars = (
+        ("slip_correct", "correct", picture.CORRECT),
+        ("slip_early", "early", picture.EARLY),
+        ("slip_late", "late or never", picture.LATE),
+    )
+    left = 0.0
+    for key, label, colour in bars:
+        axes.barh(place, row[key] or 0.0, 0.62, left=left, color=colour, label=label)
+        left += row[key] or 0.0
+    if slips and row["slip_correct"] is not None:
+        reach = picture.wilson(row["slip_correct"], slips)
+        label = "95 % interval by the number of slips (Wilson)"
+        axes.errorbar(row["slip_correct"], place + 0.14, xerr=reach, label=label, **picture.INTERVAL)
+
+
+def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:
+    """A mark for every object, and a larger one for their mean."""
+    of_setting = [one["f1"] for one in objects if one["setting"] == row["setting"] and one["f1"] is not None]
+    if len(of_setting) > 1:
+        style = {"color": picture.COLOURS[4], "marker": "o", "markersize": 4, "linestyle": "none", "alpha": 0.7}
+        axes.plot(of_setting, np.full(len(of_setting), place + 0.14), label="F1 of an object", **style)
+    if row["f1"] is not None:
+        axes.plot(row["f1"], place, "o", color=picture.CORRECT, markersize=8, label="F1, mean over objects and seeds")
+
+
+def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
+    """Shares that were detected by then: a thin line for every object, a thick one for all, a mark for each detection.
 
     Why so: the plain share of trajectories, where the paper smooths with a Gaussian kernel. Detections that are far too
     early, which all models have, would make the kernel as wide as the range that is shown.
     """
     slips = [row for row in trajectories if row["t_c_ms"] is not None]
     steps = np.arange(SHOWN_MS[0], SHOWN_MS[1] + 1)
-    groups = {row["object"]: [one for one in slips if one["object"] == row["object"]] for row in slips}
-    for number, (name, rows) in enumerate([*groups.items(), ("all", slips)]):
-        late_by = np.array([row["t_m_minus_t_c_ms"] for row in rows if row["t_m_minus_t_c_ms"] is not None])
-        share = (late_by[:, None] <= steps).sum(axis=0) / max(len(rows), 1)
-        if name == "all":
-            axes.step(steps, share, where="post", color="black", linewidth=2, label=name)
-            axes.plot(late_by, np.full(len(late_by), -0.04), "|", color="black", markersize=5, alpha=0.4)
-        else:
-            axes.step(steps, share, where="post", color=f"C{number % 10}", linewidth=0.8, label=f"object {name}")
-    axes.axvspan(metrics.EARLIEST_MS, metrics.LATEST_MS, color=picture.CORRECT, alpha=0.08)
+    groups = [[one for one in slips if one["object"] == name] for name in dict.fromkeys(row["object"] for row in slips)]
+    for rows in groups if len(groups) > 1 else []:
+        axes.step(steps, _share_by(rows, steps), where="post", color="0.7", linewidth=0.8, label="slips of an object")
+    late_by = [row["t_m_minus_t_c_ms"] for row in slips if row["t_m_minus_t_c_ms"] is not None]
+    axes.step(steps, _share_by(slips, steps), where="post", color="black", linewidth=2, label="all slips")
+    shown = [value for value in late_by if SHOWN_MS[0] <= value <= SHOWN_MS[1]]
+    style = {"color": "black", "markersize": 6, "alpha": max(0.15, min(1.0, 10 / max(len(shown), 1)))}
+    axes.plot(shown, np.full(len(shown), -0.05), "|", **style)
+    label = f"timing correct: {metrics.EARLIEST_MS} to {metrics.LATEST_MS} ms"
+    axes.axvspan(metrics.EARLIEST_MS, metrics.LATEST_MS, color=picture.CORRECT, alpha=0.1, linewidth=0, label=label)
     axes.axvline(0, color="0.5", linewidth=0.8)
-    axes.set(xlim=SHOWN_MS, ylim=(-0.08, 1.02), xlabel="t_m - t_c [ms]")
-    axes.set_title(textwrap.fill(title, TITLE_WIDTH, break_on_hyphens=False), fontsize=8)
+    axes.set(xlim=SHOWN_MS, ylim=(-0.1, 1.03), yticks=(0, 0.2, 0.4, 0.6, 0.8, 1.0))
+    before = sum(value < SHOWN_MS[0] for value in late_by)
+    after = len(slips) - before - len(shown)
+    beyond = f"{before} before this range, {after} after it or never, of {len(slips)}"
+    axes.set_title(f"{_wrapped(setting)}\n{beyond}", fontsize=8.5)
+
+
+def _share_by(slips: Rows, steps: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The share of slips that were detected by each step."""
+    late_by = np.array([row["t_m_minus_t_c_ms"] for row in slips if row["t_m_minus_t_c_ms"] is not None])
+    shares: NDArray[np.float64] = (late_by[:, None] <= steps).sum(axis=0) / max(len(slips), 1)
+    return shares
+
+
+def _wrapped(setting: str) -> str:
+    return textwrap.fill(setting, TITLE_WIDTH, break_on_hyphens=False)
 
 
 def _settings(rows: Rows) -> Rows:
     return [row for row in rows if "seeds" in row]
-
-
-def _simulated(outcome: Outcome) -> str:
-    return " (simulated)" if outcome.simulated else ""

@@ -27,6 +27,8 @@ OUTPUT = "report"
 METHOD = 4
 CONSISTENT_PX = 20.0  # the paper's
 BIN_MS = 20  # of the picture's time axis
+LEAST_PX = 1e-3  # that the picture shows
+PAPER_MARKS = {"paper": "fitted"}  # the edges of the scene were adjusted until `paper` came near to the paper's share
 
 Floats = NDArray[np.float64]
 
@@ -79,9 +81,9 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         return outcome
 
     def draw(figure: Any) -> None:
-        _draw(figure, [row for row in outcome.rows if "file" not in row], over_time, simulated=outcome.simulated)
+        _draw(figure, outcome.rows, over_time, simulated=outcome.simulated)
 
-    return picture.beside(outcome, job.output, draw, (12.0, 4.6))
+    return picture.beside(outcome, job.output, draw, (6.2 * sum(_panels(outcome.rows, over_time)), 4.2))
 
 
 def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
@@ -216,32 +218,55 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
     }
 
 
-def _draw(figure: Any, presets: Rows, over_time: dict[str, list[Floats]], *, simulated: bool) -> None:
-    """Error over time, a line a preset over all its trajectories; how many of them end where they began."""
-    shown = [name for name, errors in over_time.items() if errors]
-    panels = figure.subplots(1, 1 + bool(shown), squeeze=False)[0]
-    figure.suptitle("dot tracking" + (" (simulated)" if simulated else ""))
-    if shown:
-        for number, name in enumerate(over_time):
-            if name not in shown:
-                continue
-            longest = max(len(squares) for squares in over_time[name])
-            padded = np.full((len(over_time[name]), longest), np.nan)
-            for line, squares in zip(padded, over_time[name], strict=True):
-                line[: len(squares)] = squares
-            rms = np.sqrt(np.nanmean(padded, axis=0))
-            seconds = (np.arange(longest) + 0.5) * BIN_MS * 1e-3
-            panels[0].semilogy(seconds, np.maximum(rms, 1e-3), color=f"C{number % 10}", label=name)
-        panels[0].set(xlabel="time [s]", ylabel="distance from truth, rms [px]")
-        panels[0].legend(frameon=False)
-        picture.quiet_grid(panels[0])
-    last = panels[-1]
+def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], *, simulated: bool) -> None:
+    """Error over time by preset, where truth is known; how many trajectories end where they began, where it is."""
+    with_truth, decided = _panels(rows, over_time)
+    figure.suptitle("Dots tracked" + (" (simulated)" if simulated else ""))
+    panels = list(figure.subplots(1, with_truth + decided, squeeze=False)[0])
+    if with_truth:
+        for number, (name, errors) in enumerate(over_time.items()):
+            if errors:
+                _draw_errors(panels[0], errors, name, picture.COLOURS[number % len(picture.COLOURS)])
+        panels[0].set(xlabel="time [s]", ylabel="distance from the true dots, rms [px]")
+        picture.log_axis(panels[0].yaxis)
+    if decided:
+        _draw_consistent(panels[-1], rows)
+    picture.legend(figure, panels)
+
+
+def _panels(rows: Rows, over_time: dict[str, list[Floats]]) -> tuple[bool, bool]:
+    """Which there are: errors over time, shares that end where they began."""
+    return any(over_time.values()), any(row.get("consistent_share") is not None for row in rows)
+
+
+def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> None:
+    """The error over all trajectories, each as long as it is, and the range of most of them."""
+    padded = np.full((len(errors), max(map(len, errors))), np.nan)
+    for line, squares in zip(padded, errors, strict=True):
+        line[: len(squares)] = squares
+    seconds = (np.arange(padded.shape[1]) + 0.5) * BIN_MS * 1e-3
+    lowest = LEAST_PX**2  # an error of 0 has no place on a logarithmic axis
+    axes.plot(seconds, np.sqrt(np.maximum(np.nanmean(padded, axis=0), lowest)), color=colour, label=name)
+    if len(errors) > 1:
+        low, high = np.sqrt(np.maximum(np.nanpercentile(padded, (10, 90), axis=0), lowest))
+        axes.fill_between(seconds, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.set_title("bands: 10 to 90 % of the trajectories")
+
+
+def _draw_consistent(axes: Any, rows: Rows) -> None:
+    """The share of each preset with its interval, by the number of trajectories, and the paper's where it has one."""
+    presets = [row for row in rows if "file" not in row]
     for place, row in enumerate(presets):
-        last.bar(place, row["consistent_share"] or 0.0, color=f"C{place % 10}", width=0.6)
+        of_preset = [one for one in rows if "file" in one and one["preset"] == row["preset"]]
+        count = sum(one["consistent"] is not None for one in of_preset)
+        if count:
+            share, colour = row["consistent_share"], picture.COLOURS[place % len(picture.COLOURS)]
+            label = "95 % interval by the number of trajectories (Wilson)"
+            axes.errorbar(share, place, xerr=picture.wilson(share, count), label=label, **picture.INTERVAL)
+            axes.plot(share, place, "o", color=colour, markersize=8)
         if row["paper_consistent_share"] is not None:
-            last.plot(place, row["paper_consistent_share"], **picture.PAPER)
-    last.plot([], [], label="paper", **picture.PAPER)
-    last.set_xticks(range(len(presets)), [row["preset"] for row in presets])
-    last.set(ylim=(0.0, 1.05), ylabel=f"share of trajectories that end within {CONSISTENT_PX:g} px")
-    last.legend(frameon=False)
-    picture.quiet_grid(last)
+            label = f"the paper, real sensor ({PAPER_MARKS.get(row['preset'], 'same method')})"
+            axes.plot(row["paper_consistent_share"], place - 0.2, label=label, **picture.PAPER)
+    picture.share_axis(axes.xaxis)
+    axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))
+    axes.set_yticks(range(len(presets)), [f"{row['preset']}\ntrajectories: {row['trajectories']}" for row in presets])

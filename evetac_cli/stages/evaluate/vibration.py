@@ -100,7 +100,7 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
     def draw(figure: Any) -> None:
         _draw(figure, spectra, params, simulated=outcome.simulated)
 
-    return picture.beside(outcome, job.output, draw, (9.0, 1.0 + 2.6 * len(spectra)))
+    return picture.beside(outcome, job.output, draw, (9.0, 1.4 + 1.9 * len(spectra)))
 
 
 def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
@@ -319,18 +319,19 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
 
 def _draw(figure: Any, spectra: list[tuple[str, Survey]], params: EvaluateVibration, *, simulated: bool) -> None:
     """Spectra of motion and of events a slice, a panel for each recording."""
-    for axes, (name, survey) in zip(figure.subplots(len(spectra), 1, squeeze=False)[:, 0], spectra, strict=True):
+    panels = picture.panels(figure, len(spectra), 1, sharex=True)
+    for axes, (name, survey) in zip(panels, spectra, strict=True):
         amplitude = np.abs(np.fft.rfft(survey.counts - survey.counts.mean()))
         places_hz = np.arange(len(amplitude)) * params.rate / len(survey.counts)
-        _draw_line(axes, places_hz, amplitude, params, "events a slice (paper)")
+        _draw_line(axes, places_hz, amplitude, params, "number of events (the paper's method)")
         frequency_hz = survey.whole.frequency_hz
         motion = np.sqrt(survey.whole.speed) / np.maximum(frequency_hz, params.lowest_hz)
-        _draw_line(axes, frequency_hz, motion, params, "motion (default)")
-        axes.set(title=name, ylabel="amplitude over largest", xlim=(0.0, params.rate / 2), ylim=(0.0, 1.05))
-        picture.quiet_grid(axes)
-    axes.set_xlabel("frequency [Hz]")
-    figure.suptitle("spectra of whole recordings" + (" (simulated)" if simulated else ""))
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+        _draw_line(axes, frequency_hz, motion, params, "motion of the gel (default method)")
+        axes.set(title=name, xlim=(0.0, params.rate / 2), ylim=(0.0, 1.05))
+    panels[-1].set_xlabel("frequency [Hz]")
+    figure.supylabel("amplitude, as a share of the largest", fontsize=9)
+    figure.suptitle("Spectra of whole recordings" + (" (simulated)" if simulated else ""))
+    picture.legend(figure, panels)
 
 
 def _draw_line(axes: Any, frequency_hz: Floats, amplitude: Floats, params: EvaluateVibration, label: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from evetac_cli import console
 from evetac_cli.devices import losses
-from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.errors import DeviceError, InputError, install_hint
 from evetac_cli.events import Events
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
@@ -163,7 +163,7 @@ def place(asked: str) -> str:
         raise InputError(
             f"the page needs the library {LIBRARY}",
             where="--live-in browser",
-            hint="pip install '.[plot]' in evetac's folder, or --live-in terminal",
+            hint=f"{install_hint('plot')}, or --live-in terminal",
         )
     if asked in (BROWSER, TERMINAL):
         return asked

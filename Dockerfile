@@ -1,0 +1,20 @@
+# evetac for those who want no Python of their own; docs/install.md says how to use it. `scripts/try_dockerfile.py`
+# follows these lines where there is no Docker.
+FROM python:3.11-slim
+
+# torch alone and first: it is the largest and changes least. The build for CPUs: that for CUDA is gigabytes larger.
+COPY constraints.txt /opt/evetac/
+RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt \
+    --extra-index-url https://download.pytorch.org/whl/cpu torch
+
+COPY . /opt/evetac/
+RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt '/opt/evetac[convert,plot]'
+
+# Compiled kernels lie where every user may write: `docker run --user` takes any number.
+ENV NUMBA_CACHE_DIR=/var/cache/evetac MPLCONFIGDIR=/tmp
+RUN useradd --create-home evetac && mkdir --mode=777 /data /var/cache/evetac
+USER evetac
+RUN evetac doctor --compile && chmod -R a+rwX /var/cache/evetac
+
+WORKDIR /data
+ENTRYPOINT ["evetac"]
