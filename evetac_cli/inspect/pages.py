@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import EvetacError, InputError, install_hint
 from evetac_cli.jobs import require_possible_name
 from evetac_cli.resources import DATA
 from evetac_cli.store.disk import taking_the_place_of
