@@ -168,7 +168,7 @@ def _models() -> str:
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))
-        said += [f"### {name}\n", MODELS[name] + "\n", table(("", ""), facts)]
+        said += [f"### {name}\n", MODELS[name] + "\n", table(("what", "value"), facts)]
     said += [f"## The detector that comes with evetac: {MODEL.name.removesuffix('.model.h5')}\n", _shipped()]
     said += ["## Force models\n", "`evetac train-force --method NAME`.\n"]
     for name in force_methods():
@@ -184,7 +184,7 @@ def _models() -> str:
 def _channels(architecture: DotArchitecture) -> str:
     said = []
     for view in architecture.views:
-        parts = [f"{view.recent} slices"] if view.recent else []
+        parts = [f"{view.recent} slice{'s' if view.recent > 1 else ''}"] if view.recent else []
         parts += [f"{view.means} means of {view.block}"] if view.means else []
         said.append(f"{view.channel} ({' and '.join(parts)}{', as changes' if view.change else ''})")
     return ", ".join(said)
@@ -209,4 +209,4 @@ def _shipped() -> str:
         ("F1", f"{unseen['f1']:.3f} on the same, simulated"),
     ]
     more = "How it was made and how it does on other sensors: [The package's slip detector](../slip-detector.md).\n"
-    return sentence("All of it is simulated") + "\n\n" + table(("", ""), rows) + "\n" + more
+    return sentence("All of it is simulated") + "\n\n" + table(("what", "value"), rows) + "\n" + more

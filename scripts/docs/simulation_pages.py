@@ -189,17 +189,14 @@ def _parts() -> str:
             for rule in (_rule(rules[owner], path),)
         ]
         said.append(table(("key", "of", "meaning", "values"), rows))
-        scenes = built[name]
-        everywhere = len(scenes) == len(scene_names())
-        said.append(
-            "In every packaged scene.\n"
-            if everywhere
-            else f"In {', '.join(f'[{each}](scenes.md#{each})' for each in scenes)}.\n"
-            if scenes
-            else "In no packaged scene with the sensor `evetac`.\n"
-        )
-        if name in why_not and not everywhere:
-            said.append(f"Left out elsewhere: {prose(why_not[name])}.\n")
+        scenes, reason = built[name], prose(why_not.get(name, ""))
+        if len(scenes) == len(scene_names()):
+            said.append("In every packaged scene.\n")
+        elif scenes:
+            listed = ", ".join(f"[{each}](scenes.md#{each})" for each in scenes)
+            said.append(f"In {listed}. Left out elsewhere: {reason}.\n")
+        else:
+            said.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`: {reason}.\n")
         if name in realistic and not scenes:
             said.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
     return "\n".join(said)

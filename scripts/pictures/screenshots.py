@@ -2,7 +2,7 @@
 
     python scripts/pictures/screenshots.py [--out docs/pictures] [--work FOLDER] [--only view]
 
-Records two simulated slips and a grasp into a folder (a temporary one unless --work names it), runs the commands of
+Records two simulated slips into a folder (a temporary one unless --work names it), runs the commands of
 SHOTS on them, and lets a headless Chromium draw what they made. A command's picture is called as its page in the
 reference, `docs/reference/commands/NAME.md`, which shows it.
 """
@@ -51,7 +51,6 @@ SHOTS = (
     Shot("info", "evetac info data/slip-obj08-s0-000.recording.h5"),
     Shot("evaluate-labels", "evetac evaluate labels data/slip-obj08-s0-000.labels.h5 data/slip-obj08-s0-001.labels.h5"),
     Shot("view", "evetac view data/slip-obj08-s0-000.features.h5 --force", "data/slip-obj08-s0-000.html"),
-    Shot("grasp", "evetac grasp --object 11 --out grasps/"),
 )
 
 
