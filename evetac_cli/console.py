@@ -88,13 +88,15 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
         TimeRemainingColumn(table_column=Column(**one_line)),
     )
     with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
-        task = bar.add_task(_in_a_line(what), total=None, doing="")
+        bar.add_task(_in_a_line(what), total=None, doing="")
+        (task,) = bar.tasks
 
         def advance(done: float, total: float, doing: str = "") -> None:
             doing = _in_a_line(doing or unit)
-            if bar.tasks[0].fields["doing"] != doing:  # another work has another speed
-                bar.reset(task, doing=doing)
-            bar.update(task, completed=done, total=total or None)
+            task.total = total or None
+            if task.fields["doing"] != doing:  # another work has another speed
+                bar.reset(task.id, doing=doing)
+            bar.update(task.id, completed=done)
 
         yield advance
 

@@ -187,8 +187,8 @@ def test_bar_fits_a_line_of_80_signs(monkeypatch: pytest.MonkeyPatch, name: str)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")
     with console.progress_bar(name, "slices", quiet=False) as progress:
-        progress(0, 0, "loading torch")
         progress(3, 40, "files read")
+        progress(0, 0, "loading torch")
         for done in range(0, 1_000_000, 100_000):
             progress(done, 1_000_000)
         progress(1_000_000, 1_000_000)
@@ -196,6 +196,7 @@ def test_bar_fits_a_line_of_80_signs(monkeypatch: pytest.MonkeyPatch, name: str)
     lines = [line.rstrip() for line in re.split(r"[\r\n]", shown)]
     assert max(map(len, lines)) <= 80
     assert "1,000,000/1,000,000 slices" in shown
+    assert "━ loading torch" in shown and "/40 loading" not in shown
     assert all(line.startswith(name[:11]) for line in lines if line)
 
 

@@ -32,6 +32,7 @@ from evetac_cli.errors import (
 )
 from evetac_cli.jobs import Outcome
 
+INTERRUPTED_CODE = 130
 UsageError: Any = typer.BadParameter.__base__  # which typer does not name; it lies in click, or in typer's own copy
 
 
@@ -66,7 +67,7 @@ def _outside_a_command(ctx: Any) -> Iterator[None]:
         if ctx.meta["as_json"]:
             console.show_failure("", [error], [])
         console.say(str(error) or INTERRUPTED)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED_CODE) from None
 
 
 class CommandExit:
@@ -104,7 +105,7 @@ class CommandExit:
             console.show_failure(self.title, errors if known else [error, *errors], outcomes)
         if isinstance(error, KeyboardInterrupt):
             console.say(str(error) or INTERRUPTED)
-            raise typer.Exit(130) from None
+            raise typer.Exit(INTERRUPTED_CODE) from None
         if isinstance(error, (EvetacError, OSError, MemoryError, RecursionError)):
             if self.verbose:
                 console.say("".join(traceback.format_exception(error)).rstrip())
@@ -128,8 +129,17 @@ def run(program: Callable[[], Any]) -> NoReturn:
         code = error.exit_code
     for number in (signal.SIGINT, signal.SIGTERM):  # all is done and said: from now on they only end what still runs
         signal.signal(number, signal.SIG_DFL)
+    if code == INTERRUPTED_CODE and not _children():
+        sys.stderr.flush()
+        os._exit(code)  # Python takes a second to take torch apart, several on a busy computer
     exec("")  # Python ends by SIGINT if the last `exec` was left by Ctrl-C, as it may be while modules are loaded
     sys.exit(code)
+
+
+def _children() -> list[Any]:
+    """Processes that are still to be waited for; none where the library that starts them was not even loaded."""
+    library = sys.modules.get("multiprocessing.process")
+    return list(library.active_children()) if library is not None else []
 
 
 def _exit_code(program: Callable[[], Any]) -> int:
@@ -139,7 +149,7 @@ def _exit_code(program: Callable[[], Any]) -> int:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     except KeyboardInterrupt as error:
         console.say(str(error) or INTERRUPTED)
-        return 130
+        return INTERRUPTED_CODE
     except OutputError:
         raise
     except Exception as error:

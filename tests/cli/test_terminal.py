@@ -41,6 +41,10 @@ class Session(NamedTuple):
         """All that ever stood on a line, without colours."""
         return [line.rstrip() for line in re.split(r"[\r\n]", self.plain)]
 
+    @property
+    def last_line(self) -> str:
+        return [line for line in self.lines() if line][-1]
+
     def first_s(self, pattern: str) -> float:
         """When a text first stood there."""
         seen = ""
@@ -90,40 +94,40 @@ def session(folder: Path, *words: str | Path, press_at: str = "") -> Session:
     return Session(pieces, code, time.monotonic() - from_s)
 
 
-def check_bars(shown: Session) -> None:
-    """Every bar stands on one line that fits, and none is left at the end."""
+def check_bars(shown: Session, bars: int = 1) -> None:
+    """Every bar stands on one line that fits."""
     assert shown.code == 0, shown.plain
-    assert max(map(len, shown.lines())) <= COLUMNS
-    assert "\x1b[1A" not in shown.text  # a bar that wraps has to go up a line
-    assert "━" not in shown.lines()[-1]
+    assert max(len(line) for line in shown.lines() if "━" in line) <= COLUMNS
+    # A bar goes up a line to vanish at its end; one that wraps does so each time that it is drawn.
+    assert shown.text.count("\x1b[1A") <= bars
 
 
 @pytest.mark.slow
 def test_a_session_at_80_columns(tmp_path: Path) -> None:
     """Assert that bars fit a line and reach their totals, and that the last line is what can be pasted."""
     shown = session(tmp_path, "record", "--object", "8,12", "--count", "2", "-o", "data")
-    check_bars(shown)
+    check_bars(shown, 4)
     counts = re.findall(r"record (\d) of 4: .*?([\d,]+)/([\d,]+) slices", shown.plain)
     for number in "1234":
         done, total = [(done, total) for trial, done, total in counts if trial == number][-1]
         assert int(done.replace(",", "")) >= 0.95 * int(total.replace(",", ""))
-    assert shown.lines()[-2] == "data"
+    assert shown.last_line == "data"
 
     for command in ("label", "track"):
         shown = session(tmp_path, command, "data", "--jobs", "2")
         check_bars(shown)
         assert re.search(f"{command} 4 files .*[0-4]/4 files", shown.plain)
         assert shown.first_s("starting 2 processes") < shown.first_s("/4 files")
-    check_bars(session(tmp_path, "featurize", "data"))
+    check_bars(session(tmp_path, "featurize", "data"), 4)
     shown = session(tmp_path, "train", "data", "--max-steps", "300", "--preset", "adam", "-o", "m.model.h5")
     check_bars(shown)
     assert "note: checkpoint and threshold are chosen on 1 trajectory" in " ".join(shown.plain.split())
     assert shown.first_s("loading torch|files looked at") < shown.first_s("files read") < shown.first_s("/300 steps")
-    assert shown.lines()[-2] == "m.model.h5"
+    assert shown.last_line == "m.model.h5"
     shown = session(tmp_path, "grasp", "--lift-s", "1", "--balance-s", "1", "-o", "grasps")
     check_bars(shown)
     assert re.search(r"[\d,]+/[\d,]+ slices", shown.plain)
-    assert shown.lines()[-2] == "grasps/lift-obj11-s0-000.recording.h5"
+    assert shown.last_line == "grasps/lift-obj11-s0-000.recording.h5"
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def test_history_is_the_parents_and_a_count_of_the_rest(made: Made, capsys: pyte
     lines = shown(made.grasp, capsys)
     froms = [line for line in lines if line.startswith("from")]
     (model,) = row["parents"]
-    assert froms == [f"from model {model[:12]} method {train.METHOD}"]
+    assert froms == [f"from model {model[:12]} method number {train.METHOD}"]
     (behind,) = [line for line in lines if line.startswith("behind these")]
     kinds = {kind: sum(other["kind"] == kind for other in row["history"]) for kind in ("features", "recording")}
     assert f"{kinds['features']} features" in behind and f"{kinds['recording']} recording" in behind
