@@ -49,8 +49,8 @@ def blocks(page: str) -> list[Block]:
 
 def figure(printed: str, name: str) -> float | None:
     """The first number behind a name at the beginning of a line or cell; None where there is none."""
-    found = re.search(rf"(?:^|[|│])\s*{re.escape(name)}\s*[:|│]\s*(-?[\d,]*\.?\d+)", printed, re.MULTILINE)
-    return float(found[1].replace(",", "")) if found else None
+    match = re.search(rf"(?:^|[|│])\s*{re.escape(name)}\s*[:|│]\s*(-?[\d,]*\.?\d+)", printed, re.MULTILINE)
+    return float(match[1].replace(",", "")) if match else None
 
 
 def faults(block: Block, printed: str) -> list[str]:
