@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "docs/first-hour.md")
-MOST_LINES = 40  # of what a block printed, in a page
+MOST_LINES = 45  # of what a block printed, in a page
 COLUMNS = "100"
 BLOCK = re.compile(r"^```sh\n(?P<code>.*?)^```\n(?P<rest>.*?)(?=^```sh\n|\Z)", re.DOTALL | re.MULTILINE)
 EXPECT = re.compile(r"<!-- expect (?P<name>.+?) (?P<low>-?[\d.]+)\.\.(?P<high>-?[\d.]+) -->")
