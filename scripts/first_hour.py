@@ -1,4 +1,4 @@
-"""Follow README and docs/first-hour.md word by word in an empty environment, and check what they say comes out.
+"""Follow docs/first-hour.md and README word by word in an empty environment, and check what they say comes out.
 
     python scripts/first_hour.py [--folder EMPTY] [--minutes 15] [--write]
 
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/first-hour.md")
+PAGES = ("docs/first-hour.md", "README.md")  # whose files the second finds up to date
 MOST_LINES = 45  # of what a block printed, in a page
 COLUMNS = "100"
 BLOCK = re.compile(r"^```sh\n(?P<code>.*?)^```\n(?P<rest>.*?)(?=^```sh\n|\Z)", re.DOTALL | re.MULTILINE)
