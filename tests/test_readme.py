@@ -151,6 +151,8 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
 
 # What sentences of README and docs say, filled from a row of a table: page, table, what names the row, the words.
 QUOTES: tuple[tuple[str, str, dict[str, Any], str], ...] = (
+    ("README.md", "grasps-shipped", {"setting": "paper"}, "paper's controller holds {success:.0%} of objects 1 to 20"),
+    ("README.md", "grasps-shipped", {"setting": "load-proportional"}, "(`load-proportional`) {success:.0%} (simulated"),
     ("docs/results.md", "grasps", {"setting": "paper"}, "That {success:.2f} stands beside the paper's {paper_success}"),
     (
         "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 12},
