@@ -91,10 +91,10 @@ def test_whose_object_a_file_has() -> None:
     }
 
     def behind(*parents: str) -> str | None:
-        recording = index._recording_of(made("features", "new", *parents), history)
+        recording = index.recording_of(made("features", "new", *parents), history)
         return None if recording is None else recording["id"]
 
-    assert index._recording_of(history["a"], history) is history["a"]
+    assert index.recording_of(history["a"], history) is history["a"]
     assert behind("a", "tracks of a") == behind("tracks of a", "a") == behind("a", "trained on b") == "a"
     assert behind("of a and b", "of c") is behind("of c", "of a and b") is behind("a", "b") is behind() is None
 

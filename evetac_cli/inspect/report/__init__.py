@@ -35,7 +35,7 @@ def run(
         "size_bytes": len(content),
         "trials": sum(len(study.trials) for study in studies),
         "outliers": sum(remark(trial, TIMING_MS)[0] > 0 for study in studies for trial in study.trials),
-        "reports": sum(len(study.found) for study in studies),
+        "reports": sum(len(study.evaluations) for study in studies),
         "unreadable": sum(len(study.unreadable) for study in studies),
     }
     return Outcome([row], any(study.simulated for study in studies))

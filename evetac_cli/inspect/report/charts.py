@@ -74,9 +74,11 @@ def onset_chart(
     return Chart(title, chart, keys, said)
 
 
-def detection_charts(found: Found, window_ms: tuple[int, int]) -> list[Chart]:
+def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Chart]:
     """For each of the first models the share of trajectories detected by then: all, and thin lines for the objects."""
-    rows = [row for row in found.rows if "t_c_ms" in row and "t_m_minus_t_c_ms" in row and row["t_c_ms"] is not None]
+    rows = [
+        row for row in evaluation.rows if "t_c_ms" in row and "t_m_minus_t_c_ms" in row and row["t_c_ms"] is not None
+    ]
     charts = []
     for setting in list(dict.fromkeys(str(row["setting"]) for row in rows))[:MOST_MODELS]:
         members = [row for row in rows if str(row["setting"]) == setting]
@@ -146,12 +148,12 @@ def share_chart(rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper:
     return Chart(title, chart, keys)
 
 
-def cost_charts(found: Found) -> list[Chart]:
+def cost_charts(evaluation: Found) -> list[Chart]:
     """Each error against the run time, both logarithmic; a point has the number of its setting in the table."""
     from bokeh.models.annotations.labels import LabelSet
     from bokeh.models.sources import ColumnDataSource
 
-    rows = list(enumerate((row for row in found.rows if "setting" in row), start=1))
+    rows = list(enumerate((row for row in evaluation.rows if "setting" in row), start=1))
     time = next((key for _, row in rows for key in row if key.startswith("time_") and key.endswith("_median")), None)
     charts = []
     for error in dict.fromkeys(key for _, row in rows for key in row if key.startswith("error_")):

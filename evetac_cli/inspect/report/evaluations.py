@@ -23,7 +23,7 @@ class Column:
     heading: str
     key: str
     paper: str = ""
-    mark: Callable[[Row, Found], str | None] = lambda row, found: OTHER
+    mark: Callable[[Row, Found], str | None] = lambda row, evaluation: OTHER
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ SECTIONS = (
     Section(
         "vibration",
         "Vibration",
-        "Windows in which the frequency of the tone is found.",
+        "Windows in which the frequency of the tone is evaluation.",
         "evetac evaluate vibration FOLDER",
     ),
     Section(
@@ -104,41 +104,43 @@ SECTIONS = (
 
 def having(*keys: str) -> Callable[[Found], Rows]:
     """Rows that have these columns: each table of a report has its own."""
-    return lambda found: [row for row in found.rows if all(key in row for key in keys)]
+    return lambda evaluation: [row for row in evaluation.rows if all(key in row for key in keys)]
 
 
 # Marks ----------------------------------------------------------------------------------------------------------------
 
 
-def _slip(row: Row, found: Found) -> str:
-    chain = found.parameters("tracks", "preset") == {"paper"} and found.parameters("labels", "method") == {"farneback"}
+def _slip(row: Row, evaluation: Found) -> str:
+    chain = evaluation.parameters("tracks", "preset") == {"paper"} and evaluation.parameters("labels", "method") == {
+        "farneback"
+    }
     return SAME if chain and row.get("preset", "paper") == "paper" else OTHER
 
 
-def _tracking(row: Row, found: Found, key: str) -> str | None:
-    if found.simulated and found.parameters("recording", "scene") != {"edge"}:
+def _tracking(row: Row, evaluation: Found, key: str) -> str | None:
+    if evaluation.simulated and evaluation.parameters("recording", "scene") != {"edge"}:
         return None  # the paper's trajectories are of edges that rub over the gel
-    return FITTED if found.simulated and row["preset"] == "paper" and key == "consistent_share" else SAME
+    return FITTED if evaluation.simulated and row["preset"] == "paper" and key == "consistent_share" else SAME
 
 
-def _grasp(row: Row, found: Found) -> str:
+def _grasp(row: Row, evaluation: Found) -> str:
     return FITTED if row["setting"] == "none" else OTHER
 
 
-def _force(row: Row, found: Found) -> str:
-    return SAME if row["sensor"] == "frames" or found.parameters("tracks", "preset") == {"paper"} else OTHER
+def _force(row: Row, evaluation: Found) -> str:
+    return SAME if row["sensor"] == "frames" or evaluation.parameters("tracks", "preset") == {"paper"} else OTHER
 
 
-def _vibration(row: Row, found: Found) -> str:
+def _vibration(row: Row, evaluation: Found) -> str:
     if row["method"] != "paper":
         return OTHER
-    return FITTED if found.simulated and found.parameters("recording", "scene") == {"vibration"} else SAME
+    return FITTED if evaluation.simulated and evaluation.parameters("recording", "scene") == {"vibration"} else SAME
 
 
-def _data_rate(row: Row, found: Found) -> str | None:
-    if not found.simulated:
+def _data_rate(row: Row, evaluation: Found) -> str | None:
+    if not evaluation.simulated:
         return SAME
-    return FITTED if found.parameters("recording", "scene") == {"data-rate"} else None
+    return FITTED if evaluation.parameters("recording", "scene") == {"data-rate"} else None
 
 
 # Rows that are put together -------------------------------------------------------------------------------------------
@@ -156,45 +158,49 @@ def _mean(rows: Rows, key: str) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _forces(found: Found) -> Rows:
+def _forces(evaluation: Found) -> Rows:
     """Means over trajectories of each sensor and model of the paper's method."""
-    groups = _grouped(having("model", "sensor", "mae_n_x")(found), ("sensor", "model", "sensor_name"))
+    groups = _grouped(having("model", "sensor", "mae_n_x")(evaluation), ("sensor", "model", "sensor_name"))
     keys = ("mae_n_x", "mae_n_y", "paper_mae_n_x", "paper_mae_n_y")
     return [
         {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
     ]
 
 
-def _gel_forces(found: Found) -> Rows:
+def _gel_forces(evaluation: Found) -> Rows:
     """Means over trajectories, by what is known of the gel."""
     keys = ("mae_n", "normal_mae_n", "shear_within_sd", "normal_within_sd", "contact_right")
-    groups = _grouped(having("stiffness", "mae_n")(found), ("stiffness",))
+    groups = _grouped(having("stiffness", "mae_n")(evaluation), ("stiffness",))
     return [
         {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
     ]
 
 
-def _windows(found: Found) -> Rows:
+def _windows(evaluation: Found) -> Rows:
     """Shares over all recordings of a tone."""
     rows = []
-    for members in _grouped(having("window_s", "correct", "expected_hz")(found), ("method", "expected_hz", "window_s")):
+    for members in _grouped(
+        having("window_s", "correct", "expected_hz")(evaluation), ("method", "expected_hz", "window_s")
+    ):
         correct, windows = (sum(row[key] for row in members) for key in ("correct", "windows"))
         rows.append({**members[0], "correct": correct, "windows": windows, "share": correct / windows})
     return rows
 
 
-def _cases(found: Found) -> Rows:
+def _cases(evaluation: Found) -> Rows:
     """A row a case: the quantity that is nearest to its bound, or farthest beyond it; cases that are not ok first."""
-    part = next((key for key in ("part", "preset", "controller") if found.rows and key in found.rows[0]), "case")
+    part = next(
+        (key for key in ("part", "preset", "controller") if evaluation.rows and key in evaluation.rows[0]), "case"
+    )
     worst = []
-    for members in _grouped(found.rows, (part, "case")):
+    for members in _grouped(evaluation.rows, (part, "case")):
         row = min(members, key=lambda row: (row["ok"], -(row["value"] or 0.0) / (row["bound"] or 1.0)))
         worst.append({**row, "part": row[part]})
     return sorted(worst, key=lambda row: bool(row["ok"]))
 
 
-def _summary(found: Found) -> Rows:
-    return [found.summary]
+def _summary(evaluation: Found) -> Rows:
+    return [evaluation.summary]
 
 
 SUBJECTS = (
@@ -259,13 +265,13 @@ SUBJECTS = (
                 "all dots end where they began",
                 "consistent_share",
                 "paper_consistent_share",
-                lambda row, found: _tracking(row, found, "consistent_share"),
+                lambda row, evaluation: _tracking(row, evaluation, "consistent_share"),
             ),
             Column(
                 "dots lost where not",
                 "dots_lost_mean",
                 "paper_dots_lost_mean",
-                lambda row, found: _tracking(row, found, "dots_lost_mean"),
+                lambda row, evaluation: _tracking(row, evaluation, "dots_lost_mean"),
             ),
             Column("error, rms [px]", "error_px_rms"),
             Column("worst dot [px]", "error_px_worst"),
@@ -303,7 +309,7 @@ SUBJECTS = (
                 "opening at the end [ticks]",
                 "opening_after_balance_ticks",
                 "paper_opening_after_balance_ticks",
-                lambda row, found: FITTED if found.simulated else SAME,
+                lambda row, evaluation: FITTED if evaluation.simulated else SAME,
             ),
             Column("grip at the end [N]", "force_end_n"),
             Column("moved, median [mm]", "moved_mm_median"),

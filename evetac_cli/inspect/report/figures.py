@@ -52,10 +52,10 @@ def headline(study: Study) -> list[Figure]:
         figures.append(Figure("timing correct, all models", correct / len(judged), over, share=True))
         figures += [Figure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
     figures += [
-        Figure("F1 of the best model", found.summary[key])
-        for found in study.reports("evaluate slip")
+        Figure("F1 of the best model", report.summary[key])
+        for report in study.reports("evaluate slip")
         for key in ("f1", "best_f1")
-        if found.summary.get(key) is not None
+        if report.summary.get(key) is not None
     ][:1]
     dots = [trial.tracking_px for trial in trials if trial.tracking_px is not None]
     if dots:

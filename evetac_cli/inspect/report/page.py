@@ -123,12 +123,12 @@ def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
     several = len(studies) > 1
     text = ""
     for study in studies:
-        for found in study.found:
-            text += drawn.place(_charts_of(section.name, found), study.name if several else "")
+        for evaluation in study.evaluations:
+            text += drawn.place(_charts_of(section.name, evaluation), study.name if several else "")
     for subject in SUBJECTS:
         if subject.section != section.name:
             continue
-        of_reports = [(study, found) for study in studies for found in study.reports(subject.command)]
+        of_reports = [(study, evaluation) for study in studies for evaluation in study.reports(subject.command)]
         # Without columns of its own a subject shows all that a report has, which differs from report to report.
         for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
             text += _subject(subject, some, several)
@@ -137,7 +137,11 @@ def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
 
 def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
     """The table of a subject; empty where no report has such rows."""
-    entries = [(study, found, row) for study, found in of_reports for row in enumerate(subject.rows(found), start=1)]
+    entries = [
+        (study, evaluation, row)
+        for study, evaluation in of_reports
+        for row in enumerate(subject.rows(evaluation), start=1)
+    ]
     if not entries:
         return ""
     columns = columns_of(subject, [row for *_, (_, row) in entries])
@@ -145,44 +149,44 @@ def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], severa
     heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
     heads += [html.escape(column.heading) for column in columns]
     rows = []
-    for study, found, (number, row) in entries[:MOST_ROWS]:
-        cells = [cell(study.name)] * several + [cell(found.path)] * with_report + [cell(number)] * numbered
-        cells += [_with_paper(column, row, found) for column in columns]
+    for study, evaluation, (number, row) in entries[:MOST_ROWS]:
+        cells = [cell(study.name)] * several + [cell(evaluation.path)] * with_report + [cell(number)] * numbered
+        cells += [_with_paper(column, row, evaluation) for column in columns]
         bad = " class='bad'" if row.get("ok") is False else ""
         rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
-    simulated = all(found.simulated for _, found in of_reports)
+    simulated = all(evaluation.simulated for _, evaluation in of_reports)
     badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
     more = f" <small>the first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
     title = subject.title if subject.columns else f"{subject.title}, {of_reports[0][1].path}"
     return f"<h3>{pages.short(title)}{badge}{more}</h3>" + table(heads, rows)
 
 
-def _with_paper(column: evaluations.Column, row: dict[str, Any], found: Found) -> str:
+def _with_paper(column: evaluations.Column, row: dict[str, Any], evaluation: Found) -> str:
     """A cell with the paper's figure and its mark beside ours."""
     paper = row.get(column.paper) if column.paper else None
-    mark = column.mark(row, found) if paper is not None else None
+    mark = column.mark(row, evaluation) if paper is not None else None
     beside = f" <small class='paper'>({figure_text(paper)}, {mark})</small>" if mark else ""
     return cell(row.get(column.key), beside)
 
 
-def _charts_of(section: str, found: Found) -> list[Chart | None]:
-    if (section, found.command) == ("slip", "evaluate slip"):
+def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
+    if (section, evaluation.command) == ("slip", "evaluate slip"):
         parts = {
             "slip_correct": ("correct", charts.RIGHT),
             "slip_early": ("early", charts.EARLY),
             "slip_late": ("late or never", charts.LATE),
         }
-        rows = evaluations.having("setting", "seeds")(found)
+        rows = evaluations.having("setting", "seeds")(evaluation)
         return [
-            charts.share_chart(rows, "setting", parts, "paper_slip_correct", f"Timing, {found.path}"),
-            *charts.detection_charts(found, TIMING_MS),
+            charts.share_chart(rows, "setting", parts, "paper_slip_correct", f"Timing, {evaluation.path}"),
+            *charts.detection_charts(evaluation, TIMING_MS),
         ]
-    if (section, found.command) == ("grasp", "evaluate grasp"):
-        rows = evaluations.having("setting", "columns")(found)
+    if (section, evaluation.command) == ("grasp", "evaluate grasp"):
+        rows = evaluations.having("setting", "columns")(evaluation)
         kept = {"success": ("lifted and kept", charts.RIGHT)}
-        return [charts.share_chart(rows, "setting", kept, "paper_success", f"Grasps, {found.path}")]
-    if (section, found.command) == ("cost", "evaluate cost"):
-        return [*charts.cost_charts(found)]
+        return [charts.share_chart(rows, "setting", kept, "paper_success", f"Grasps, {evaluation.path}")]
+    if (section, evaluation.command) == ("cost", "evaluate cost"):
+        return [*charts.cost_charts(evaluation)]
     return []
 
 

@@ -101,7 +101,7 @@ class Study:
     folder: Path
     name: str
     trials: list[StudyTrial]
-    found: list[Found]
+    evaluations: list[Found]
     files: Counter[str]  # by kind
     unreadable: list[tuple[str, str]]  # path, reason
     simulated: bool
@@ -109,7 +109,7 @@ class Study:
 
     def reports(self, command: str) -> list[Found]:
         """The reports of an evaluation."""
-        return [one for one in self.found if one.command == command]
+        return [one for one in self.evaluations if one.command == command]
 
     @property
     def models(self) -> int:
@@ -161,12 +161,12 @@ def read_study(folder: Path, progress: Progress) -> Study:
     return study
 
 
-def _nothing(folder: Path, found: str) -> InputError:
+def _nothing(folder: Path, holds: str) -> InputError:
     return InputError(
         "no evetac files there",
         where=str(folder),
         expected="stage files, as a.recording.h5, in it or in folders below",
-        found=found,
+        found=holds,
         hint=f"evetac record --out {folder} makes some",
     )
 
@@ -176,7 +176,7 @@ def _read_report(study: Study, path: str) -> None:
         with StageFile(study.folder / path, "report") as file:
             command = str(file.read("command"))
             texts = [json.loads(file.read(name)) for name in ("rows", "summary")]
-            study.found.append(Found(path, command, file.header, *texts))
+            study.evaluations.append(Found(path, command, file.header, *texts))
     except InputError as error:
         study.unreadable.append((path, error.message))
 
@@ -237,18 +237,18 @@ def _judge(study: Study) -> None:
     """Give the trials what reports say of each: detections of every model, distance of the dots from truth."""
     trials = {trial.recording_id: trial for trial in study.trials}
     late_by: dict[str, dict[tuple[str, str], int | None]] = {}
-    for found in study.reports("evaluate slip"):
-        rows = [row for row in found.rows if "t_m_minus_t_c_ms" in row and "t_c_ms" in row]
-        recordings = found.recordings("features")
+    for report in study.reports("evaluate slip"):
+        rows = [row for row in report.rows if "t_m_minus_t_c_ms" in row and "t_c_ms" in row]
+        recordings = report.recordings("features")
         for row, id_ in zip(rows, recordings * (len(rows) // max(len(recordings), 1)), strict=False):
             if id_ in trials and row["t_c_ms"] is not None:
                 model = (str(row["setting"]), str(row["model_file"]))
                 late_by.setdefault(id_, {})[model] = row["t_m_minus_t_c_ms"]
     for id_, by_model in late_by.items():
         trials[id_].late_by = list(by_model.values())
-    for found in study.reports("evaluate tracking"):
-        rows = [row for row in found.rows if "file" in row]
-        for row, id_ in zip(rows, found.recordings("tracks"), strict=False):
+    for report in study.reports("evaluate tracking"):
+        rows = [row for row in report.rows if "file" in row]
+        for row, id_ in zip(rows, report.recordings("tracks"), strict=False):
             if id_ in trials:
                 trials[id_].tracking_px = row["error_px_rms"]
 
@@ -260,24 +260,26 @@ LOST, NEVER = 1e6, 1e5  # before every error in ms
 
 def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
     """How much a trial stands out, 0 where it does not, and by what; timing_ms: where a first detection is correct."""
-    found: list[tuple[float, str]] = []
+    reasons: list[tuple[float, str]] = []
     if trial.broken:
-        found.append((10 * LOST, trial.broken))
+        reasons.append((10 * LOST, trial.broken))
     if trial.grasp is not None and not trial.grasp.get("balanced"):
-        found.append((LOST, "lost in balance" if trial.grasp.get("lifted") else "not lifted"))
+        reasons.append((LOST, "lost in balance" if trial.grasp.get("lifted") else "not lifted"))
     if trial.events == 0:
-        found.append((LOST, "no events"))
+        reasons.append((LOST, "no events"))
     if trial.t_s is not None and trial.labelled_by is not None and trial.t_c is None:
-        found.append((NEVER, "slips, and the labels find no onset"))
+        reasons.append((NEVER, "slips, and the labels find no onset"))
     if trial.has_truth and trial.t_s is None and trial.t_c is not None:
-        found.append((NEVER, "does not slip, and the labels find an onset"))
+        reasons.append((NEVER, "does not slip, and the labels find an onset"))
     for source, error, (low, high) in (
         ("labels", trial.label_error_ms, (EARLIEST_MS, LATEST_MS)),
         ("model" if len(trial.late_by) == 1 else "models", trial.model_error_ms, timing_ms),
     ):
         if error == np.inf:
-            found.append((NEVER, f"slip not found by the {source}"))
+            reasons.append((NEVER, f"slip not found by the {source}"))
         elif error is not None and not low <= error <= high:
             beyond = max(low - error, error - high)
-            found.append((beyond, f"{source} {abs(error):,g} ms {'early' if error < low else 'late'}"))
-    return max((score for score, _ in found), default=0.0), "; ".join(text for _, text in sorted(found, reverse=True))
+            reasons.append((beyond, f"{source} {abs(error):,g} ms {'early' if error < low else 'late'}"))
+    return max((score for score, _ in reasons), default=0.0), "; ".join(
+        text for _, text in sorted(reasons, reverse=True)
+    )

@@ -55,10 +55,10 @@ def trials_of_both(studies: Sequence[Study]) -> str:
 
 def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]]]:
     """Onsets by labels against the truth, and by models against the labels, of each study."""
-    found = []
+    shown = []
     for number, study in enumerate(studies):
         models = f"Models against the labels, {_median_of(study)}"
-        found.append(
+        shown.append(
             (
                 study.name if len(studies) > 1 else "",
                 [
@@ -69,7 +69,7 @@ def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]
                 ],
             )
         )
-    return found
+    return shown
 
 
 def trial_table(studies: Sequence[Study], page: Path) -> str:

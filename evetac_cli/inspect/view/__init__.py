@@ -85,7 +85,7 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
         notes=_label_notes(trial) + trial.notes,
         frame_times=np.empty(0, np.int64),
         dense={},
-        moments={} if empty else gripper.moments(trial, span),
+        contact_times={} if empty else gripper.contact_times(trial, span),
         pictures=[],
         events=[],
         rest_xy_px=None,

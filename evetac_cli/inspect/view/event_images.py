@@ -53,7 +53,7 @@ def choose_frame_times(view: ViewData, trial: Trial, most: int) -> None:
         view.frame_times = np.arange(start, last + 1)
         return
     view.dense = {f"onset, {source}": slice_ for source, slice_ in view.onsets.items() if slice_ is not None}
-    view.dense |= view.moments
+    view.dense |= view.contact_times
     if trial.recording is not None:
         per_slice = np.diff(trial.recording.starts[start : stop + 1])
         view.dense["busiest"] = start + int(np.argmax(per_slice))
@@ -117,7 +117,7 @@ def telling_frame(view: ViewData) -> int:
     """The image to begin with: slip's onset, the grip, the first touch, whichever comes first in this list and shows
     an event; else the busiest.
     """
-    for at in (*view.onsets.values(), *view.moments.values()):
+    for at in (*view.onsets.values(), *view.contact_times.values()):
         if at is None:
             continue
         frame = int(np.argmin(np.abs(view.frame_times - at)))

@@ -99,19 +99,19 @@ def phase_lanes(trial: Trial, span: tuple[int, int]) -> list[Lane]:
     ]
 
 
-def moments(trial: Trial, span: tuple[int, int]) -> dict[str, int]:
+def contact_times(trial: Trial, span: tuple[int, int]) -> dict[str, int]:
     """When the object was gripped, or first touched: where a page opens if nothing slips."""
     recording = trial.recording
-    found: dict[str, int | None] = {}
+    times: dict[str, int | None] = {}
     if recording is None:
         return {}
     if recording.has("control"):
-        found["gripped"] = _gripped_at(recording)
+        times["gripped"] = _gripped_at(recording)
     if recording.has("truth"):
         force = rows_of(recording, "truth/normal_force_n", span[0])
         touched = first_row(span[1] - span[0], force, lambda force_n: force_n >= TOUCH_N)
-        found["first touch"] = span[0] + touched if touched else None  # where touch is how it begins, it is no moment
-    return {name: at for name, at in found.items() if at is not None and span[0] <= at < span[1]}
+        times["first touch"] = span[0] + touched if touched else None  # where touch is how it begins, it is no moment
+    return {name: at for name, at in times.items() if at is not None and span[0] <= at < span[1]}
 
 
 def outcome_badges(trial: Trial) -> list[tuple[str, str]]:
@@ -120,14 +120,14 @@ def outcome_badges(trial: Trial) -> list[tuple[str, str]]:
     if recording is None or not recording.has("control/outcome"):
         return []
     try:
-        found = json.loads(recording.read("control/outcome"))
+        outcome = json.loads(recording.read("control/outcome"))
     except InputError:
         return []
-    lifted, balanced = (bool(found.get(name)) for name in ("lifted", "balanced"))
+    lifted, balanced = (bool(outcome.get(name)) for name in ("lifted", "balanced"))
     shown = [("grasp", "held to the end" if balanced else "lost in balance" if lifted else "not lifted")]
     for name, key, unit in (("moved", "moved_mm", "mm"), ("grip at the end", "force_end_n", "N")):
-        if balanced and isinstance(found.get(key), (int, float)):
-            shown.append((name, f"{found[key]:.2g} {unit}"))
+        if balanced and isinstance(outcome.get(key), (int, float)):
+            shown.append((name, f"{outcome[key]:.2g} {unit}"))
     return shown
 
 

@@ -86,9 +86,9 @@ def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[i
 def first_row(length: int, read: Read, wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]) -> int | None:
     """The first row of read(start, stop) -> (rows, 1) that is wanted, read block by block; None where there is none."""
     for first in range(0, length, BLOCK_ROWS):
-        found = np.flatnonzero(wanted(read(first, min(first + BLOCK_ROWS, length))[:, 0]))
-        if len(found):
-            return first + int(found[0])
+        rows = np.flatnonzero(wanted(read(first, min(first + BLOCK_ROWS, length))[:, 0]))
+        if len(rows):
+            return first + int(rows[0])
     return None
 
 

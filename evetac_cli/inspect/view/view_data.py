@@ -66,7 +66,7 @@ class ViewData:
     notes: list[str]
     frame_times: NDArray[np.int64]  # first slice of each image
     dense: dict[str, int]  # slices around which images are dense, and why
-    moments: dict[str, int]  # what else happens, and when: gripped, first touch
+    contact_times: dict[str, int]  # gripped, first touch -> slice
     pictures: list[bytes]  # PNG of each frame; none without a recording
     events: list[int]  # in each picture
     rest_xy_px: NDArray[np.float64] | None  # (dots, 2)

@@ -110,7 +110,7 @@ def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     assert "<img src=x" not in text
 
 
-def found(command: str = "", simulated: bool = True, scene: str = "", preset: str = "", method: str = "") -> Found:
+def evaluated(command: str = "", simulated: bool = True, scene: str = "", preset: str = "", method: str = "") -> Found:
     history = {
         "a": {"kind": "recording", "parameters": {"scene": {"name": scene}}},
         "b": {"kind": "tracks", "parameters": {"preset": preset}},
@@ -122,23 +122,23 @@ def found(command: str = "", simulated: bool = True, scene: str = "", preset: st
 @pytest.mark.parametrize(
     ("command", "key", "row", "report_", "mark"),
     [
-        ("evaluate slip", "f1", {"preset": "adamw"}, found(preset="paper", method="farneback"), OTHER),
-        ("evaluate slip", "f1", {"preset": "paper"}, found(preset="stable", method="farneback"), OTHER),
-        ("evaluate slip", "f1", {"preset": "paper"}, found(preset="paper", method="farneback"), SAME),
-        ("evaluate tracking", "consistent_share", {"preset": "paper"}, found(scene="edge"), FITTED),
-        ("evaluate tracking", "dots_lost_mean", {"preset": "paper"}, found(scene="edge"), SAME),
-        ("evaluate tracking", "consistent_share", {"preset": "paper"}, found(scene="slip"), None),
-        ("evaluate tracking", "consistent_share", {"preset": "paper"}, found(simulated=False), SAME),
-        ("evaluate grasp", "success", {"setting": "none"}, found(), FITTED),
-        ("evaluate grasp", "success", {"setting": "paper"}, found(), OTHER),
-        ("evaluate force", "mae_n_x", {"sensor": "frames"}, found(preset="stable"), SAME),
-        ("evaluate force", "mae_n_x", {"sensor": "events"}, found(preset="stable"), OTHER),
-        ("evaluate vibration", "share", {"method": "paper"}, found(scene="vibration"), FITTED),
-        ("evaluate vibration", "share", {"method": "paper"}, found(scene="vibration-randomized"), SAME),
-        ("evaluate vibration", "share", {"method": "default"}, found(scene="vibration"), OTHER),
-        ("evaluate data-rate", "share_mean", {}, found(scene="data-rate"), FITTED),
-        ("evaluate data-rate", "share_mean", {}, found(scene="slip"), None),
-        ("evaluate data-rate", "share_mean", {}, found(simulated=False), SAME),
+        ("evaluate slip", "f1", {"preset": "adamw"}, evaluated(preset="paper", method="farneback"), OTHER),
+        ("evaluate slip", "f1", {"preset": "paper"}, evaluated(preset="stable", method="farneback"), OTHER),
+        ("evaluate slip", "f1", {"preset": "paper"}, evaluated(preset="paper", method="farneback"), SAME),
+        ("evaluate tracking", "consistent_share", {"preset": "paper"}, evaluated(scene="edge"), FITTED),
+        ("evaluate tracking", "dots_lost_mean", {"preset": "paper"}, evaluated(scene="edge"), SAME),
+        ("evaluate tracking", "consistent_share", {"preset": "paper"}, evaluated(scene="slip"), None),
+        ("evaluate tracking", "consistent_share", {"preset": "paper"}, evaluated(simulated=False), SAME),
+        ("evaluate grasp", "success", {"setting": "none"}, evaluated(), FITTED),
+        ("evaluate grasp", "success", {"setting": "paper"}, evaluated(), OTHER),
+        ("evaluate force", "mae_n_x", {"sensor": "frames"}, evaluated(preset="stable"), SAME),
+        ("evaluate force", "mae_n_x", {"sensor": "events"}, evaluated(preset="stable"), OTHER),
+        ("evaluate vibration", "share", {"method": "paper"}, evaluated(scene="vibration"), FITTED),
+        ("evaluate vibration", "share", {"method": "paper"}, evaluated(scene="vibration-randomized"), SAME),
+        ("evaluate vibration", "share", {"method": "default"}, evaluated(scene="vibration"), OTHER),
+        ("evaluate data-rate", "share_mean", {}, evaluated(scene="data-rate"), FITTED),
+        ("evaluate data-rate", "share_mean", {}, evaluated(scene="slip"), None),
+        ("evaluate data-rate", "share_mean", {}, evaluated(simulated=False), SAME),
     ],
 )
 def test_marks(command: str, key: str, row: dict[str, Any], report_: Found, mark: str | None) -> None:

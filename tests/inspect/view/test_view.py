@@ -367,7 +367,7 @@ def test_a_grasp(tmp_path: Path) -> None:
     }
     assert panels["Slip probability, detector while grasping"].levels == {"threshold": 0.4}
     assert data.onsets == {"truth": None, "detector": 250}  # what it says in the light contact is no slip
-    assert data.moments["gripped"] == GRIPPED
+    assert data.contact_times["gripped"] == GRIPPED
     assert data.side is not None
     np.testing.assert_allclose(data.side.height_mm[[0, -1]], [60 * 4 / 299, 60.0], rtol=1e-5)
     view.run([path], View(), None)
