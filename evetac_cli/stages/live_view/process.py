@@ -16,7 +16,7 @@ from evetac_cli.realtime.live_page.shared_view import SharedView
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import ignore_interrupts, set_niceness
 from evetac_cli.stages.live_view import terminal
-from evetac_cli.stages.live_view.samples import PERIOD_S, Follower, OpenDetector
+from evetac_cli.stages.live_view.samples import PERIOD_S, Follower, OpenDetector, load
 
 NICENESS = 19
 BROWSER, TERMINAL = "browser", "terminal"
@@ -118,6 +118,7 @@ def run_view(
 ) -> None:
     """The process: `where` is BROWSER or TERMINAL; `ready` gets the page's address, or "", once it can be looked at."""
     ignore_interrupts()
+    load(open_detector)  # nothing is recorded yet
     set_niceness(NICENESS)
     state = ViewState(title, Follower(shared), MessageReader(pipe), open_detector)
     with contextlib.suppress(BrokenPipeError):  # whoever records has gone, and is told nothing any more

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import lattice_field
 from evetac_cli.kernels.tracking import tracker
@@ -167,6 +167,17 @@ class Follower:
             for each in (brighter, ~brighter)
         )
         return (on | off << 4).tobytes()
+
+
+def load(open_detector: OpenDetector) -> None:
+    """Load models and compiled code, with a slice of noise on a grid of dots: later it takes no time."""
+    x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
+    sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": np.stack([x, y], axis=-1), "sensor/dot_radius_px": 11.0}
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin(sensor, open_detector)
+    shared.add_slice(Events(*(np.arange(100).astype(kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))))
+    follower.sample()
 
 
 class _ForceModel:

@@ -29,7 +29,7 @@ from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
 PATIENCE_S = 120.0
-FAST = ["--seconds", "2", "--expected-event-rate", "1e5"]
+FAST = ["--seconds", "4", "--expected-event-rate", "1e5"]
 
 
 @pytest.mark.parametrize(
@@ -182,21 +182,20 @@ def test_a_recording_is_seen_while_it_is_made(tmp_path: Path) -> None:
     assert about["simulated"]
     assert not about["moves"]
     assert len(seen[-1]["dots"]) == 56
-    assert seen[-1]["sample"]["probability"] is not None
-    assert seen[-1]["sample"]["normal_n"] is not None
+    assert any(each["sample"]["probability"] is not None for each in seen)
+    assert any(each["sample"].get("normal_n") is not None for each in seen)
     slices = [each["sample"]["slices"] for each in seen]
     assert slices == sorted(slices)
     assert len(set(slices)) > 3
     with StageFile(tmp_path / "a.recording.h5", "recording") as file:
-        assert file.length("ms_to_idx") == 2001
+        assert file.length("ms_to_idx") == 4001
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["record", "grasp"])
-def test_the_button_lets_go(command: str, tmp_path: Path) -> None:
+def test_the_button_lets_go(tmp_path: Path) -> None:
     """Assert that the button ends a recording as Ctrl-C does: torque off in words, a valid file, exit code 130."""
-    more = ["--hold-s", "100", "--expected-event-rate", "1e5"] if command == "record" else ["--controller", "fixed:5"]
-    with shown(tmp_path, command, "--gripper", "virtual", "--watchdog-ms", "500", *more) as page:
+    more = ["--hold-s", "100", "--expected-event-rate", "1e5", "--watchdog-ms", "500"]
+    with shown(tmp_path, "record", "--gripper", "virtual", *more) as page:
         news = page.watch("let go", after=500)
         code, said = page.end()
     assert code == 130, said
@@ -217,7 +216,7 @@ def test_a_recording_goes_on_without_its_view(tmp_path: Path) -> None:
         code, said = page.end()
     assert code == 0, said
     with StageFile(tmp_path / "a.recording.h5", "recording") as file:
-        assert file.length("ms_to_idx") == 2001
+        assert file.length("ms_to_idx") == 4001
 
 
 @pytest.mark.slow
