@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,8 +24,10 @@ from evetac_cli.events import Events
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, start_shielded
-from evetac_cli.stages.live_view.process import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title, run_view
-from evetac_cli.stages.live_view.samples import OpenDetector
+from evetac_cli.stages.live_view.messages import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title
+
+if TYPE_CHECKING:
+    from evetac_cli.stages.live_view.samples import OpenDetector
 
 LIBRARY = "tornado"
 STANDSTILL_S = 60.0  # a process that computed nothing for so long will not come up any more
@@ -37,8 +39,10 @@ SETTLED_MS = 2000  # after a simulation was this far behind real time, its pace 
 class LiveView:
     """The view of one recording, as whoever records sees it; nothing here waits, and nothing fails with the view."""
 
-    def __init__(self, where: str, title: Title, open_detector: OpenDetector) -> None:
+    def __init__(self, where: str, title: Title, open_detector: "OpenDetector") -> None:
         """Start the view's process, and wait until it can be looked at; DeviceError if it does not come up."""
+        from evetac_cli.stages.live_view.process import run_view
+
         context = multiprocessing.get_context("spawn")
         self._shared = SharedView()
         self._where = where
@@ -146,7 +150,7 @@ class LiveView:
 
 
 @contextmanager
-def opened(asked: str, title: Title, open_detector: OpenDetector) -> Iterator[LiveView]:
+def opened(asked: str, title: Title, open_detector: "OpenDetector") -> Iterator[LiveView]:
     """The view while the block lasts, announced, its page opened where there is a display; asked: --live-in."""
     where = place(asked)
     view = LiveView(where, title, open_detector)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli import resources
@@ -158,26 +159,37 @@ class Follower:
     def image(self) -> bytes:
         """A byte for each pixel, row by row: brighter events in the lower four bits, darker ones in the upper four."""
         width, height = self.frame_px
-        x, y, p = self.latest()
-        inside = (x < width) & (y < height)
-        pixel = (y.astype(np.int64) * width + x)[inside]
-        brighter = p[inside] == 1
-        on, off = (
-            np.minimum(np.bincount(pixel[each], minlength=width * height), MOST_COUNT).astype(np.uint8)
-            for each in (brighter, ~brighter)
-        )
-        return (on | off << 4).tobytes()
+        counts = np.zeros((height, width), np.uint8)
+        for x, y, p in self._latest:
+            _count(x, y, p, counts)
+        return counts.tobytes()
+
+
+@njit(cache=True)
+def _count(x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], counts: NDArray[np.uint8]) -> None:
+    """Add events to a picture (height, width), but for those beside it; no count goes beyond MOST_COUNT."""
+    height, width = counts.shape
+    for k in range(x.shape[0]):
+        if y[k] >= height or x[k] >= width:
+            continue
+        both = counts[y[k], x[k]]
+        if p[k] == 1 and (both & 15) < MOST_COUNT:
+            counts[y[k], x[k]] = both + 1
+        elif p[k] != 1 and (both >> 4) < MOST_COUNT:
+            counts[y[k], x[k]] = both + 16
 
 
 def load(open_detector: OpenDetector) -> None:
     """Load models and compiled code, with a slice of noise on a grid of dots: later it takes no time."""
-    x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
-    sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": np.stack([x, y], axis=-1), "sensor/dot_radius_px": 11.0}
+    grid = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
+    sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": grid, "sensor/dot_radius_px": 11.0}
     shared = SharedView()
     follower = Follower(shared)
     follower.begin(sensor, open_detector)
-    shared.add_slice(Events(*(np.arange(100).astype(kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))))
+    t, x, y, p = (np.arange(100).astype(kind) for kind in ("i8", "u2", "u2", "u1"))
+    shared.add_slice(Events(t, x, y, p))
     follower.sample()
+    follower.image()
 
 
 class _ForceModel:
