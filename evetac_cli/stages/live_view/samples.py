@@ -8,6 +8,7 @@ Why so: the view runs behind all that records. Where it cannot keep up it goes o
 left out, and its dots catch up as after a silence of the camera.
 """
 
+import functools
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -192,12 +193,17 @@ def load(open_detector: OpenDetector) -> None:
     follower.image()
 
 
+@functools.cache
+def _force_model() -> gel_model.GelModel:
+    with StageFile(resources.FORCE_MODEL, "force-model") as file:
+        return gel_model.read_gel_model(file)
+
+
 class _ForceModel:
     """The force on the gel from where the dots are, a sample at a time."""
 
     def __init__(self, sensor: Mapping[str, Any], tracking: tracker.TrackerState) -> None:
-        with StageFile(resources.FORCE_MODEL, "force-model") as file:
-            self._model = gel_model.read_gel_model(file)
+        self._model = _force_model()
         modulus = gel_model.MODULI["shear"]
         known = {modulus: float(sensor[f"sensor/{modulus}"])} if f"sensor/{modulus}" in sensor else {}
         self._gel = gel_model.gel_of(self._model, known, PredictForce().stiffness_error)

@@ -356,16 +356,16 @@ def test_the_button_of_a_live_view_lets_go(tmp_path: Path, monkeypatch: pytest.M
     """Assert that it ends a grasp as Ctrl-C does, and that the view sees what the detector and the controller do."""
     view = FakeView(after=500)
     view.put_in_place(monkeypatch)
-    params = Grasp(camera="virtual", live=True, **PATIENT)  # type: ignore[arg-type]
+    params = Grasp(camera="virtual", live=True, **(PATIENT | {"lift_s": 10.0}))  # type: ignore[arg-type]
     (job,) = grasp.jobs([], params, tmp_path)
-    with pytest.raises(KeyboardInterrupt, match=f"{LET_GO}; torque is off .read back.: [0-9]+ slices in .*[.]h5$"):
+    with pytest.raises(KeyboardInterrupt, match=f"{LET_GO}; torque is off .read back.: [0-9,]+ slices in .*[.]h5$"):
         grasp.run(job, params)
     assert validate.run([job.output]).rows[0]["faults"] is None
     assert view.ended == LET_GO
     assert view.sensor["sensor/dot_xy_px"].shape == (7, 8, 2)
     with open_recording(job.output) as file:
         assert file.read("capture/ended") == LET_GO
-        assert 500 <= len(file) == len(view.slices) < 2000
+        assert 500 <= len(file) == len(view.slices)
         shown = np.array([probability for _, _, probability in view.slices], np.float32)
         np.testing.assert_array_equal(shown, file.read("control/probability"))
         goals = [row["control/goal_ticks"] for row in view.commands]

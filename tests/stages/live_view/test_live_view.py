@@ -133,6 +133,7 @@ class Shown:
                         act()
             assert await asyncio.wait_for(socket.read_message(), PATIENCE_S) is None
             socket.close()
+            await asyncio.sleep(0.1)  # for the socket below it
             return news
 
         return asyncio.run(ask())
