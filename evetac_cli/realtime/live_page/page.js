@@ -205,7 +205,7 @@
     else samples.push(complete(news.sample));
     while (samples.length && samples[0].t < news.sample.t - 2 * SECONDS) samples.shift();
     latest = { ...news, image: new Uint8Array(message.data, 4 + size) };
-    by("state").textContent = news.let_go ? "letting go" : news.sample.slices ? "recording" : "waiting for the camera";
+    by("state").textContent = news.let_go ? "letting go" : news.sample.slices ? "live" : "waiting for the camera";
     requestAnimationFrame(() => {
       show();
       drawn = [...drawn, performance.now()].slice(-60);

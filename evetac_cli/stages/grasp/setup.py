@@ -19,7 +19,7 @@ from evetac_cli.stages import live_view
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.live_view import LiveView
-from evetac_cli.stages.live_view.process import Title
+from evetac_cli.stages.live_view.messages import Title
 from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, Trial
 from evetac_cli.store.files import StageFile

@@ -12,7 +12,8 @@ import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from typing import Any
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,12 +23,14 @@ from evetac_cli.errors import DeviceError, InputError, install_hint
 from evetac_cli.events import Events
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
-from evetac_cli.realtime.processes import start_shielded
-from evetac_cli.stages.live_view.process import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title, run_view
-from evetac_cli.stages.live_view.samples import OpenDetector
+from evetac_cli.realtime.processes import cpu_time_s, start_shielded
+from evetac_cli.stages.live_view.messages import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title
+
+if TYPE_CHECKING:
+    from evetac_cli.stages.live_view.samples import OpenDetector
 
 LIBRARY = "tornado"
-START_S = 60.0  # in which the view must be up: it loads compiled code
+STANDSTILL_S = 60.0  # a process that computed nothing for so long will not come up any more
 END_S = 3.0
 MOST_BYTES = 1 << 20  # of messages that the view has not read yet
 SETTLED_MS = 2000  # after a simulation was this far behind real time, its pace counts from anew
@@ -36,8 +39,10 @@ SETTLED_MS = 2000  # after a simulation was this far behind real time, its pace 
 class LiveView:
     """The view of one recording, as whoever records sees it; nothing here waits, and nothing fails with the view."""
 
-    def __init__(self, where: str, title: Title, open_detector: OpenDetector) -> None:
+    def __init__(self, where: str, title: Title, open_detector: "OpenDetector") -> None:
         """Start the view's process, and wait until it can be looked at; DeviceError if it does not come up."""
+        from evetac_cli.stages.live_view.process import run_view
+
         context = multiprocessing.get_context("spawn")
         self._shared = SharedView()
         self._where = where
@@ -58,8 +63,7 @@ class LiveView:
         inbox.close()
         ready_end.close()
         try:
-            if not ready.poll(START_S):
-                raise DeviceError("the live view did not come up", expected=f"within {START_S:g} s")
+            self._wait_for(ready)
             self.url = str(ready.recv())
         except EOFError:
             raise DeviceError("the live view died while it started", hint="leave out --live") from None
@@ -68,6 +72,17 @@ class LiveView:
             raise
         finally:
             ready.close()
+
+    def _wait_for(self, ready: Connection) -> None:
+        """Wait for as long as the process computes: where its code has to be compiled, that takes minutes."""
+        used_s, since_s = -1.0, time.monotonic()
+        while not ready.poll(1.0):
+            now_s = cpu_time_s(self._process.pid)
+            if now_s > used_s:
+                used_s, since_s = now_s, time.monotonic()
+            elif time.monotonic() - since_s > STANDSTILL_S:
+                computed = f"none for {STANDSTILL_S:g} s"
+                raise DeviceError("the live view did not come up", expected="a process that computes", found=computed)
 
     def begin(self, sensor: Mapping[str, Any]) -> None:
         """The camera runs; sensor: its datasets `sensor/...`, and what else is known of them."""
@@ -135,7 +150,7 @@ class LiveView:
 
 
 @contextmanager
-def opened(asked: str, title: Title, open_detector: OpenDetector) -> Iterator[LiveView]:
+def opened(asked: str, title: Title, open_detector: "OpenDetector") -> Iterator[LiveView]:
     """The view while the block lasts, announced, its page opened where there is a display; asked: --live-in."""
     where = place(asked)
     view = LiveView(where, title, open_detector)

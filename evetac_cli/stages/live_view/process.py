@@ -9,52 +9,19 @@ import contextlib
 import time
 from collections.abc import Iterator, Mapping
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import Any
 
 from evetac_cli import console
 from evetac_cli.realtime.live_page.shared_view import SharedView
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import ignore_interrupts, set_niceness
 from evetac_cli.stages.live_view import terminal
-from evetac_cli.stages.live_view.samples import PERIOD_S, Follower, OpenDetector
+from evetac_cli.stages.live_view.messages import BROWSER, Begun, Ended, Lost, Said, Title
+from evetac_cli.stages.live_view.samples import PERIOD_S, Follower, OpenDetector, load
 
 NICENESS = 19
-BROWSER, TERMINAL = "browser", "terminal"
 TERMINAL_PERIOD_S = 0.1
 MOST_SAID = 20
-
-
-class Title(NamedTuple):
-    """What a view shows, known before a device is opened."""
-
-    name: str  # of the command and its file
-    simulated: bool
-    moves: bool  # a gripper that can be let go of
-
-
-class Begun(NamedTuple):
-    """The camera runs."""
-
-    sensor: Mapping[str, Any]  # datasets sensor/...
-
-
-class Lost(NamedTuple):
-    """Events lost so far, and why, in words."""
-
-    events: str
-    why: str
-
-
-class Said(NamedTuple):
-    """A message to the user."""
-
-    text: str
-
-
-class Ended(NamedTuple):
-    """Why there will be no more slices, in words."""
-
-    why: str
 
 
 class ViewState:
@@ -118,6 +85,7 @@ def run_view(
 ) -> None:
     """The process: `where` is BROWSER or TERMINAL; `ready` gets the page's address, or "", once it can be looked at."""
     ignore_interrupts()
+    load(open_detector)  # nothing is recorded yet
     set_niceness(NICENESS)
     state = ViewState(title, Follower(shared), MessageReader(pipe), open_detector)
     with contextlib.suppress(BrokenPipeError):  # whoever records has gone, and is told nothing any more

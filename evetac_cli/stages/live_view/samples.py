@@ -8,17 +8,19 @@ Why so: the view runs behind all that records. Where it cannot keep up it goes o
 left out, and its dots catch up as after a silence of the camera.
 """
 
+import functools
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import lattice_field
 from evetac_cli.kernels.tracking import tracker
@@ -158,23 +160,50 @@ class Follower:
     def image(self) -> bytes:
         """A byte for each pixel, row by row: brighter events in the lower four bits, darker ones in the upper four."""
         width, height = self.frame_px
-        x, y, p = self.latest()
-        inside = (x < width) & (y < height)
-        pixel = (y.astype(np.int64) * width + x)[inside]
-        brighter = p[inside] == 1
-        on, off = (
-            np.minimum(np.bincount(pixel[each], minlength=width * height), MOST_COUNT).astype(np.uint8)
-            for each in (brighter, ~brighter)
-        )
-        return (on | off << 4).tobytes()
+        counts = np.zeros((height, width), np.uint8)
+        for x, y, p in self._latest:
+            _count(x, y, p, counts)
+        return counts.tobytes()
+
+
+@njit(cache=True)
+def _count(x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], counts: NDArray[np.uint8]) -> None:
+    """Add events to a picture (height, width), but for those beside it; no count goes beyond MOST_COUNT."""
+    height, width = counts.shape
+    for k in range(x.shape[0]):
+        if y[k] >= height or x[k] >= width:
+            continue
+        both = counts[y[k], x[k]]
+        if p[k] == 1 and (both & 15) < MOST_COUNT:
+            counts[y[k], x[k]] = both + 1
+        elif p[k] != 1 and (both >> 4) < MOST_COUNT:
+            counts[y[k], x[k]] = both + 16
+
+
+def load(open_detector: OpenDetector) -> None:
+    """Load models and compiled code, with a slice of noise on a grid of dots: later it takes no time."""
+    grid = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
+    sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": grid, "sensor/dot_radius_px": 11.0}
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin(sensor, open_detector)
+    t, x, y, p = (np.arange(100).astype(kind) for kind in ("i8", "u2", "u2", "u1"))
+    shared.add_slice(Events(t, x, y, p))
+    follower.sample()
+    follower.image()
+
+
+@functools.cache
+def _force_model() -> gel_model.GelModel:
+    with StageFile(resources.FORCE_MODEL, "force-model") as file:
+        return gel_model.read_gel_model(file)
 
 
 class _ForceModel:
     """The force on the gel from where the dots are, a sample at a time."""
 
     def __init__(self, sensor: Mapping[str, Any], tracking: tracker.TrackerState) -> None:
-        with StageFile(resources.FORCE_MODEL, "force-model") as file:
-            self._model = gel_model.read_gel_model(file)
+        self._model = _force_model()
         modulus = gel_model.MODULI["shear"]
         known = {modulus: float(sensor[f"sensor/{modulus}"])} if f"sensor/{modulus}" in sensor else {}
         self._gel = gel_model.gel_of(self._model, known, PredictForce().stiffness_error)

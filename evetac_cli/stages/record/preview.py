@@ -13,7 +13,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import live_view
 from evetac_cli.stages.live_view import LiveView
-from evetac_cli.stages.live_view.process import Title
+from evetac_cli.stages.live_view.messages import Title
 from evetac_cli.stages.record.capture_plan import settings
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial
 from evetac_cli.store.calibration import read_calibration

@@ -27,9 +27,11 @@ from evetac_cli.stages.grasp.controller_process import ControllerEnded, GripperR
 from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, joined, noise
 from evetac_cli.stages.grasp.loop import control_row
 from evetac_cli.stages.grasp.recorder import RecordedGrasp
+from evetac_cli.stages.session import LET_GO
 from evetac_cli.stages.trials import DeviceTrial
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
+from tests.stages.live_view.fake_view import FakeView
 
 PORT = "/dev/ttyNothing"
 # Long enough for a machine that runs many tests at once; nothing here is about time.
@@ -347,6 +349,28 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
     assert header["parameters"]["setup"]["gripper"]["current_limit_ma"] == 100
     with pytest.raises(InputError, match="cannot be made again"):
         grasp.run(job, params)
+
+
+@pytest.mark.slow
+def test_the_button_of_a_live_view_lets_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that it ends a grasp as Ctrl-C does, and that the view sees what the detector and the controller do."""
+    view = FakeView(after=500)
+    view.put_in_place(monkeypatch)
+    params = Grasp(camera="virtual", live=True, **(PATIENT | {"lift_s": 10.0}))  # type: ignore[arg-type]
+    (job,) = grasp.jobs([], params, tmp_path)
+    with pytest.raises(KeyboardInterrupt, match=f"{LET_GO}; torque is off .read back.: [0-9,]+ slices in .*[.]h5$"):
+        grasp.run(job, params)
+    assert validate.run([job.output]).rows[0]["faults"] is None
+    assert view.ended == LET_GO
+    assert view.sensor["sensor/dot_xy_px"].shape == (7, 8, 2)
+    with open_recording(job.output) as file:
+        assert file.read("capture/ended") == LET_GO
+        assert 500 <= len(file) == len(view.slices)
+        shown = np.array([probability for _, _, probability in view.slices], np.float32)
+        np.testing.assert_array_equal(shown, file.read("control/probability"))
+        goals = [row["control/goal_ticks"] for row in view.commands]
+        assert goals == file.read("control/goal_ticks").tolist()
+    assert "camera.late_events" in view.counts
 
 
 def children_of(process: int) -> list[int]:

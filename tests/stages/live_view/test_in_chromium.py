@@ -129,7 +129,7 @@ async def use(page: Page, address: str, end_by: str) -> None:
     size = {"height": 900, "deviceScaleFactor": 1, "mobile": False}
     await page.ask("Emulation.setDeviceMetricsOverride", width=1280, **size)
     await page.ask("Page.navigate", url=address)
-    await page.until("document.getElementById('state')?.textContent === 'recording'")
+    await page.until("document.getElementById('state')?.textContent === 'live'")
     await page.until("document.querySelectorAll('.chart:not([hidden])').length >= 5")
     for width in WIDTHS:
         await page.ask("Emulation.setDeviceMetricsOverride", width=width, **size)

@@ -31,6 +31,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
+from tests.stages.live_view.fake_view import FakeView
 
 ARMED = {"gripper": "/dev/ttyUSB0", "arm": True}
 
@@ -683,6 +684,30 @@ def test_h2_ctrl_c_while_the_file_is_joined_keeps_the_segments(
             recording(tmp_path, seconds=0.1)
     assert rig.camera.closed
     assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
+
+
+def test_the_button_of_a_live_view_lets_go(
+    rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that it ends a recording as Ctrl-C does, and that the view was handed over all that was recorded."""
+    view, hand = FakeView(after=300), Hand()
+    view.put_in_place(monkeypatch)
+    rig_is(Camera(), hand)
+    with pytest.raises(KeyboardInterrupt, match=f"{session.LET_GO}: 300 slices in .*[.]recording[.]h5$"):
+        recording(tmp_path, live=True, **ARMED)
+    assert hand.closed
+    assert view.ended == session.LET_GO
+    assert view.sensor["sensor/name"] == "dvxplorer:T1"
+    assert [size for size, _, _ in view.slices] == [10] * 300
+    assert all(late_us > 0 for _, late_us, _ in view.slices)
+    assert view.counts["camera.late_events"] == 3
+    assert view.said == ["events lost so far: 3 (camera.late_events 3)"]
+    (output,) = tmp_path.iterdir()
+    with open_recording(output) as file:
+        assert file.read("capture/ended") == session.LET_GO
+        assert len(file) == 300
+        commanded = [row["gripper/t_us"] for row in view.commands]
+        assert commanded == file.read("gripper/t_us").tolist()
 
 
 class InterruptedCamera(Camera):

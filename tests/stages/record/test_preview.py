@@ -1,16 +1,14 @@
 """--preview: shows a camera, and writes nothing."""
 
-from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events
 from evetac_cli.params.recording import Record
-from evetac_cli.stages import live_view, record
+from evetac_cli.stages import record
 from tests.conftest import Made
+from tests.stages.live_view.fake_view import FakeView
 
 
 def preview(camera: str, folder: Path, **flags: str) -> None:
@@ -23,29 +21,12 @@ def preview(camera: str, folder: Path, **flags: str) -> None:
     assert list(folder.iterdir()) == []
 
 
-class View:
-    """What a view is handed over."""
-
-    def __init__(self) -> None:
-        self.sensor: dict[str, Any] = {}
-        self.events: list[int] = []
-
-    def begin(self, sensor: dict[str, Any]) -> None:
-        self.sensor = sensor
-
-    def add_slice(self, events: Events, late_us: float) -> None:
-        self.events.append(events.size)
-
-    def lost(self, counts: dict[str, int]) -> None:
-        assert not any(counts.values())
-
-
 def test_nothing_is_written(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a preview hands over every slice, with where the dots are, reports its rate and leaves no file."""
-    view = View()
-    monkeypatch.setattr(live_view, "opened", lambda *asked: nullcontext(view))
+    view = FakeView()
+    view.put_in_place(monkeypatch)
     preview(f"replay:{made.recordings[0]}", tmp_path)
-    assert len(view.events) == 200
+    assert len(view.slices) == 200
     assert "sensor/dot_xy_px" in view.sensor
 
 
