@@ -62,10 +62,7 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
     axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
     first, *rest = error.removeprefix("error_").split("_")
     title, unit = (" ".join(rest), f" [{first}]") if first in UNITS else (" ".join((first, *rest)), "")
-    axes.set(title=title, ylabel=f"error{unit}")
-    if first == "um":
-        in_px = axes.secondary_yaxis("right", functions=(lambda um: um / UM_PER_PX, lambda px: px * UM_PER_PX))
-        in_px.set_ylabel("[px]")
+    axes.set(title=title, ylabel=f"error{unit}" + (f", 1 px is {UM_PER_PX:g} um" if first == "um" else ""))
     if any(len(line.get_xdata()) and line.get_marker() != "None" for line in axes.lines):
         for axis in (axes.xaxis, axes.yaxis):
             picture.log_axis(axis)

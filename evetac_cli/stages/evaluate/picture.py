@@ -143,9 +143,10 @@ def share_axis(axis: Any) -> None:
 
 
 def log_axis(axis: Any) -> None:
-    """Make what is drawn fill a logarithmic axis from tick to tick, with numbers that are written out.
+    """Make an axis logarithmic, with numbers that are written out.
 
-    Ticks stand at whole decades, where the axis spans only one or two also at 2 and 5 of each.
+    Ticks stand at whole decades, where the axis spans only one or two also at 2 and 5 of each. An axis on which fewer
+    than three of them fall is made longer, to the next tick at both ends.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
@@ -154,13 +155,17 @@ def log_axis(axis: Any) -> None:
     finer = (1, 2, 5) if math.log10(high / low) < 2 else (1,)
     decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
     ticks = [digit * 10.0**decade for decade in decades for digit in finer]
-    first = max(index for index, tick in enumerate(ticks) if tick <= low * (1 + 1e-9))
-    last = min(index for index, tick in enumerate(ticks) if tick >= high * (1 - 1e-9))
-    axis.set_major_locator(FixedLocator(ticks[first : last + 1 : 1 + (last - first) // MOST_TICKS]))
+    shown = [tick for tick in ticks if low <= tick <= high]
+    if len(shown) < 3:
+        first = max(index for index, tick in enumerate(ticks) if tick <= low)
+        last = min(index for index, tick in enumerate(ticks) if tick >= high)
+        shown = ticks[first : last + 1]
+        low, high = shown[0], shown[-1]
+    axis.set_major_locator(FixedLocator(shown[:: 1 + (len(shown) - 1) // MOST_TICKS]))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: written_out(value)))
     axis.set_minor_formatter(NullFormatter())
-    axis.set_view_interval(ticks[first], ticks[last], ignore=True)
+    axis.set_view_interval(low, high, ignore=True)
 
 
 def written_out(value: float) -> str:

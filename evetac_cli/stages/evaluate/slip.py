@@ -217,7 +217,7 @@ def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None
         left += row[key] or 0.0
     if slips and row["slip_correct"] is not None:
         reach = picture.wilson(row["slip_correct"], slips)
-        label = "95 % interval by the number of slips (Wilson)"
+        label = "95 % interval of correct, by the number of slips (Wilson)"
         axes.errorbar(row["slip_correct"], place + 0.14, xerr=reach, label=label, **picture.INTERVAL)
 
 

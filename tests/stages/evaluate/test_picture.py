@@ -61,13 +61,13 @@ def test_the_interval_is_wilsons() -> None:
     ("low", "high", "labels"),
     [
         (12.0, 18.0, ["10", "20"]),
-        (40.0, 700.0, ["20", "50", "100", "200", "500", "1,000"]),
-        (0.003, 4.0, ["0.001", "0.01", "0.1", "1", "10"]),
-        (2e4, 3e7, ["10,000", "100,000", "$10^{6}$", "$10^{7}$", "$10^{8}$"]),
+        (40.0, 700.0, ["50", "100", "200", "500"]),
+        (0.003, 4.0, ["0.01", "0.1", "1"]),
+        (2e4, 3e7, ["100,000", "$10^{6}$", "$10^{7}$"]),
     ],
 )
 def test_ticks_of_a_logarithmic_axis_are_written_out(low: float, high: float, labels: list[str]) -> None:
-    """Assert the labels, that the data lie between the first and the last, and that no others stand between them."""
+    """Assert the labels, that the data are seen, and that no others stand between them."""
     axes = Figure(layout="constrained").subplots()
     axes.plot([low, high], [1, 2])
     picture.log_axis(axes.xaxis)
@@ -75,7 +75,6 @@ def test_ticks_of_a_logarithmic_axis_are_written_out(low: float, high: float, la
     assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
     left, right = axes.get_xlim()
     assert left <= low < high <= right
-    assert axes.get_xticks()[0] == left
 
 
 def test_an_axis_over_many_decades_keeps_room_between_its_ticks() -> None:
