@@ -109,8 +109,9 @@ def test_a_session_at_80_columns(tmp_path: Path) -> None:
     check_bars(shown, 4)
     counts = re.findall(r"record (\d) of 4: .*?([\d,]+)/([\d,]+) slices", shown.plain)
     for number in "1234":
-        done, total = [(done, total) for trial, done, total in counts if trial == number][-1]
-        assert int(done.replace(",", "")) >= 0.95 * int(total.replace(",", ""))
+        pairs = [(done, total) for trial, done, total in counts if trial == number]
+        assert len(pairs) > 3
+        assert pairs[-1][0] == pairs[-1][1]
     assert shown.last_line == "data"
 
     for command in ("label", "track"):
