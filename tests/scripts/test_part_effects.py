@@ -108,7 +108,7 @@ def test_the_table_of_the_docs(tmp_path: Path) -> None:
     (tmp_path / "part-effects.json").write_text(json.dumps(whole))
     page = "<!-- table part-effects -->\nas it was\n<!-- end of part-effects -->\n"
     filled = results.fill_page(page, tmp_path)
-    assert "Simulated. What each part does to each stage, 3 slips and 0 grasps with each (at c, seeds 0 to 2" in filled
+    assert "3 slips and 0 grasps with each (commit c, seeds 0 to 2" in filled
     assert f"| none | {BY_NAME[NONE].says} | 50.0 |" in filled
     assert "| leak | 0.1 Hz a pixel | 59.0, +9.0 to +9.0 |" in filled
     assert "as it was" not in filled
