@@ -98,7 +98,7 @@ class Follower:
             constants = tracker.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
         self._force = _ForceModel(sensor, self._tracking)
-        self._next = self._shared.slices  # what came while this was loaded
+        self._next = max(0, self._shared.slices - SHOWN_MS)  # more came while this was loaded
 
     def sample(self) -> dict[str, Any]:
         """What came since the sample before, as it goes to a page; NaN is None."""

@@ -11,14 +11,15 @@ from evetac_cli.stages.live_view.samples import Follower
 COLUMNS, ROWS = 80, 30  # characters, which are twice as high as wide
 SHADES = " .:-=+*#%@"
 FULL = 1.0  # events a pixel for the darkest shade
-LEAST_EVENTS = 4  # of a character that is shown: noise is scattered, and comes one at a time
+LEAST_EVENTS = 6  # of a character that is shown: noise is scattered, and comes one at a time
 NOISE_SPREADS = 4.0  # a character is shown with so many standard deviations more events than noise gives each
 
 
 def screen(follower: Follower, sample: Mapping[str, Any], lost: str, said: Sequence[str]) -> str:
     """The whole view: figures, events, and the last thing that was said."""
     x, y, _ = follower.latest()
-    lines = [headline(sample, lost), picture(x, y, follower.frame_px)]
+    events = picture(x, y, follower.frame_px)
+    lines = [headline(sample, lost), with_dots(events, follower.dots(), follower.frame_px)]
     return "\n".join([*lines, *follower.notes, *said[-1:]])
 
 
@@ -39,6 +40,14 @@ def headline(sample: Mapping[str, Any], lost: str) -> str:
         *figure("current_ma", ".0f", "{} mA"),
     ]
     return "  ".join(parts)[:COLUMNS]
+
+
+def with_dots(events: str, dots: Sequence[Sequence[float]], frame_px: tuple[int, int]) -> str:
+    """A picture with an o where a dot is, an x where one is lost; dots: rows that begin with x, y and end with lost."""
+    lines = [list(line) for line in events.splitlines()]
+    for x, y, *_, lost in dots:
+        lines[int(y) * ROWS // frame_px[1]][int(x) * COLUMNS // frame_px[0]] = "x" if lost else "o"
+    return "\n".join(map("".join, lines))
 
 
 def picture(x: NDArray[Any], y: NDArray[Any], frame_px: tuple[int, int]) -> str:
