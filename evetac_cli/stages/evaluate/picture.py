@@ -145,8 +145,8 @@ def share_axis(axis: Any) -> None:
 def log_axis(axis: Any) -> None:
     """Make an axis logarithmic, with numbers that are written out.
 
-    Ticks stand at whole decades, where the axis spans no more than two and a half also at 2 and 5. An axis on which fewer
-    than three of them fall is made longer, to the next tick at both ends.
+    Ticks stand at whole decades, where the axis spans no more than two and a half also at 2 and 5. An axis on which
+    fewer than three of them fall is made longer, to the next tick at both ends.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
