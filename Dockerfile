@@ -14,7 +14,7 @@ RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt '/opt/ev
 ENV NUMBA_CACHE_DIR=/var/cache/evetac MPLCONFIGDIR=/tmp
 RUN useradd --create-home evetac && mkdir --mode=777 /data /var/cache/evetac
 USER evetac
-RUN evetac doctor --compile && chmod -R a+rwX /var/cache/evetac
+RUN evetac doctor --compile && chmod -R a+rwX /var/cache/evetac/*
 
 WORKDIR /data
 ENTRYPOINT ["evetac"]

@@ -236,7 +236,7 @@ def _draw(figure: Any, trials: list[TrialForce]) -> None:
     for row, (sensor, one) in zip(panels, shown.items(), strict=True):
         order = one.samples.slice_ / 1000
         for axis, axes in enumerate(row):
-            axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, label="force sensor")
+            axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
             for name, (colour, words) in STYLES.items():
                 axes.plot(order, one.predicted_n[name][0][:, axis], color=colour, linewidth=1.0, label=words)
             axes.set_title(f"dots in {sensor}, sensor {one.sensor_name}")

@@ -145,14 +145,14 @@ def share_axis(axis: Any) -> None:
 def log_axis(axis: Any) -> None:
     """Make an axis logarithmic, with numbers that are written out.
 
-    Ticks stand at whole decades, where the axis spans only one or two also at 2 and 5 of each. An axis on which fewer
-    than three of them fall is made longer, to the next tick at both ends.
+    Ticks stand at whole decades, where the axis spans no more than two and a half also at 2 and 5. An axis on which
+    fewer than three of them fall is made longer, to the next tick at both ends.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = sorted(axis.get_view_interval())
-    finer = (1, 2, 5) if math.log10(high / low) < 2 else (1,)
+    finer = (1, 2, 5) if math.log10(high / low) < 2.5 else (1,)
     decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
     ticks = [digit * 10.0**decade for decade in decades for digit in finer]
     shown = [tick for tick in ticks if low <= tick <= high]
