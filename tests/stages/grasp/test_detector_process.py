@@ -24,6 +24,7 @@ class Camera:
         rng = np.random.default_rng(1)
         self.slices = [empty() if k % 5 == 4 else noise(rng, k) for k in range(slices)]
         self.read_so_far = 0
+        self.counted = {"late_events": 2}
 
     def read(self) -> Events | None:
         if self.read_so_far == len(self.slices):
