@@ -17,7 +17,7 @@ OFFERED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optio
 OTHERS = ("inspect/doctor.py",)  # it mends a library that is there, but broken or twice
 
 
-INSTALLS = re.compile(r"pipx? install|evetac\[|\.\[\w")
+INSTALLS = re.compile(r"pipx? install|evetac\[|'\.\[\w")
 
 
 def sources() -> list[tuple[str, ast.AST]]:

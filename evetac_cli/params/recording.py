@@ -66,8 +66,8 @@ class Record(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or its PORT or PORT@BAUD; default: that of"
-        " the camera, or none.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); none; or its PORT"
+        " or PORT@BAUD; default: that of the camera, or none.",
         recipe=False,
     )
     seconds: float | None = parameter(

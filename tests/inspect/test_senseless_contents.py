@@ -316,7 +316,13 @@ def test_the_list_is_long_and_the_files_are_valid(small: dict[str, Path]) -> Non
     assert [row["faults"] for row in rows] == [None] * len(small)
 
 
-@pytest.mark.parametrize("change", CHANGES, ids=name_of)
+def some(cases: list[Any], ids: list[str]) -> list[Any]:
+    """All cases as parameters of a test; two of three are slow."""
+    marks = [pytest.mark.slow if number % 3 else () for number in range(len(cases))]
+    return [pytest.param(*case, id=id_, marks=mark) for case, id_, mark in zip(cases, ids, marks, strict=True)]
+
+
+@pytest.mark.parametrize("change", some([(change,) for change in CHANGES], [name_of(change) for change in CHANGES]))
 def test_m3_validate_refuses_senseless_contents(change: Change, small: dict[str, Path]) -> None:
     """Assert that validate refuses the content in words that name the dataset and say what was expected."""
     path = small[change.kind]
@@ -400,7 +406,7 @@ REFUSED_BY = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("stage", "change"), REFUSED_BY, ids=[f"{s}: {name_of(c)}" for s, c in REFUSED_BY])
+@pytest.mark.parametrize(("stage", "change"), some(REFUSED_BY, [f"{s}: {name_of(c)}" for s, c in REFUSED_BY]))
 def test_m3_stages_refuse_what_validate_refuses(stage: str, change: Change, small: dict[str, Path]) -> None:
     """Assert that a stage that reads the content refuses it in words that name the dataset, and writes nothing."""
     change.apply(small[change.kind])

@@ -338,7 +338,7 @@ def test_a_fault_in_the_gel_is_reported(monkeypatch):
     assert faulty.summary["cases_not_ok"] > 0
 
 
-@pytest.mark.parametrize("name", ["cost", "stability"])
+@pytest.mark.parametrize("name", [pytest.param("cost", marks=pytest.mark.slow), "stability"])
 def test_commands(name):
     """Assert that `evaluate cost sim` prints one JSON object, and that the part may be left out."""
     result = evetac(name, "sim", "--json")

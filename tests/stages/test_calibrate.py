@@ -345,7 +345,7 @@ def test_command_line(tmp_path: Path) -> None:
         ([], "or --import FILE"),
         (["--import", str(hostile)], "os.system"),
         (["--import", str(hostile), str(hostile)], "takes neither recordings"),
-        (["a.recording.h5", "-o", "b.h5"], "a calibration is JSON"),
+        (["a.recording.h5", "-o", "b.h5"], "a name that ends in .json"),
         (["a.recording.h5", "b.recording.h5", "-o", "b.json"], "cannot hold several"),
         (["nowhere.recording.h5"], "no such file"),
     ):

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,10 +76,12 @@ def test_every_fault_may_be_written_as_its_name() -> None:
     assert [gripper_fault(name).name for name in GRIPPER_FAULTS] == list(GRIPPER_FAULTS)
 
 
-def test_the_help_names_every_fault_of_a_gripper() -> None:
-    """Assert that the help of --gripper lists them all, as they are called."""
-    help_ = next(item.metadata["help"] for item in fields(Record) if item.name == "gripper")
-    assert f"({', '.join(GRIPPER_FAULTS)};" in help_
+def test_the_page_that_the_help_names_has_every_fault() -> None:
+    """Assert that the help of --camera and --gripper names a page, and that it lists all faults as they are called."""
+    for flag in ("camera", "gripper"):
+        assert "docs/hardware.md" in next(item.metadata["help"] for item in fields(Record) if item.name == flag)
+    page = (Path(__file__).resolve().parents[3] / "docs" / "hardware.md").read_text()
+    assert [name for name in (*CAMERA_FAULTS, *GRIPPER_FAULTS) if f"`{name}`" not in page] == []
 
 
 def test_how_long_a_fault_lasts() -> None:

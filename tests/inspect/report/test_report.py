@@ -159,6 +159,7 @@ def test_headline(study: Study) -> None:
     assert values["timing correct, all models"] == pytest.approx(3 / 5)
 
 
+@pytest.mark.slow
 def test_two_side_by_side(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that trials of the same recipe are matched, that changes come first, and that the name says both."""
     other = tmp_path / "other"

@@ -20,6 +20,7 @@ def small(name: str, model: CameraModel, *, window: bool = False) -> Workload:
     return Workload(name, model, DOT, cost._slip, 5, (1, 16), "small", *seen)
 
 
+@pytest.mark.slow
 def test_the_window_is_that_of_the_ideal_camera() -> None:
     """Assert that reference and ideal camera see a sliding texture alike: the same events, to a fraction of 1 us."""
     load = small("window", QUIET, window=True)
