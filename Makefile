@@ -82,7 +82,7 @@ results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
 test: $(READY)  ## the test suite
-	$(BIN)/python -m pytest --numprocesses 4 --dist loadfile -m 'not slow'
+	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
 test-all: $(READY)  ## the test suite with its longer cases
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile

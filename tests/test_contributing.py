@@ -59,7 +59,8 @@ def test_the_walk_leads_down() -> None:
 def test_the_page_names_what_there_is() -> None:
     """Assert that modules, tests and folders that the page names exist."""
     names = re.findall(r"`((?:tests|scripts|schemas|evetac_cli|docs)/[\w./-]*)`", PAGE.read_text())
-    assert [name for name in names if not (ROOT / name).exists()] == []
+    made = (ROOT / ".gitignore").read_text().replace("\n/", "\n").split()  # by `make docs`
+    assert [name for name in names if not (ROOT / name).exists() and name not in made] == []
 
 
 if __name__ == "__main__":

@@ -102,6 +102,7 @@ def test_slip(name: str, short_scene: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["3 x 4", *(pytest.param(name, marks=pytest.mark.slow) for name in ("13 x 10", "scattered"))]
 )
+@pytest.mark.slow
 def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     """Assert that networks over a grid are trained on any grid and refuse dots in no grid, which those of images take.
 

@@ -335,6 +335,7 @@ def arrays(path: Path) -> dict[str, Any]:
     return stored
 
 
+@pytest.mark.slow
 def test_both_engines_make_the_same_arrays(made: Made, tmp_path: Path) -> None:
     """Assert that tracks of two engines, paths and rows included, are the same."""
     pytest.importorskip("distributed")

@@ -146,6 +146,7 @@ def test_m9_workers_end_with_a_parent_that_is_killed(tmp_path: Path, jobs: list[
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("job", ["long", "swallowed", "deaf"])
+@pytest.mark.slow
 def test_m9_a_signal_to_the_parent_alone_stops_the_work(
     tmp_path: Path, jobs: list[Jobs], number: signal.Signals, job: str
 ) -> None:

@@ -70,6 +70,7 @@ def test_without_any_output_it_is_said(report: Path) -> None:
     assert (done.returncode, done.stderr) == (1, "error: the output: cannot be written: Bad file descriptor\n")
 
 
+@pytest.mark.slow
 def test_messages_that_nobody_reads_change_nothing(report: Path) -> None:
     """Assert that a result is whole and the exit code right where the messages go nowhere."""
     reader, writer = os.pipe()

@@ -176,6 +176,7 @@ def test_gripper_obeys_currents(gripper_of: Callable[[Mode], Rig]) -> None:
     devices.close()
 
 
+@pytest.mark.slow
 def test_gripper_obeys_positions(gripper_of: Callable[[Mode], Rig]) -> None:
     """Assert that a goal position holds until it is reached: lower numbers open."""
     devices = gripper_of("position")

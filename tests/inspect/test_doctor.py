@@ -285,6 +285,7 @@ def test_a_gripper_as_it_comes_from_the_factory(machine: Made, plugged: Any) -> 
         ({"Model Number": 1020}, "model", "1020"),
     ],
 )
+@pytest.mark.slow
 def test_faults_of_a_gripper(machine: Made, plugged: Any, registers: dict[str, int], check: str, words: str) -> None:
     """Assert that each fault is named."""
     plugged(registers=GOOD | registers)
@@ -312,6 +313,7 @@ def test_other_adapters_are_left_alone(machine: Made) -> None:
     assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["exists"]
 
 
+@pytest.mark.slow
 def test_ports_that_cannot_be_used(machine: Made, plugged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a port without permission, one in use, and one that is locked are distinguished."""
     port, gripper = plugged(registers=GOOD)

@@ -83,6 +83,7 @@ def test_each_fault_stops_at_its_step(fault: str, step: str, words: str, tmp_pat
 
 
 @pytest.mark.parametrize("fault", ["lost-answer", "late-answer", "lost-answer%100"])
+@pytest.mark.slow
 def test_lost_answers_stop_it_before_anything_moves(
     fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -117,6 +117,7 @@ def worst_px(path: Path, truth: Grid) -> float:
     return float(np.nanmax(np.linalg.norm(read_calibration(path).dot_xy_px - truth, axis=2)))
 
 
+@pytest.mark.slow
 def test_every_dot_from_scratch(pressed: Path, truth: Grid) -> None:
     """Assert that all dots are found within 0.5 px in their places, and that the file says how, and how well."""
     row, path = calibrated(pressed)

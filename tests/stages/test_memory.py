@@ -114,6 +114,7 @@ def _validate(*files: Path) -> None:
 @pytest.mark.parametrize(
     "command", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in COMMANDS]
 )
+@pytest.mark.slow
 def test_m11_memory_does_not_grow_with_length(
     command: str, folders: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

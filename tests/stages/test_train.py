@@ -88,6 +88,7 @@ def test_one_file_a_seed(trials: list[Path], tmp_path: Path) -> None:
         train.jobs(trials, Train(seeds=2), tmp_path / "a.model.h5")
 
 
+@pytest.mark.slow
 def test_a_seed_alone_is_that_seed_among_many(trials: list[Path], tmp_path: Path) -> None:
     """Assert that the second of two seeds gives, alone, the same file, and another than the first."""
     for job in train.jobs(trials, small(seeds=2), tmp_path):
@@ -134,6 +135,7 @@ def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], 
 
 
 @pytest.mark.parametrize("preset", ["paper", "adamw"])
+@pytest.mark.slow
 def test_it_goes_on_after_an_interruption(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
@@ -229,6 +231,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("model", ["hist10", "down5", "hist10-img-6x6"])
+@pytest.mark.slow
 def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that predictions are those of the whole trajectory, from the first slice that is labelled."""
     params = small(model=model, max_steps=2)

@@ -157,6 +157,7 @@ def test_xarray_reads_empty_files(tmp_path: Path, length: int) -> None:
     assert read["capture/lost_slices"].sizes == {"gaps": length, "first_end": 2}
 
 
+@pytest.mark.slow
 def test_files_of_every_stage(made: Made) -> None:
     """Assert that xarray reads what stages write, and the package's model, as evetac does, labelled and simulated."""
     features = made.beside(made.recordings[0], "features")

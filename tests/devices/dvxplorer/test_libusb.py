@@ -189,6 +189,7 @@ def test_the_makers_driver_sees_what_we_see(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("firmware", "faults", "lost"), [(9, (), {}), (10, ("stall@0.1",), {"usb_errors": 1})])
+@pytest.mark.slow
 def test_our_driver_over_libusb(firmware: int, faults: tuple[str, ...], lost: dict[str, int], tmp_path: Path) -> None:
     """Assert that the driver finds, starts and reads a camera through the real libusb; a stall costs no event."""
     words = random_event_words(100_000, 0.6, np.random.default_rng(0))
@@ -203,6 +204,7 @@ def test_our_driver_over_libusb(firmware: int, faults: tuple[str, ...], lost: di
     ]
 
 
+@pytest.mark.slow
 def test_unplugged_over_libusb(tmp_path: Path) -> None:
     """Assert that the real libusb says of an unplugged camera what our virtual bus says."""
     device = VirtualDvxplorer(

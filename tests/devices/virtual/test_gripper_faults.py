@@ -37,7 +37,7 @@ SEEN_AS = {
 }
 
 
-@pytest.mark.parametrize("moment", ["", "@0", "@0.3"])
+@pytest.mark.parametrize("moment", ["", *(pytest.param(at, marks=pytest.mark.slow) for at in ("@0", "@0.3"))])
 @pytest.mark.parametrize("fault", GRIPPER_FAULTS)
 def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> None:
     """Assert that each fault is seen by the driver, also where it is asked for at once or at second 0."""
@@ -82,6 +82,7 @@ def test_one_spoiled_answer_is_counted(fresh: VirtualGripper, fault: str, counte
 
 
 @pytest.mark.parametrize("fault", ["lost-answer%20", "bad-crc%20"])
+@pytest.mark.slow
 def test_many_spoiled_answers(fault: str) -> None:
     """Assert that with a fifth of all answers spoiled, losses are counted until the driver gives up in words."""
     with VirtualGripper(seed=3) as gripper:
@@ -93,6 +94,7 @@ def test_many_spoiled_answers(fault: str) -> None:
         assert driver.counted["answers_lost"] + driver.counted["answers_damaged"] >= 2
 
 
+@pytest.mark.slow
 def test_set_up_is_repeated_after_a_loss() -> None:
     """Assert that the driver sets up anew when an answer was late, so that no answer is taken for another's."""
     with VirtualGripper(faults=["late-answer"]) as gripper:
@@ -138,6 +140,7 @@ def test_watchdog_fault_is_found_though_commands_are_not_answered(fresh: Virtual
     assert fresh.read_register("Torque Enable") == 0
 
 
+@pytest.mark.slow
 def test_unplugging_is_said_and_stops_the_gripper() -> None:
     """Assert that a port that goes away is an error in words at once, and that the watchdog takes the current."""
     with VirtualGripper(faults=["unplug@0.2"]) as gripper:
@@ -154,6 +157,7 @@ def test_unplugging_is_said_and_stops_the_gripper() -> None:
         assert gripper.read_register("Present Current") == 0
 
 
+@pytest.mark.slow
 def test_a_dead_gripper_is_a_timeout() -> None:
     """Assert that silence for good is a DeviceTimeout that says that torque may be on."""
     with VirtualGripper() as gripper:

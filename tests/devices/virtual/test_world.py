@@ -82,6 +82,7 @@ def test_camera_sends_what_the_simulation_sees(world: VirtualWorld, made: Made) 
     np.testing.assert_array_equal(world.sensor["sensor/dot_xy_px"], simulated.camera.sensor["sensor/dot_xy_px"])
 
 
+@pytest.mark.slow
 def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
     """Assert that nothing comes before RUN, and that it goes on where it was after a stop."""
     assert world.take(4096, 0.05) == b""
@@ -92,6 +93,7 @@ def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
     assert world.take(65536, 0.1) == b""
 
 
+@pytest.mark.slow
 def test_looking_comes_to_an_end(made: Made, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Assert that who looks for words until there are none gets to an end though a late world still makes some."""
     monkeypatch.setattr(VirtualWorld, "patient", False)
@@ -162,6 +164,7 @@ def test_finger_follows_the_servo(world: VirtualWorld) -> None:
     assert opened.position_ticks < started
 
 
+@pytest.mark.slow
 def test_servo_without_torque_has_no_force(world: VirtualWorld) -> None:
     """Assert that once there was torque, its end is the end of the current."""
     world.run(True)
@@ -179,6 +182,7 @@ def test_scenes_that_cannot_be_built(made: Made) -> None:
         VirtualWorld(broken, seeds())
 
 
+@pytest.mark.slow
 def test_close_ends_the_process(made: Made) -> None:
     """Assert that close ends the process and removes the shared memory, running or not, and a second does nothing."""
     world = VirtualWorld(short_plan(made), seeds())

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from evetac_cli.inspect import view
 from evetac_cli.params.inspection import View
 from tests.inspect.browser import Browser
@@ -16,6 +18,7 @@ COLOURS = """(() => { const c = document.getElementById('image');
   return new Set(d).size; })()"""
 
 
+@pytest.mark.slow
 def test_page_in_a_browser(browser: Browser, page: Path) -> None:
     """Assert that the page draws without a complaint, and that slider, keys, pointer, click and play move the image."""
     browser.open(page, DRAWN)
@@ -66,6 +69,7 @@ def test_page_in_a_browser(browser: Browser, page: Path) -> None:
     assert browser.complaints() == []
 
 
+@pytest.mark.slow
 def test_hostile_pages_in_a_browser(browser: Browser, tmp_path: Path) -> None:
     """Assert that an empty recording, one slice, markup in names, tracks alone and that end early make no complaint."""
     for name, slices in (("empty", 0), ("one", 1), ("a\"'<b>&ü", 30)):
@@ -85,6 +89,7 @@ def test_hostile_pages_in_a_browser(browser: Browser, tmp_path: Path) -> None:
     assert browser.complaints() == []
 
 
+@pytest.mark.slow
 def test_grasp_page_in_a_browser(browser: Browser, tmp_path: Path) -> None:
     """Assert that a grasp opens on an image with events and shows it from the side, on a phone as on a wide screen."""
     write_recording(tmp_path / "g.recording.h5", grasp=True)

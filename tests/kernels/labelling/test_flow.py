@@ -155,6 +155,7 @@ def test_plain_computes_more_for_the_same_labels() -> None:
 
 
 @pytest.mark.parametrize(("window_px_ms", "gel_px_ms"), [(0.5, 0.0), (0.5, 0.45), (0.12, 0.0)])
+@pytest.mark.slow
 def test_smaller_pictures_do_not_change_the_labels(window_px_ms: float, gel_px_ms: float) -> None:
     """Assert that clear slip told from smaller pictures gives the labels of whole ones, for slip, creep and neither."""
     given = (moving(20, window_px_ms, gel_px_ms), 45, WINDOW, GEL)

@@ -64,6 +64,7 @@ def same(first: Training, second: Training) -> bool:
 
 
 @pytest.mark.parametrize("preset", ALL, ids=lambda preset: preset.name)
+@pytest.mark.slow
 def test_same_seed_same_network(problem: Samples, preset: training.Preset) -> None:
     """Assert that the generator's seed fixes all weights and losses, whatever torch's own generator did before."""
     first = training.train(problem, preset, np.random.default_rng(4), max_steps=20)
@@ -364,6 +365,7 @@ def test_images_are_trained_on() -> None:
     assert slipping.min() > holding.max()
 
 
+@pytest.mark.slow
 def test_patience_ends_a_run_that_no_longer_learns(problem: Samples) -> None:
     """Assert that a run ends so many looks after its least validation loss, also one that was broken off."""
     usual = replace(ADAM, checkpoint_every=10**6)

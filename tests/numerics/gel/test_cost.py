@@ -211,6 +211,7 @@ def test_finer_grids_are_nearer():
 # -- the explicit integrator -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_explicit_blows_up_above_its_limit():
     """Assert that the explicit integrator holds below, and blows up above, the limit of the stiffest pattern."""
     state = COARSE.start()

@@ -41,6 +41,7 @@ def held(nodes=None, material=None, mass_kg=0.1, inertia=4e-5, **changes):
 # -- closed forms ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_partial_slip_on_a_winkler_layer():
     """Assert that a paraboloid on uncoupled springs follows F = mu P (1 - (1 - k d / mu p0)^2) within 2e-4."""
     radius_m, load_n = 5e-3, 5.0

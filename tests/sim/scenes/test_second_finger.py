@@ -74,6 +74,7 @@ def test_slip_limit_of_different_fingers() -> None:
     assert half.sampled == mirrored.sampled
 
 
+@pytest.mark.slow
 def test_a_lift_with_different_fingers() -> None:
     """Assert that both fingers together carry the object once it hangs, the stiffer one more, and that it is lifted."""
     one = trial("lift", "lift", {"stiffness_factor": 3.0}, lift_s=2.5)

@@ -283,6 +283,7 @@ def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
     assert [row["readings"] for row in counts] == [2, 2]
 
 
+@pytest.mark.slow
 def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
     """Assert that the same seed gives the same arrays and another seed others, and that two sensors are not mixed."""
     tracks = [trial(tmp_path, number) for number in (1, 2)]

@@ -85,6 +85,7 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
     assert outcome.summary["true_force_max_x_n"] <= 10.5
 
 
+@pytest.mark.slow
 def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     """Assert that rows have the means over models that differ in the seed, and how much these differ."""
     learn, judged = [made / f"trial{number}.tracks.h5" for number in range(3)], [made / "trial3.tracks.h5"]

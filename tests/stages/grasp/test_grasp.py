@@ -109,6 +109,7 @@ def test_a_fixed_grip_closes_by_its_ticks(tmp_path: Path) -> None:
     assert forces[1] > forces[0] + 0.3
 
 
+@pytest.mark.slow
 def test_load_proportional_grips_as_the_object_pulls(tmp_path: Path) -> None:
     """Assert that ours lifts off with a grip that holds, and that the displacement that it reacts to is in the file."""
     path, row = made(tmp_path, controller="load-proportional", lift_s=1.2, balance_s=0.0)

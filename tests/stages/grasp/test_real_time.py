@@ -308,6 +308,7 @@ def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[An
     assert not GraspProcesses.closed
 
 
+@pytest.mark.slow
 def test_a_gripper_that_is_not_there(
     armed: tuple[Grasp, DeviceTrial], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -225,6 +225,7 @@ def rest_figures(path: Path) -> dict[str, float]:
     return figures.at_rest(*events, (640, 480), 1000 * HALF_MS)
 
 
+@pytest.mark.slow
 def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
     """Assert that the noise comes from the rest of a recording in which something moves later on."""
     short = scene.load("rest")
