@@ -679,6 +679,7 @@ def test_validate(report: Path, files: list[str]) -> None:
     assert "no such file" in shown["rows"][2]["faults"]
 
 
+@pytest.mark.slow
 def test_several_jobs_at_a_time(files: list[str]) -> None:
     """Assert that worker processes report the errors of all files like one process does: this is the real program."""
     paths = [str(Path(name).resolve()) for name in files[:2]]

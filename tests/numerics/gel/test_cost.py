@@ -227,6 +227,7 @@ def test_explicit_blows_up_above_its_limit():
     assert len(lost.pose) == 0
 
 
+@pytest.mark.slow
 def test_explicit_rows():
     """Assert that a blow-up is said and has no error, and that at smaller steps the errors fall."""
     reference, _ = time_reference(SHORT, 10)

@@ -141,7 +141,7 @@ def compare(one: Fired, other: Fired) -> tuple[float, float]:
         pytest.param(
             straight, 12, 300.0, 0.005, 55.0, marks=pytest.mark.slow
         ),  # the edge moves by half its own width within tau, 531 us
-        (straight, 12, 1000.0, 0.001, 6.0),
+        pytest.param(straight, 12, 1000.0, 0.001, 6.0, marks=pytest.mark.slow),
         (shaken, 22, 300.0, 0.01, 12.0),
         (shaken, 22, 1000.0, 0.005, 2.0),
     ],

@@ -50,7 +50,8 @@ def test_equal_pads_are_mirrored_pads(law: gel.Friction) -> None:
     assert slipped > 0.3
 
 
-@pytest.mark.parametrize("stiffness", [0.5, pytest.param(3.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [0.5, 3.0])
 def test_what_sticks_is_carried_by_stiffness(stiffness: float) -> None:
     """Assert that both carry a weight in proportion to their stiffness, and that the object comes to rest."""
     first, second = pads(stiffness)
