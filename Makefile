@@ -16,7 +16,7 @@ REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--sm
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table grasp-shipped results film test test-all test-lowest check docs bench clean
+	data-rate force grasp-table grasp-shipped results film test test-all test-lowest check lint types docs bench clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -96,11 +96,15 @@ $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,plot,dev]'
 	@touch $@
 
-check: $(READY)  ## ruff, mypy --strict and the documentation
+check: $(READY)  ## ruff, mypy --strict and the documentation, side by side
+	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs
+
+lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(READY)
 	$(BIN)/mypy
-	@$(MAKE) --no-print-directory docs
 
 docs: $(READY)  ## the documentation: site/index.html, with every page of the reference made from the code
 	$(BIN)/python scripts/docs/pages.py
