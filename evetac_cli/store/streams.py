@@ -20,6 +20,7 @@ NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,63}")  # of a stream, and of a colu
 # Names in a stream's group that no column may have: its other datasets, and the dimensions of all.
 TAKEN = ("t_us", "about", "frames", "samples", "frame_rows", "frame_columns", "channels")
 LARGEST_FRAME_PX = 16384  # of either side
+MOST_OFFSET_S = 1e11  # 3,000 years
 
 
 @dataclass(frozen=True)
