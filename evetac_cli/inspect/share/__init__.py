@@ -9,7 +9,6 @@ import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
@@ -35,9 +34,8 @@ def run(
         card = data_card.describe(first, params, progress)
     else:
         card = model_card.describe(first, files[1:], params)
-    target = (
-        out if out is not None else first.absolute().with_name(f"{first.name if first.is_dir() else stem(first)}-hub")
-    )
+    name = first.resolve().name if first.is_dir() else stem(first)
+    target = out if out is not None else first.resolve().with_name(f"{name}-hub")
     _check_free(target, first, force)
     size = _lay_out(target, card, progress)
     row = {

@@ -15,7 +15,8 @@ LARGER = "1M<n<10M"
 OTHERS = (".parquet", ".csv")  # what `export` writes for other programs: shared with the rest
 MOST_LISTED = 20  # objects or sensors
 
-READ = """Each trial is a set of HDF5 files of one name. `evetac info DATA` lists them, `evetac view` shows one. Without evetac:
+READ = """Each trial is a set of HDF5 files of one name. `evetac info DATA` lists them, `evetac view` shows one. Without
+evetac:
 
 ```python
 import h5py
@@ -24,8 +25,8 @@ with h5py.File("data/NAME.recording.h5") as file:
     t_us, x, y, p = (file[f"events/{column}"][:] for column in "txyp")
 ```
 
-Every dataset has `units` and `long_name`, the attribute `header` of the root says how the file was made, and xarray opens
-it with `engine="h5netcdf"`."""
+Every dataset has `units` and `long_name`, the attribute `header` of the root says how the file was made, and xarray
+opens it with `engine="h5netcdf"`."""
 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:

@@ -30,7 +30,7 @@ class Card:
 
 
 def shared_fields(simulated: bool, license_: str | None) -> dict[str, Any]:
-    """The fields that models and data sets have alike; `other` is the Hub's word for a license that it does not know."""
+    """The fields that models and data sets have alike; `other` is the Hub's word for a license not in its list."""
     license_fields = {"license": license_} if license_ else {"license": "other", "license_name": "not-chosen"}
     return {**license_fields, "tags": [*TAGS, *(["simulated"] if simulated else [])]}
 
