@@ -3,14 +3,18 @@
 import csv
 import json
 import os
+import re
+import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import share
 from evetac_cli.params.evaluation import EvaluateSlip
@@ -21,7 +25,7 @@ from evetac_cli.store.provenance import Recipe
 from tests import small_files
 from tests.conftest import Made
 
-HUB = "huggingface_hub==1.5.0"
+HUB = "huggingface_hub"
 CHECK = """
 import json, sys
 from huggingface_hub import DatasetCard, ModelCard
@@ -191,6 +195,20 @@ def test_course_of_a_training(made: Made) -> None:
         assert scores == model.read("checkpoint/score").tolist()
         (chosen,) = [int(row["step"]) for row in rows if row["chosen"] == "1"]
         assert chosen == model.read("checkpoint/step")[int(model.read("checkpoint/chosen"))]
+
+
+def test_the_commands_of_the_page(made: Made, trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the commands of docs/share.md make the folders that the page describes."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(made.model, "own.model.h5")
+    trials.rename("data")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "share.md").read_text()
+    for line in re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
+        result = CliRunner().invoke(app, shlex.split(line)[1:])
+        assert result.exit_code == 0, result.output
+    described = set(re.findall(r"^\| `(\S+)` \|", page, re.MULTILINE))
+    assert {path.name for path in Path("own-hub").iterdir()} == described
+    assert fields(Path("data-hub"))["pretty_name"] == "Slips of glass"
 
 
 @pytest.mark.slow

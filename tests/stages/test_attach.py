@@ -1,6 +1,8 @@
 """attach: streams of other programs in a recording, aligned by their clock, and what other commands make of them."""
 
 import json
+import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,9 @@ import h5py
 import numpy as np
 import pytest
 import xarray
+from typer.testing import CliRunner
 
+from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.formats import exports
@@ -25,6 +29,7 @@ pytest.importorskip("rosbags.rosbag1")
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
+ROOT = Path(__file__).resolve().parents[2]
 START_S = 1_700_000_000  # of the recording, in the clock of its event file
 SLICES = 100
 BAGS = ("ros1", "db3", "mcap")
@@ -269,6 +274,28 @@ def test_other_readers(recording: Path, tmp_path: Path) -> None:
     assert table["x_m"].values.tolist() == [(at + 2) / 8 for at in range(10)]
     row = exports.export(output, "text", tmp_path / "a.txt")
     assert "streams" in json.dumps(row)
+
+
+def test_the_commands_of_the_page(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the commands of docs/streams.md do what the page says, and that its Python reads what they made."""
+    import pandas
+
+    monkeypatch.chdir(tmp_path)
+    recording.rename("touch.recording.h5")
+    pandas.read_csv(pose_csv(tmp_path)).to_parquet("ft.parquet")
+    bag(tmp_path, "ros1").rename("trial.bag")
+    page = (ROOT / "docs" / "streams.md").read_text()
+    for line in re.findall(r"^evetac .*$", "".join(re.findall(r"^```sh\n(.*?)^```", page, re.M | re.S)), re.M):
+        result = CliRunner().invoke(app, shlex.split(line)[1:])
+        assert result.exit_code == 0, result.output
+    with StageFile(Path("touch-streams.recording.h5")) as file:
+        assert file.read("streams/force/t_us", 0, 1).tolist() == [2000]
+    with StageFile(Path("with-bag.recording.h5")) as file:
+        assert file.has("streams/wrist/frames")
+    (python,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    names: dict[str, Any] = {}
+    exec(python, names)
+    assert names["frame"]["x_m"].tolist() == [(at + 2) / 8 for at in range(10)]
 
 
 REFUSED = {
