@@ -237,7 +237,7 @@ class _Images(_Reader):
         try:
             from PIL import Image
         except ImportError as error:
-            hint = install_hint("convert")
+            hint = install_hint("plot")
             raise InputError("packed images need pillow", where=self.where, found=str(error), hint=hint) from None
         with bag_in_words(self.where, f"the image of message {self.number}"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
