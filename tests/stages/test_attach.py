@@ -375,7 +375,7 @@ def test_a_name_that_is_taken(recording: Path, tmp_path: Path) -> None:
     twice, _ = attached(once, f"hand={source}")
     with StageFile(twice) as file:
         assert file.read("streams/arm/x_m").tolist() == file.read("streams/hand/x_m").tolist()
-        assert file.header["parameters"]["streams"].keys() == {"arm", "hand"}
+        assert file.header["parameters"]["attached"].keys() == {"arm", "hand"}
 
 
 @pytest.mark.slow

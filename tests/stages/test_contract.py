@@ -100,11 +100,11 @@ def force_model(folder: Path) -> Path:
     return folder / "dots.force-model.h5"
 
 
+POSE = "t_s,z_m\n" + "".join(f"{at / 100},{at}\n" for at in range(10))  # of an arm, for the first tenth of a second
+
+
 def an_arm(folder: Path) -> list[str]:
-    """The height of an arm over the first tenth of a second, in a file beside the recordings."""
-    path = folder.parent / "pose.csv"
-    path.write_text("t_s,z_m\n" + "".join(f"{at / 100},{at}\n" for at in range(10)))
-    return [f"arm={path}"]
+    return [f"arm={folder / 'pose.csv'}"]
 
 
 def force_models(folder: Path) -> str:
@@ -194,6 +194,7 @@ def folder(made: Made, tmp_path: Path) -> Path:
     work = tmp_path / "work"
     shutil.copytree(made.folder, work)
     shutil.copy(made.scene, work / "short.toml")
+    (work / "pose.csv").write_text(POSE)
     return work
 
 
