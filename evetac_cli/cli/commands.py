@@ -43,6 +43,16 @@ PIPELINE = (
         examples=("evetac trim long.recording.h5 --from-ms 500 --to-ms 1500 -o piece.recording.h5",),
     ),
     Command(
+        "attach",
+        recording.Attach,
+        "stages.attach",
+        "Recordings.",
+        examples=(
+            "evetac attach a.recording.h5 --stream arm=pose.csv --stream force=ft.parquet --offset arm=0.012",
+            "evetac attach a.recording.h5 --stream wrist=trial.mcap:/wrist/image_raw -o b.recording.h5",
+        ),
+    ),
+    Command(
         "calibrate",
         recording.Calibrate,
         "stages.calibrate",
@@ -247,6 +257,17 @@ DOCTOR = Command(
     "inspect.doctor",
     "",
     examples=("evetac doctor", "evetac doctor --speed", "evetac doctor --hardware --camera virtual --gripper virtual"),
+)
+SHARE = Command(
+    "share",
+    inspection.Share,
+    "inspect.share",
+    "A model and reports on it; or a folder.",
+    unit="files",
+    examples=(
+        "evetac share own.model.h5 unseen.slip.report.h5 --license mit -o own-hub",
+        'evetac share data --title "Slips of 20 objects" -o data-hub',
+    ),
 )
 REPORT = Command(
     "report",
