@@ -1,8 +1,8 @@
 """A recording -> a file that other programs read: one function, and one table of the formats that are written.
 
 Of a recording, the formats of events hold the events and, in a note (formats/note.py), where it begins and ends, its
-frame and whether it was simulated; so it comes back from them event for event and slice for slice. Gripper, truth,
-control and dots are left out, and that is said.
+frame and whether it was simulated; so it comes back from them event for event and slice for slice. What a format does
+not hold of gripper, truth, control and dots is left out, and that is said.
 """
 
 import os
@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write import write_aedat4, write_calibration, write_dsec, write_text
+from evetac_cli.formats.write import (
+    write_aedat4,
+    write_calibration,
+    write_dsec,
+    write_mcap,
+    write_prophesee,
+    write_text,
+)
 from evetac_cli.jobs import Progress, require_possible_name, silent
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
@@ -19,17 +26,25 @@ from evetac_cli.store.read import Recording
 
 
 class Format(NamedTuple):
-    """A row of the table: endings of its files, the usual one first; who writes them; whether they hold events."""
+    """A row of the table: endings of its files, the usual one first; who writes them; whether they hold events.
+
+    holds: groups and datasets of a recording that they hold beside its events.
+    """
 
     suffixes: tuple[str, ...]
     write: Callable[[Recording, Path, Progress], None]
     events: bool = True
+    holds: tuple[str, ...] = ()
 
 
 FORMATS = {
     "aedat4": Format((".aedat4",), write_aedat4.write),
     "dsec": Format((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
     "text": Format((".txt",), write_text.write),
+    "raw": Format((".raw",), write_prophesee.write_evt3),
+    "raw-evt2": Format((".raw",), write_prophesee.write_evt2),
+    "dat": Format((".dat",), write_prophesee.write_dat),
+    "mcap": Format((".mcap",), write_mcap.write, holds=write_mcap.HOLDS),
     "calibration": Format((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
@@ -72,7 +87,7 @@ def export(
         with taking_the_place_of(target, target.suffix) as temporary:
             row.write(recording, temporary, progress)
             size = temporary.stat().st_size
-        left_out = [name for name in LEFT_OUT if recording.has(name)] if row.events else []
+        left_out = _left_out(recording, row.holds) if row.events else []
         return {
             "recording": str(source),
             "output": str(target),
@@ -83,3 +98,13 @@ def export(
             "left_out": " ".join(left_out) or None,
             "simulated": bool(recording.header["simulated"]),
         }
+
+
+def _left_out(recording: Recording, holds: tuple[str, ...]) -> list[str]:
+    """What a file of events does not hold of a recording: whole groups, and datasets of those that it holds in part."""
+    names: list[str] = []
+    for group in LEFT_OUT:
+        paths = [path for path in recording.contents() if path == group or path.startswith(f"{group}/")]
+        left = [path for path in paths if path not in holds and group not in holds]
+        names += [group] if left and left == paths else left
+    return names

@@ -44,6 +44,7 @@ SERVES = {
     "camera": "--camera dv",
     "convert": "AEDAT4, bags, Prophesee's files",
     "plot": "pictures beside reports, pages, films",
+    "view": "view --rrd",
     "cluster": "--engine dask",
 }
 

@@ -17,6 +17,9 @@ class View:
         500, "Images in the page at most, dense near slip and where it is busiest.", low=1, high=3000, recipe=False
     )
     film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
+    rrd: bool = parameter(
+        False, "Write a file for the viewer rerun instead, NAME.rrd, with every event as far as it fits.", recipe=False
+    )
 
 
 @dataclass(frozen=True)
@@ -28,13 +31,15 @@ class Report:
 
 @dataclass(frozen=True)
 class Export:
-    """Write the events, or the dot grid, of recordings in a format that other programs read."""
+    """Write recordings, or their dot grid, in a format that other programs read."""
 
     format: str = parameter(
         "aedat4",
         "aedat4: for DV and dv-processing; dsec: HDF5 as in the DSEC data set; text: `t_us x y p` a line;"
+        " raw: Prophesee's RAW, EVT3; raw-evt2: the same, EVT2; dat: Prophesee's DAT;"
+        " mcap: ROS 2 messages, with dots, forces, labels, gripper and control;"
         " calibration: the dot grid as JSON, or with -o NAME.pkl as the official software's pickle.",
-        choices=("aedat4", "dsec", "text", "calibration"),
+        choices=("aedat4", "dsec", "text", "raw", "raw-evt2", "dat", "mcap", "calibration"),
         recipe=False,
     )
 
