@@ -14,6 +14,9 @@ exports.py writes them:
     aedat4          write/write_aedat4        what DV and dv-processing read; needs the extra `convert` (faery)
     dsec            write/write_dsec          HDF5 as in the DSEC data set: events/{x,y,t,p}, ms_to_idx, t_offset
     text            write/write_text          a line `t_us x y p` for every event
+    raw, raw-evt2   write/write_prophesee     Prophesee's RAW, EVT3 or EVT2
+    dat             write/write_prophesee     Prophesee's DAT
+    mcap            write/write_mcap          ROS 2 messages, with dots, forces, gripper and control; `convert` (mcap)
     calibration     write/write_calibration   the dot grid: JSON, or the pickle that the official software reads
 
 One format is one module, however short, so that a reader finds it here by its name.

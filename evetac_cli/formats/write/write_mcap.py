@@ -239,9 +239,9 @@ class _Messages:
         tracks, forces, labels = (files[kind] for kind in ("tracks", "forces", "labels"))
         if tracks is not None:
             yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
-        if forces is not None and forces.has("shear_n"):
-            wrenches = self._wrenches(forces, "shear_n", "normal_n")
-            yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", wrenches
+        if forces is not None:  # of a model for any gel, or of the paper's network, which knows no normal force
+            names = ("shear_n", "normal_n") if forces.has("shear_n") else ("network_n", None)
+            yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, *names)
         if labels is not None:
             yield "/evetac/label", "std_msgs/msg/Int8", self._numbers(labels, "label", "Int8")
 
@@ -264,10 +264,10 @@ class _Messages:
         for t_us, value in rows:
             yield t_us, self(f"std_msgs/msg/{kind}", data=value.item())
 
-    def _wrenches(self, file: StageFile, shear: str, normal: str) -> Messages:
+    def _wrenches(self, file: StageFile, shear: str, normal: str | None) -> Messages:
         none = self("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        for t_us, (x, y), z in _by_slice(file, shear, normal):
-            force = self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
+        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if normal else [])):
+            force = self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z[0]) if z else math.nan)
             wrench = self("geometry_msgs/msg/Wrench", force=force, torque=none)
             yield t_us, self("geometry_msgs/msg/WrenchStamped", header=self._header(t_us), wrench=wrench)
 
