@@ -274,31 +274,29 @@ class _Messages:
     def _dots(self, tracks: StageFile) -> Messages:
         rest = tracks.read("sensor/dot_xy_px")
         shape = rest.shape[:2]
-        dots = np.zeros(shape, DOT)
+        dots, fields = np.zeros(shape, DOT), self._fields(DOT)
         for t_us, xy, events, lost in _by_slice(tracks, "dot_xy_px", "events_per_dot", "lost"):
             xy = xy.reshape(*shape, 2)  # noqa: PLW2901
             dots["x"], dots["y"] = xy[..., 0], xy[..., 1]
             dots["dx"], dots["dy"] = xy[..., 0] - rest[..., 0], xy[..., 1] - rest[..., 1]
             dots["events"], dots["lost"] = events.reshape(shape), lost.reshape(shape)
-            yield t_us, self._cloud(t_us, dots)
+            yield t_us, self._cloud(t_us, dots, fields)
 
     def _true_dots(self, recording: Recording) -> Messages:
+        fields = self._fields(TRUE_DOT)
         for t_us, xy in _by_slice(recording, "truth/dot_xy_px"):
             dots = np.zeros((1, len(xy)), TRUE_DOT)
             dots["x"], dots["y"] = xy[:, 0], xy[:, 1]
-            yield t_us, self._cloud(t_us, dots)
+            yield t_us, self._cloud(t_us, dots, fields)
 
-    def _cloud(self, t_us: int, dots: NDArray[Any]) -> Any:
-        fields = [
-            self(
-                "sensor_msgs/msg/PointField",
-                name=name,
-                offset=offset,
-                datatype=POINT_FIELDS[of.str],
-                count=1,
-            )
-            for name, (of, offset, *_) in (dots.dtype.fields or {}).items()
+    def _fields(self, point: np.dtype[Any]) -> list[Any]:
+        kind = "sensor_msgs/msg/PointField"
+        return [
+            self(kind, name=name, offset=offset, datatype=POINT_FIELDS[of.str], count=1)
+            for name, (of, offset, *_) in (point.fields or {}).items()
         ]
+
+    def _cloud(self, t_us: int, dots: NDArray[Any], fields: list[Any]) -> Any:
         return self(
             "sensor_msgs/msg/PointCloud2",
             header=self._header(t_us),

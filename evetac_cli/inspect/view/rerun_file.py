@@ -116,7 +116,7 @@ class _File:
             columns = self._rr.Points2D.columns(positions=places, class_ids=events.p[kept].astype(np.uint16))
             self._columns("gel/events", rows * SLICE_US, columns.partition(lengths))
             progress(int(recording.starts[end]) - first, last - first, "events")
-        thinned = [f"Of {last - first:,} events every {every}th is shown."] if every > 1 else []
+        thinned = [f"Of {last - first:,} events one in {every} is shown."] if every > 1 else []
         return thinned + ([f"Events are shown {step} ms at a time."] if step > 1 else [])
 
     def dots(
@@ -146,7 +146,7 @@ class _File:
                 origins = np.broadcast_to(rest.astype(np.float32), places.shape)[known]
                 arrows = rr.Arrows2D.columns(vectors=places[known] - origins, origins=origins)
                 self._columns("gel/displacement", t_us, arrows.partition(known.sum(axis=1)))
-        return [f"Of `gel/{name}` every {every}th slice is shown."] if every > 1 else []
+        return [f"Of `gel/{name}` one slice in {every} is shown."] if every > 1 else []
 
     def images(self, view: ViewData) -> None:
         """The event images, each at the first slice that it shows."""

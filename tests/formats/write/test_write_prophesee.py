@@ -12,6 +12,8 @@ from evetac_cli.events import Events
 from evetac_cli.formats.exports import export, target_path
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.write import pieces, write_prophesee
+from evetac_cli.jobs import silent
+from evetac_cli.store.read import open_recording
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
 
@@ -89,20 +91,13 @@ def test_the_last_time_that_fits(layout: str, most_us: int) -> None:
     assert words.ravel().tolist() == ([0x8FFFFFFF, 0x3F << 22] if layout == "EVT2" else [2**32 - 1, 0])
 
 
-def test_too_long_a_recording_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_long_a_recording_is_refused(tmp_path: Path) -> None:
     """Assert that a recording of more time than the words can tell is refused before anything is written."""
     short = write_prophesee.DAT._replace(most_us=60e6)
-    source = write(tmp_path / "a.recording.h5", drawn(3), 60_001)
-    row = write_prophesee.partial(write_prophesee._write, short)
-    words = refusal(lambda: row(source_of(source), tmp_path / "a.dat", lambda *_: None))
+    with open_recording(write(tmp_path / "a.recording.h5", drawn(3), 60_001)) as recording:
+        words = refusal(lambda: write_prophesee._write(short, recording, tmp_path / "a.dat", silent))
     assert "expected: at most 1 min" in words and "found:    1.0 min" in words
     assert not (tmp_path / "a.dat").exists()
-
-
-def source_of(path: Path) -> Any:
-    from evetac_cli.store.read import open_recording
-
-    return open_recording(path)
 
 
 @pytest.mark.parametrize("format_", FORMATS)
