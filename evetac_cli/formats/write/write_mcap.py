@@ -162,7 +162,9 @@ def _beside(recording: Recording, kind: str, stack: ExitStack) -> StageFile | No
     if not path.is_file():
         return None
     file = stack.enter_context(StageFile(path, kind))
-    if recording.header["id"] not in {*file.header["parents"], *file.header["history"]}:
+    parents, history = file.header["parents"], file.header["history"]
+    tracks = [history[parent]["parents"] for parent in parents if history[parent]["kind"] == "tracks"]  # of forces
+    if not any(recording.header["id"] in made_from for made_from in (parents, *tracks) if isinstance(made_from, list)):
         raise InputError(
             f"the {kind} belong to another recording",
             where=str(path),

@@ -1,6 +1,7 @@
 """MCAP as we write it: every topic as the libraries of MCAP and of bags read it, and the way back."""
 
 import re
+import shlex
 import sys
 import types
 from array import array
@@ -11,7 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from evetac_cli.cli.main import app
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.imports import read_events
@@ -24,6 +27,7 @@ from tests import small_files
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
 from tests.inspect.view.trials import REST, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.test_readme import PAGES, shown_commands
 
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
@@ -190,12 +194,19 @@ def test_forces_beside_it_are_taken_along(tmp_path: Path) -> None:
 
 
 def test_files_of_another_recording_are_refused(tmp_path: Path) -> None:
-    """Assert that tracks beside it that were made from another recording are not taken for its own."""
+    """Assert that tracks and forces beside it that were made from another recording are not taken for its own.
+
+    The forces are told by a model that learned from this very recording.
+    """
     path = tmp_path / "a.recording.h5"
-    write_recording(path)
+    own = write_recording(path)
     other = write_recording(tmp_path / "b.recording.h5", seed=2)
-    write_tracks(tmp_path / "a.tracks.h5", other, moving())
-    assert "belong to another recording" in refusal(lambda: export(path, "mcap", tmp_path / "a.mcap"))
+    tracks = write_tracks(tmp_path / "a.tracks.h5", other, moving())
+    assert "the tracks belong to another recording" in refusal(lambda: export(path, "mcap", tmp_path / "a.mcap"))
+    model = small_files.force_model(tmp_path / "m.force-model.h5", write_tracks(tmp_path / "c.h5", own, moving()))
+    small_files.forces(tmp_path / "a.forces.h5", (tracks, model))
+    (tmp_path / "a.tracks.h5").unlink()
+    assert "the forces belong to another recording" in refusal(lambda: export(path, "mcap", tmp_path / "a.mcap"))
     assert not (tmp_path / "a.mcap").exists()
 
 
@@ -277,3 +288,16 @@ def test_the_node_of_the_docs_publishes_what_we_read(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(part.t.astype(np.int64) - 5_000_000, one.t)
         for theirs, ours in zip(part[1:], one[1:], strict=True):
             np.testing.assert_array_equal(theirs, ours)
+
+
+def test_the_commands_of_the_docs_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the page on ROS 2 exports a recording and gets it back."""
+    monkeypatch.chdir(tmp_path)
+    write_recording(tmp_path / "touch.recording.h5")
+    commands = shown_commands(PAGES["docs/ros2.md"])
+    assert len(commands) == 2
+    for command in commands:
+        run = CliRunner().invoke(app, shlex.split(command)[1:])
+        assert run.exit_code == 0, run.output
+    with open_recording("touch.recording.h5") as one, open_recording("back.recording.h5") as other:
+        assert same(one.between(0, SLICES), other.between(0, SLICES)) and other.header["simulated"] is True

@@ -1,6 +1,7 @@
 """view --rrd: rerun's own reader finds every part of a trial, on one timeline, and what was thinned is said."""
 
 import json
+import shlex
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -17,6 +18,7 @@ from evetac_cli.inspect.view import rerun_file
 from evetac_cli.params.inspection import View
 from evetac_cli.store.read import open_recording
 from tests.inspect.view.trials import NASTY, REST, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.test_readme import PAGES, shown_commands
 
 rerun = pytest.importorskip("rerun")
 
@@ -214,3 +216,15 @@ def test_rerun_needs_the_extra_view(trial: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(EvetacError, match=r"pip install '\.\[view\]'"):
         made(trial)
+
+
+def test_the_commands_of_the_docs_run(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the page on view writes files that rerun reads."""
+    monkeypatch.chdir(trial.parent)
+    commands = [command for command in shown_commands(PAGES["docs/view-and-report.md"]) if "--rrd" in command]
+    assert len(commands) == 2
+    for command in commands:
+        run = CliRunner().invoke(app, shlex.split(command)[1:])
+        assert run.exit_code == 0, run.output
+    assert len(rows_of(trial.with_name("a.rrd"))["/gel/events"]) == SLICES
+    assert len(rows_of(trial.with_name("piece.rrd"))["/gel/events"]) == 100
