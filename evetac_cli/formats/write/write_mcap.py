@@ -242,8 +242,9 @@ class _Messages:
         if tracks is not None:
             yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
         if forces is not None:  # of a model for any gel, or of the paper's network, which knows no normal force
-            names = ("shear_n", "normal_n") if forces.has("shear_n") else ("network_n", None)
-            yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, *names)
+            names = [("shear_n", "normal_n"), ("network_n", None)]
+            for shear, normal in [pair for pair in names if forces.has(pair[0])][:1]:
+                yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, shear, normal)
         if labels is not None:
             yield "/evetac/label", "std_msgs/msg/Int8", self._numbers(labels, "label", "Int8")
 
@@ -268,7 +269,7 @@ class _Messages:
 
     def _wrenches(self, file: StageFile, shear: str, normal: str | None) -> Messages:
         none = self("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if normal else [])):
+        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if normal and file.has(normal) else [])):
             force = self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z[0]) if z else math.nan)
             wrench = self("geometry_msgs/msg/Wrench", force=force, torque=none)
             yield t_us, self("geometry_msgs/msg/WrenchStamped", header=self._header(t_us), wrench=wrench)

@@ -10,7 +10,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.read import Recording
 
-KINDS = ("recording", "tracks", "labels", "features")
+KINDS = ("recording", "tracks", "labels", "features", "forces")
 MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a file was made from is searched
 
 
@@ -23,13 +23,14 @@ class Trial:
     tracks: StageFile | None = None
     labels: StageFile | None = None
     features: StageFile | None = None
+    forces: StageFile | None = None
     model: StageFile | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def files(self) -> list[StageFile]:
         """The files that exist."""
-        files = (self.recording, self.tracks, self.labels, self.features, self.model)
+        files = (self.recording, self.tracks, self.labels, self.features, self.forces, self.model)
         return [file for file in files if file is not None]
 
     @property
@@ -37,8 +38,9 @@ class Trial:
         """Length of the trial in ms: that of the recording, else of what was computed from it."""
         if self.recording is not None:
             return len(self.recording)
-        rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
-        return max(file.length(path) for file, path in rows if file is not None)
+        rows = [(self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total")]
+        rows += [(self.forces, path) for path in ("shear_n", "network_n")]
+        return max((file.length(path) for file, path in rows if file is not None and file.has(path)), default=0)
 
     @property
     def recording_parameters(self) -> Any:
@@ -108,12 +110,15 @@ def _kind_of(path: Path) -> str:
 
 
 def _recording_id(file: StageFile) -> str | None:
-    """The id of the recording itself, or of the one a file was made from."""
+    """The id of the recording itself, or of the one that a file, or the tracks behind it, was made from."""
     if file.kind == "recording":
         return str(file.header["id"])
-    history = file.header["history"]
-    parents = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") == "recording"]
-    return str(parents[0]) if parents else None
+    history, parents = file.header["history"], file.header["parents"]
+    for made_from in (parents, *(history[id_]["parents"] for id_ in parents if history[id_]["kind"] == "tracks")):
+        for id_ in made_from if isinstance(made_from, list) else ():
+            if inner(history, str(id_), "kind") == "recording":
+                return str(id_)
+    return None
 
 
 def _one_recording(named: list[StageFile]) -> str:
