@@ -241,10 +241,9 @@ class _Messages:
         tracks, forces, labels = (files[kind] for kind in ("tracks", "forces", "labels"))
         if tracks is not None:
             yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
-        if forces is not None:  # of a model for any gel, or of the paper's network, which knows no normal force
-            names = [("shear_n", "normal_n"), ("network_n", None)]
-            for shear, normal in [pair for pair in names if forces.has(pair[0])][:1]:
-                yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, shear, normal)
+        if forces is not None and (forces.has("shear_n") or forces.has("network_n")):
+            shear = "shear_n" if forces.has("shear_n") else "network_n"  # of the paper's network
+            yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, shear, "normal_n")
         if labels is not None:
             yield "/evetac/label", "std_msgs/msg/Int8", self._numbers(labels, "label", "Int8")
 
@@ -267,9 +266,10 @@ class _Messages:
         for t_us, value in rows:
             yield t_us, self(f"std_msgs/msg/{kind}", data=value.item())
 
-    def _wrenches(self, file: StageFile, shear: str, normal: str | None) -> Messages:
+    def _wrenches(self, file: StageFile, shear: str, normal: str) -> Messages:
+        """A force a slice; its z is not a number where nothing tells the normal force."""
         none = self("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if normal and file.has(normal) else [])):
+        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if file.has(normal) else [])):
             force = self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z[0]) if z else math.nan)
             wrench = self("geometry_msgs/msg/Wrench", force=force, torque=none)
             yield t_us, self("geometry_msgs/msg/WrenchStamped", header=self._header(t_us), wrench=wrench)
