@@ -1,4 +1,4 @@
-"""Event files of other programs, read and written.
+"""Files of other programs, read and written.
 
 imports.py reads them; the content decides, not the file's name:
 
@@ -15,6 +15,9 @@ exports.py writes them:
     dsec            write/write_dsec          HDF5 as in the DSEC data set: events/{x,y,t,p}, ms_to_idx, t_offset
     text            write/write_text          a line `t_us x y p` for every event
     calibration     write/write_calibration   the dot grid: JSON, or the pickle that the official software reads
+    parquet, csv    write/write_table         a trial, a row a slice; Parquet of many trials; extra `convert` (pyarrow)
+    lerobot         write/write_lerobot       many trials as LeRobotDataset v3.0; needs the extra `convert` (pyarrow, av)
 
-One format is one module, however short, so that a reader finds it here by its name.
+One format is one module, however short, so that a reader finds it here by its name. What several share: the events of
+a recording piece by piece (write/pieces), a trial as columns (write/slice_columns) and as frames (write/episodes).
 """

@@ -287,7 +287,7 @@ class _Tables:
 
     def append(self, table: Any) -> Place:
         """Write the rows of an episode; returns where."""
-        if self._writer is None or (self._most_mb and self._path.stat().st_size >= self._most_mb << 20):
+        if self._writer is None or (self._most_mb is not None and _is_full(self._path, self._most_mb)):
             self.__exit__()
             self._number += 1
             self._path = _numbered(self._folder, self._pattern, self._number)
@@ -326,7 +326,7 @@ class _Videos:
 
     def begin(self) -> Place:
         """Begin an episode; returns where."""
-        if self._file is None or self._path.stat().st_size >= VIDEO_MB << 20:
+        if self._file is None or _is_full(self._path, VIDEO_MB):
             self.__exit__(None, None, None)
             self._number += 1
             self._frames = 0
@@ -343,6 +343,10 @@ class _Videos:
         frame.pts, frame.time_base = self._frames, Fraction(1, self._fps)
         self._file.mux(self._stream.encode(frame))
         self._frames += 1
+
+
+def _is_full(path: Path, most_mb: int) -> bool:
+    return path.stat().st_size >= most_mb << 20
 
 
 def _numbered(folder: Path, pattern: str, number: int) -> Path:
