@@ -16,7 +16,7 @@ exports.py writes them:
     text            write/write_text          a line `t_us x y p` for every event
     calibration     write/write_calibration   the dot grid: JSON, or the pickle that the official software reads
     parquet, csv    write/write_table         a trial, a row a slice; Parquet of many trials; extra `convert` (pyarrow)
-    lerobot         write/write_lerobot       many trials as LeRobotDataset v3.0; needs the extra `convert` (pyarrow, av)
+    lerobot         write/write_lerobot       many trials as LeRobotDataset v3.0; extra `convert` (pyarrow, av)
 
 One format is one module, however short, so that a reader finds it here by its name. What several share: the events of
 a recording piece by piece (write/pieces), a trial as columns (write/slice_columns) and as frames (write/episodes).

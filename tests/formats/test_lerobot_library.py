@@ -1,7 +1,7 @@
 """What LeRobot makes of our data sets, and the page that shows it: slow, with lerobot in an environment of its own.
 
-lerobot 0.4.4 wants older versions of torch, av and OpenCV than evetac; `make lerobot` makes the environment, and without
-it the tests that need it are skipped.
+lerobot 0.4.4 wants older versions of torch, av and OpenCV than evetac; `make lerobot` makes the environment, and
+without it the tests that need it are skipped.
 """
 
 import json
