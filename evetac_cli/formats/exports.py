@@ -44,7 +44,7 @@ FORMATS = {
     "lerobot": Format((".parquet", ".json", ".mp4", ".md"), None, **TABLE, write_folder=write_lerobot.write),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
-LEFT_OUT = ("gripper", "truth", "control", "capture", "sensor/dot_xy_px", "sensor/window_px")
+LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
 
 
 def is_folder(format_: str, out: Path | None) -> bool:
