@@ -46,6 +46,11 @@ class Export:
         choices=("aedat4", "dsec", "text", "calibration", "parquet", "csv", "lerobot"),
         recipe=False,
     )
+    model: str | None = parameter(
+        None,
+        "Of tables and data sets: with the slip probability by this model, or by `shipped`, the package's.",
+        recipe=False,
+    )
     fps: int | None = parameter(
         None, "Frames a second; default: 50.", unit="1/s", low=1, high=1000, recipe=False, panel=LEROBOT
     )

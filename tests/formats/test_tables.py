@@ -141,6 +141,25 @@ def test_columns_say_their_unit_and_where_they_come_from(source: Path, table: Pa
     assert frame["events_total"].tolist() == [EVENTS_A_SLICE] * SLICES
 
 
+def test_other_streams_stand_beside(tmp_path: Path) -> None:
+    """Assert that columns of a stream have its unit and its last sample, and that images are left out."""
+    about = json.dumps({"what": "arm", "units": {"force": "N", "height_mm": "mm"}})
+    t_us = np.array([-500, 2500, 2600, 90_000], np.int64)
+    columns = {"t_us": t_us, "about": about, "force": np.array([1.5, 2.5, np.nan, 4.5]), "height_mm": np.arange(4.0)}
+    more: dict[str, Any] = {f"streams__arm__{name}": values for name, values in columns.items()}
+    path = trial(tmp_path, "a", **more, streams__arm__frames=np.zeros((4, 2, 3, 1), np.uint8))
+    target = tmp_path / "a.parquet"
+    row = export(path, "parquet", target, opened=trial_files)
+    assert "2 of 4 rows of streams/arm" in row["left_out"]
+    frame = pd.read_parquet(target)
+    assert frame["streams_arm_height_mm"].tolist() == [0.0, 0.0, *[2.0] * (SLICES - 2)]
+    assert frame["streams_arm_force"][:2].tolist() == [1.5, 1.5] and frame["streams_arm_force"][2:].isna().all()
+    schema = pq.read_schema(target)
+    assert [name for name in schema.names if "frames" in name or "about" in name] == []
+    units = [schema.field(f"streams_arm_{name}").metadata[b"units"] for name in ("force", "height_mm", "t_us")]
+    assert units == [b"N", b"mm", b"us"]
+
+
 def test_csv_has_the_same_numbers(source: Path, table: Path) -> None:
     """Assert that the text holds every column of the Parquet file with equal values, and unknown ones as nothing."""
     target = target_path(source, "csv", None)

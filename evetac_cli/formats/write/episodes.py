@@ -29,7 +29,7 @@ ACTIONS = (("control_goal_ticks",), ("gripper_current_target_ma",))  # of a gras
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
 TACTILE = re.compile(
     rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|force_(shear|regression|network)_[xy]_n|force_normal_n"
-    "|force_contact_probability|control_probability"
+    "|force_contact_probability|(control|model)_probability"
 )
 MOST_BYTES = 2_000_000_000  # of a trial's slices in memory
 MOST_EVENTS = 4_000_000  # drawn in one picture: the last ones

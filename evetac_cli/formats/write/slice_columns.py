@@ -2,8 +2,8 @@
 
 Every dataset that has a row for each slice is read as columns of plain numbers, one for each dot and for each of x and
 y. Their names are the path of the dataset, the dot, x or y, and the unit at the end: `displacement_17_x_px`. Columns of
-forces begin with `force_`. Rows that have a clock of their own (gripper, control) stand in every slice as the last of
-them before its end, and their time stands beside them.
+forces begin with `force_`. Rows that have a clock of their own (gripper, control, other streams of the trial) stand in
+every slice as the last of them before its end, and their time stands beside them. Images of a stream are left out.
 
 Why no lists of dots: pandas keeps a list as an object with which nothing can be computed, and CSV has none. Plain
 columns are picked by a pattern in pandas, polars and duckdb alike, and Parquet reads only those that are asked for.
@@ -11,6 +11,7 @@ columns are picked by a pattern in pandas, polars and duckdb alike, and Parquet 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.store import schema
+from evetac_cli.store import schema, streams
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import describe
 from evetac_cli.store.read import Recording
 from evetac_cli.store.schema import Dataset
+from evetac_cli.text_files import parse_json
 
 Masked = np.ma.MaskedArray[Any, Any]
 KINDS = ("recording", "tracks", "labels", "forces", "features")  # of two columns of one name, the first stands
@@ -32,10 +34,14 @@ COPIED = ("visible_slip_share",)  # by features from the truth, where it has its
 
 
 class TrialFiles(NamedTuple):
-    """The open files of one trial by their kinds, its recording among them, and what was left out of them."""
+    """The open files of one trial by their kinds, its recording among them, and what was left out of them.
+
+    slip_probability: of a detector for each slice, NaN before its first; where one was asked for.
+    """
 
     by_kind: Mapping[str, StageFile]
     notes: Sequence[str] = ()
+    slip_probability: NDArray[np.float32] | None = None
 
     @property
     def recording(self) -> Recording:
@@ -46,11 +52,11 @@ class TrialFiles(NamedTuple):
 
     @property
     def simulated(self) -> bool:
-        """Whether anything of it comes from a simulation."""
+        """Whether anything of it comes from a simulation: the recording, or what a model learned from."""
         return any(bool(file.header["simulated"]) for file in self.by_kind.values())
 
     def facts(self) -> dict[str, Any]:
-        """What a trial is called by in a data set: its name, object, sensor, seed, outcome; None where unknown."""
+        """What tells a trial from others: name, object, sensor, seed, outcome, None where unknown; and if simulated."""
         row = self._described("recording")
         outcome = row.outcome
         if outcome is None and "labels" in self.by_kind:
@@ -61,7 +67,7 @@ class TrialFiles(NamedTuple):
             "sensor": row.sensor or None,
             "seed": row.seed,
             "outcome": outcome,
-            "simulated": self.simulated,
+            "simulated": bool(self.recording.header["simulated"]),
         }
 
     def _described(self, kind: str) -> Any:
@@ -107,6 +113,8 @@ def columns_of(files: TrialFiles) -> list[Columns]:
     for kind in KINDS:
         if kind in files.by_kind:
             made += _of_file(files.by_kind[kind], dots)
+    if files.slip_probability is not None:
+        made.append(_of_detector(files.slip_probability))
     seen: set[str] = set()
     kept = []
     for columns in made:
@@ -150,6 +158,14 @@ def _event_counts(recording: Recording) -> Columns:
     return Columns(("events_total",), ("all events of the slice",), "", np.dtype(np.int32), read)
 
 
+def _of_detector(probability: NDArray[np.float32]) -> Columns:
+    def read(start: int, stop: int) -> Masked:
+        return _masked(probability[start:stop, None])
+
+    meaning = "slip probability by the detector whose header stands beside those of the files"
+    return Columns(("model_probability",), (meaning,), "", np.dtype(np.float32), read)
+
+
 def _dot_words(files: TrialFiles) -> Callable[[int], str]:
     """Where a dot is in the grid, by its number."""
     grids = (file.contents().get("sensor/dot_xy_px") for file in files.by_kind.values())
@@ -161,22 +177,32 @@ def _dot_words(files: TrialFiles) -> Callable[[int], str]:
 
 def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[Columns]:
     stored, table = file.contents(), schema.load(file.kind)
-    clocks = {group: (table.find(f"{group}/t_us"), file.read(f"{group}/t_us")) for group in _clocks(file)}
-    for row in table.datasets:
-        if row.path not in stored or row.path in COPIED or not row.dims:
-            continue
-        shape = stored[row.path][1]
+    clocks = {group: file.read(f"{group}/t_us") for group in _clocks(file)}
+    described = [(path, row) for path in stored if (row := table.find(path)) is not None and row.path not in COPIED]
+    order = {row.path: place for place, row in enumerate(table.datasets)}
+    for path, row in sorted(described, key=lambda pair: order[pair[1].path]):
+        along, *across = row.dims or ("",)
+        group = path.rpartition("/")[0]
         read: Callable[[int, int], Masked]
-        clock, t_us = clocks.get(row.path.rpartition("/")[0], (None, None))
-        if row.dims[0] == "slices":
-            read = partial(_by_slice, file, row.path, shape)
-        elif clock is not None and clock.dims == row.dims[:1]:
-            read = partial(_by_clock, file, row, shape, t_us)
+        if set(across) - {"dots", 2}:
+            continue
+        if along == "slices":
+            read = partial(_by_slice, file, path, stored[path][1])
+        elif group in clocks and row.dims:
+            read = partial(_by_clock, file, path, stored[path][1], np.dtype(row.dtype), clocks[group])
         else:
             continue
-        named = _named(row, shape, PREFIX.get(file.kind, ""), dot)
+        unit = row.unit or _unit_of_column(file, group, path.rpartition("/")[2])
+        named = _named(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
         names, meanings = tuple(name for name, _ in named), tuple(words for _, words in named)
-        yield Columns(names, meanings, row.unit, np.dtype(row.dtype), read)
+        yield Columns(names, meanings, unit, np.dtype(row.dtype), read)
+
+
+def _unit_of_column(file: StageFile, group: str, column: str) -> str:
+    """The unit of a column of a stream, which the text of its group says; empty for all other datasets."""
+    if not group.startswith(f"{streams.GROUP}/"):
+        return ""
+    return str(parse_json(file.read(f"{group}/about")).get("units", {}).get(column, ""))
 
 
 def _named(row: Dataset, shape: Sequence[int], prefix: str, dot: Callable[[int], str]) -> list[tuple[str, str]]:
@@ -217,14 +243,20 @@ def _rows_at(t_us: NDArray[np.int64], start: int, stop: int) -> NDArray[np.int64
 
 
 def _by_clock(
-    file: StageFile, row: Dataset, shape: Sequence[int], t_us: NDArray[np.int64], start: int, stop: int
+    file: StageFile,
+    path: str,
+    shape: Sequence[int],
+    dtype: np.dtype[Any],
+    t_us: NDArray[np.int64],
+    start: int,
+    stop: int,
 ) -> Masked:
     at = _rows_at(t_us, start, stop)
     columns = int(np.prod(shape[1:]))
     if not len(at) or at[-1] < 0:
-        return np.ma.masked_all((len(at), columns), np.dtype(row.dtype))
+        return np.ma.masked_all((len(at), columns), dtype)
     first = max(int(at[0]), 0)
-    values = file.read(row.path, first, int(at[-1]) + 1).reshape(-1, columns)
+    values = file.read(path, first, int(at[-1]) + 1).reshape(-1, columns)
     made = np.ma.array(_masked(values[np.maximum(at - first, 0)]))
     made[at < 0] = np.ma.masked
     return made
