@@ -135,14 +135,15 @@ def read_columns(columns: Sequence[Columns], names: Sequence[str], slices: int) 
     return np.ma.stack(chosen, axis=1).astype(np.float32) if chosen else np.ma.zeros((slices, 0), np.float32)
 
 
-def unseen_rows(recording: Recording) -> list[str]:
-    """What does not stand in any slice, because a clock has several rows within one; in words."""
+def not_in_tables(recording: Recording) -> list[str]:
+    """What no slice shows: rows of a clock that has several within a slice, and images of other streams; in words."""
     said = []
     for group in _clocks(recording):
         t_us = recording.read(f"{group}/t_us")
         shown = np.unique(_rows_at(t_us, 0, len(recording)))
         missing = len(t_us) - int((shown >= 0).sum())
         said += [f"{missing} of {len(t_us)} rows of {group}"] if missing else []
+        said += [f"images of {group}"] if recording.has(f"{group}/frames") else []
     return said
 
 

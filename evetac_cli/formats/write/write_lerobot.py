@@ -39,6 +39,7 @@ from evetac_cli.formats.write.episodes import (
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder
 from evetac_cli.formats.write.write_table import load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress
+from evetac_cli.store import streams
 
 VERSION = "v3.0"
 VIDEO = "observation.images.tactile"
@@ -94,7 +95,8 @@ def write(
                 for picture in pictures(files.recording, made.edges):
                     videos.add(picture)
                     levels += np.bincount(picture.ravel(), minlength=256)[GREYS]
-                said += [f"{one.facts['trial']}: {note}" for note in files.notes]
+                other = [f"{streams.GROUP}/{name}" for name in streams.names(files.recording.contents())]
+                said += [f"{one.facts['trial']}: {note}" for note in (*files.notes, *other)]
             rows = _rows(made, tactile_key, number, data.rows, tasks.index(one.task), fps)
             statistics = {name: of_columns(values) for name, values in rows.items()}
             statistics[VIDEO] = of_pictures(GREYS / 255, levels, len(made.state))

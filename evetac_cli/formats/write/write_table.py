@@ -26,7 +26,7 @@ from evetac_cli.formats.write.slice_columns import (
     TrialFiles,
     WrittenFolder,
     columns_of,
-    unseen_rows,
+    not_in_tables,
 )
 from evetac_cli.jobs import Progress
 from evetac_cli.store.index import LARGEST
@@ -54,7 +54,7 @@ def write_parquet(files: TrialFiles, path: Path, progress: Progress) -> list[str
     arrow = load_pyarrow(str(path.parent))
     columns, facts = columns_of(files), files.facts()
     _write_parquet(arrow, _schema(arrow, columns, typed([facts])), files, columns, facts, path, progress)
-    return [*files.notes, *unseen_rows(files.recording)]
+    return [*files.notes, *not_in_tables(files.recording)]
 
 
 def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
@@ -65,7 +65,7 @@ def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
     with arrow.csv.CSVWriter(path, table) as writer:
         for batch in _batches(arrow, table, files, columns, facts, progress):
             writer.write_batch(batch)
-    return [*files.notes, *unseen_rows(files.recording)]
+    return [*files.notes, *not_in_tables(files.recording)]
 
 
 def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:
@@ -94,7 +94,7 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
 
         with opened(source) as files:
             _write_parquet(arrow, table, files, columns_of(files), named, path, shown)
-            said += [f"{named['trial']}: {note}" for note in (*files.notes, *unseen_rows(files.recording))]
+            said += [f"{named['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
         done += rows
     simulated = any(named["simulated"] for named in facts)
     return WrittenFolder(simulated, said, {"slices": sum(slices), "columns": len(table) + len(PARTITIONS)})
