@@ -14,16 +14,15 @@ Source: LeRobotDataset v3.0 as lerobot 0.4.4 writes it (lerobot/datasets/lerobot
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, install_hint
 from evetac_cli.formats.write.data_card import data_card
+from evetac_cli.formats.write.episode_files import Numbered, Place, Tables, Videos
 from evetac_cli.formats.write.episode_statistics import Figures, as_lists, of_columns, of_pictures, together
 from evetac_cli.formats.write.episodes import (
     GREYS,
@@ -47,9 +46,7 @@ CHUNK_FILES = 1000  # in a folder
 DATA_MB, VIDEO_MB = 100, 200  # after which the next episode begins a new file
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
-CODEC = "libx264"
-CODEC_OPTIONS = {"crf": "18", "g": "2", "bf": "0"}  # a picture that stands alone every other one: any is soon found
+EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
@@ -81,9 +78,11 @@ def write(
     total: Mapping[str, Figures] = {}
     done, slices = 0, sum(one.slices for one in outlines)
     with _video_errors(av, folder), ExitStack() as stack:
-        data = stack.enter_context(_Tables(arrow, folder, DATA_PATH, DATA_MB))
-        episodes = stack.enter_context(_Tables(arrow, folder, EPISODES_PATH, None))
-        videos = stack.enter_context(_Videos(av, folder, fps, features[VIDEO]["shape"]))
+        data = stack.enter_context(Tables(arrow, Numbered(folder, DATA_PATH, CHUNK_FILES, DATA_MB)))
+        episodes = stack.enter_context(Tables(arrow, Numbered(folder, EPISODES_PATH, CHUNK_FILES, None)))
+        pattern = VIDEO_PATH.replace("{video_key}", VIDEO)
+        pictures_to = Numbered(folder, pattern, CHUNK_FILES, VIDEO_MB)
+        videos = stack.enter_context(Videos(av, pictures_to, fps, features[VIDEO]["shape"]))
         types = {**typed([one.facts for one in outlines]), "recording_id": "string"}
         for number, one in enumerate(outlines):
             progress(done, slices, "slices")
@@ -215,7 +214,7 @@ def _data_table(arrow: Any, rows: Mapping[str, NDArray[Any]], features: Mapping[
     return arrow.table(made)
 
 
-def _place(what: str, place: "Place") -> dict[str, int]:
+def _place(what: str, place: Place) -> dict[str, int]:
     return {f"{what}/chunk_index": place.chunk, f"{what}/file_index": place.file}
 
 
@@ -258,101 +257,3 @@ def _write_tasks(arrow: Any, path: Path, tasks: Sequence[str]) -> None:
 def _write_json(path: Path, content: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=4, ensure_ascii=False, allow_nan=False), encoding="utf-8")
-
-
-# Files that take several episodes -------------------------------------------------------------------------------------
-
-
-class Place(NamedTuple):
-    """Where an episode lies: the file by its numbers, and from which time on, in s."""
-
-    chunk: int
-    file: int
-    start_s: float = 0.0
-
-
-class _Tables:
-    """Parquet files, a row group an episode; of a size in MB each, or one file."""
-
-    def __init__(self, arrow: Any, folder: Path, pattern: str, most_mb: int | None) -> None:
-        self.rows = 0
-        self._arrow, self._folder, self._pattern, self._most_mb = arrow, folder, pattern, most_mb
-        self._number = -1
-        self._writer: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-    def append(self, table: Any) -> Place:
-        """Write the rows of an episode; returns where."""
-        if self._writer is None or (self._most_mb is not None and _is_full(self._path, self._most_mb)):
-            self.__exit__()
-            self._number += 1
-            self._path = _numbered(self._folder, self._pattern, self._number)
-            self._writer = self._arrow.parquet.ParquetWriter(self._path, table.schema, compression="snappy")
-        self._writer.write_table(table)
-        self.rows += len(table)
-        return Place(*divmod(self._number, CHUNK_FILES))
-
-
-class _Videos:
-    """Videos of pictures (height, width) in grey, one episode after the other."""
-
-    def __init__(self, av: Any, folder: Path, fps: int, shape: Sequence[int]) -> None:
-        self._av, self._folder, self._fps = av, folder, fps
-        self._height, self._width = shape[:2]
-        self._number = -1
-        self._frames = 0  # in the present file
-        self._file: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, type_: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        if self._file is None:
-            return
-        if type_ is None:
-            self._file.mux(self._stream.encode())
-        self._file.close()
-
-    @property
-    def now_s(self) -> float:
-        """Where the next picture will stand in the present file."""
-        return self._frames / self._fps
-
-    def begin(self) -> Place:
-        """Begin an episode; returns where."""
-        if self._file is None or _is_full(self._path, VIDEO_MB):
-            self.__exit__(None, None, None)
-            self._number += 1
-            self._frames = 0
-            pattern = VIDEO_PATH.replace("{video_key}", VIDEO)
-            self._path = _numbered(self._folder, pattern, self._number)
-            self._file = self._av.open(str(self._path), "w")
-            self._stream = self._file.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
-            self._stream.width, self._stream.height, self._stream.pix_fmt = self._width, self._height, "yuv420p"
-        return Place(*divmod(self._number, CHUNK_FILES), self.now_s)
-
-    def add(self, picture: NDArray[np.uint8]) -> None:
-        """Add the next picture."""
-        frame = self._av.VideoFrame.from_ndarray(np.repeat(picture[:, :, None], 3, axis=2), format="rgb24")
-        frame.pts, frame.time_base = self._frames, Fraction(1, self._fps)
-        self._file.mux(self._stream.encode(frame))
-        self._frames += 1
-
-
-def _is_full(path: Path, most_mb: int) -> bool:
-    return path.stat().st_size >= most_mb << 20
-
-
-def _numbered(folder: Path, pattern: str, number: int) -> Path:
-    chunk, file = divmod(number, CHUNK_FILES)
-    path = folder / pattern.format(chunk_index=chunk, file_index=file)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path
