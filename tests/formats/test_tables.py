@@ -2,6 +2,7 @@
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,12 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export, export_folder, target_path
 from evetac_cli.formats.write import slice_columns, write_table
 from evetac_cli.inspect.export import trial_files
+from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store import disk
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.schema import load
 from tests import small_files
+from tests.conftest import Made
 from tests.formats.trials import trial
 from tests.small_files import DOTS, EVENTS_A_SLICE, SLICES
 
@@ -283,6 +286,34 @@ def test_tables_from_the_command_line(source: Path, tmp_path: Path) -> None:
     assert len(pd.read_parquet(name)) == SLICES
     run = CliRunner().invoke(app, ["export", str(source), "--format", "csv", "--fps", "30"])
     assert run.exit_code == 2 and "--fps: has no effect" in run.stderr
+
+
+@pytest.mark.slow
+def test_a_model_adds_its_slip_probability(made: Made, tmp_path: Path) -> None:
+    """Assert that the column is what the detector gives, empty before its history is full, with the model's header."""
+    target = tmp_path / "a.parquet"
+    export(made.recordings[0], "parquet", target, opened=partial(trial_files, model=made.model))
+    shown = pd.read_parquet(target, columns=["model_probability"])["model_probability"].to_numpy()
+    with StageFile(made.model) as model, StageFile(made.beside(made.recordings[0], "features")) as features:
+        detector = load_detector(model)
+        expected = detector.over(read_series(features, detector.architecture), 0)
+        header = model.header
+    np.testing.assert_array_equal(shown, expected)
+    assert np.isnan(shown[0]) and np.isfinite(shown[-1])
+    assert json.loads(pq.read_schema(target).metadata[b"evetac"])["headers"]["model"]["id"] == header["id"]
+
+
+def test_a_model_has_to_fit(source: Path, tmp_path: Path) -> None:
+    """Assert that a model of another grid is refused, one without features, and one where it has no effect."""
+    arguments = ["export", str(source), "--model", "shipped", "-o", str(tmp_path / "out")]
+    run = CliRunner().invoke(app, [*arguments, "--format", "parquet"])
+    assert run.exit_code == 2 and "another dot grid" in run.stderr
+    run = CliRunner().invoke(app, [*arguments, "--format", "text"])
+    assert run.exit_code == 2 and "--model: has no effect" in run.stderr
+    bare = trial(tmp_path / "in", "a", kinds="tracks")
+    run = CliRunner().invoke(app, ["export", str(bare), "--model", "shipped", "--format", "csv"])
+    assert run.exit_code == 2 and "evetac featurize" in run.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_dots_have_numbers_of_one_width() -> None:

@@ -113,6 +113,7 @@ class Videos(AbstractContextManager["Videos"]):
             self._file = self._av.open(self._files.next(), "w")
             self._stream = self._file.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
             self._stream.width, self._stream.height, self._stream.pix_fmt = self._width, self._height, "yuv420p"
+            self._file.start_encoding()  # the file is there from now on
         return self._files.place._replace(start_s=self.now_s)
 
     def add(self, picture: NDArray[np.uint8]) -> None:
