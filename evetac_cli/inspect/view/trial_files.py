@@ -82,7 +82,6 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                     found=str(getattr(trial, file.kind).path),
                 )
             trial.add(file)
-        _check_model(trial)
         for path in _beside(named):
             if getattr(trial, _kind_of(path)) is not None:
                 continue
@@ -95,6 +94,7 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                 trial.add(file)
             else:
                 trial.notes.append(f"Left out: {path.name} was made from another recording.")
+        _check_model(trial)
         if trial.recording is None:
             _search_recording(trial, named[0].path.parent, stack)
         yield trial
