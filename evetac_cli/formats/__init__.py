@@ -1,4 +1,4 @@
-"""Event files of other programs, read and written.
+"""Files of other programs, read and written.
 
 imports.py reads them; the content decides, not the file's name:
 
@@ -18,6 +18,9 @@ exports.py writes them:
     dat             write/write_prophesee     Prophesee's DAT
     mcap            write/write_mcap          ROS 2 messages, with dots, forces, gripper and control; `convert` (mcap)
     calibration     write/write_calibration   the dot grid: JSON, or the pickle that the official software reads
+    parquet, csv    write/write_table         a trial, a row a slice; Parquet of many trials; extra `convert` (pyarrow)
+    lerobot         write/write_lerobot       many trials as LeRobotDataset v3.0; extra `convert` (pyarrow, av)
 
-One format is one module, however short, so that a reader finds it here by its name.
+One format is one module, however short, so that a reader finds it here by its name. What several share: the events of
+a recording piece by piece (write/pieces), a trial as columns (write/slice_columns) and as frames (write/episodes).
 """

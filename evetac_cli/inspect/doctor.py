@@ -42,7 +42,7 @@ OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "o
 # What is missing without the extra of that name.
 SERVES = {
     "camera": "--camera dv",
-    "convert": "AEDAT4, bags, Prophesee's files",
+    "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
     "plot": "pictures beside reports, pages, films",
     "view": "view --rrd",
     "cluster": "--engine dask",

@@ -12,7 +12,7 @@
 
 All messages but EventPacket are in every installation of ROS 2, so that RViz, Foxglove and PlotJuggler draw them; a
 cloud of points is the one among them that has named numbers for each of many dots. Tracks, forces and labels are those
-of the recording's name beside it. Times are those of the source's clock. A packet of events says when its slice begins
+beside the recording that belong to it. Times are those of the source's clock. A packet of events says when its slice begins
 and is logged when it ends; what is computed from a slice has the time at which it ends. The frame of a simulated
 recording's messages is `evetac_simulated`.
 
@@ -23,7 +23,6 @@ mcap-ros2-support packs them byte by byte; its own writer makes folders and not 
 import heapq
 import math
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,9 @@ from evetac_cli.errors import InputError, install_hint
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.read.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
 from evetac_cli.formats.write.pieces import note_for, t_offset_us
+from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.jobs import Progress
-from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import BLOCK_SLICES, Recording
 
 PACKET = "event_camera_msgs/msg/EventPacket"
@@ -85,14 +85,18 @@ HOLDS = (
 Messages = Iterator[tuple[int, Any]]  # time in us since the start of the recording, message
 
 
-def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """Write all topics in the order of their times; InputError where times or frame need more bits than there are."""
+def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
+    """Write all topics in the order of their times; returns which files of the trial were left out.
+
+    InputError where times or frame need more bits than there are.
+    """
     Writer, types, definition_of, serialise = _libraries(str(path.parent))
+    recording = files.recording
     offset_us = t_offset_us(recording)
     _check(recording, offset_us)
     frame_id = "evetac_simulated" if recording.header["simulated"] else "evetac"
     make = _Messages(types, frame_id, offset_us)
-    with ExitStack() as stack, path.open("wb") as file:
+    with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="evetac")
         note = note_for(recording, offset_us).text()
@@ -100,7 +104,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
             (NOTE_TOPIC, "std_msgs/msg/String", iter([(0, make("std_msgs/msg/String", data=note))])),
             (EVENTS_TOPIC, PACKET, make.packets(recording, progress)),
             *make.of_recording(recording),
-            *make.of_files({kind: _beside(recording, kind, stack) for kind in ("tracks", "forces", "labels")}),
+            *make.of_files(files),
         ]
         schemas: dict[str, int] = {}
         streams = []
@@ -113,6 +117,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
             time_ns = (offset_us + t_us) * US_NS
             writer.add_message(channel, time_ns, serialise(message, kind), time_ns)
         writer.finish()
+    return list(files.notes)
 
 
 def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[Any, str], bytes]]:
@@ -154,24 +159,6 @@ def _check(recording: Recording, offset_us: int) -> None:
             found=str(recording.frame_px[1]),
             hint="export it as text or dsec",
         )
-
-
-def _beside(recording: Recording, kind: str, stack: ExitStack) -> StageFile | None:
-    """The file of a kind that has the recording's name; InputError if it is damaged or of another recording."""
-    path = output_path(recording.path, kind, None)
-    if not path.is_file():
-        return None
-    file = stack.enter_context(StageFile(path, kind))
-    parents, history = file.header["parents"], file.header["history"]
-    tracks = [history[parent]["parents"] for parent in parents if history[parent]["kind"] == "tracks"]  # of forces
-    if not any(recording.header["id"] in made_from for made_from in (parents, *tracks) if isinstance(made_from, list)):
-        raise InputError(
-            f"the {kind} belong to another recording",
-            where=str(path),
-            expected=f"made from {recording.path}",
-            hint="make them again, or move them to another folder",
-        )
-    return file
 
 
 class _Messages:
@@ -236,9 +223,9 @@ class _Messages:
             )
             yield "/evetac/truth/dots", "sensor_msgs/msg/PointCloud2", self._true_dots(recording)
 
-    def of_files(self, files: dict[str, StageFile | None]) -> Iterator[tuple[str, str, Messages]]:
+    def of_files(self, files: TrialFiles) -> Iterator[tuple[str, str, Messages]]:
         """Topics of tracks, forces and labels, as far as there are any."""
-        tracks, forces, labels = (files[kind] for kind in ("tracks", "forces", "labels"))
+        tracks, forces, labels = (files.by_kind.get(kind) for kind in ("tracks", "forces", "labels"))
         if tracks is not None:
             yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
         if forces is not None and (forces.has("shear_n") or forces.has("network_n")):

@@ -8,6 +8,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile, stem
+from evetac_cli.store.index import recording_of
 from evetac_cli.store.read import Recording
 
 KINDS = ("recording", "tracks", "labels", "features", "forces")
@@ -38,9 +39,11 @@ class Trial:
         """Length of the trial in ms: that of the recording, else of what was computed from it."""
         if self.recording is not None:
             return len(self.recording)
-        rows = [(self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total")]
-        rows += [(self.forces, path) for path in ("shear_n", "network_n")]
-        return max((file.length(path) for file, path in rows if file is not None and file.has(path)), default=0)
+        rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
+        lengths = [file.length(path) for file, path in rows if file is not None]
+        if self.forces is not None:
+            lengths += [self.forces.length(path) for path in self.forces.contents()]
+        return max(lengths, default=0)
 
     @property
     def recording_parameters(self) -> Any:
@@ -79,7 +82,6 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                     found=str(getattr(trial, file.kind).path),
                 )
             trial.add(file)
-        _check_model(trial)
         for path in _beside(named):
             if getattr(trial, _kind_of(path)) is not None:
                 continue
@@ -92,6 +94,7 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                 trial.add(file)
             else:
                 trial.notes.append(f"Left out: {path.name} was made from another recording.")
+        _check_model(trial)
         if trial.recording is None:
             _search_recording(trial, named[0].path.parent, stack)
         yield trial
@@ -113,12 +116,8 @@ def _recording_id(file: StageFile) -> str | None:
     """The id of the recording itself, or of the one that a file, or the tracks behind it, was made from."""
     if file.kind == "recording":
         return str(file.header["id"])
-    history, parents = file.header["history"], file.header["parents"]
-    for made_from in (parents, *(history[id_]["parents"] for id_ in parents if history[id_]["kind"] == "tracks")):
-        for id_ in made_from if isinstance(made_from, list) else ():
-            if inner(history, str(id_), "kind") == "recording":
-                return str(id_)
-    return None
+    made_from = recording_of(file.header, file.header["history"])
+    return str(made_from["id"]) if made_from else None
 
 
 def _one_recording(named: list[StageFile]) -> str:
