@@ -12,8 +12,8 @@
 
 All messages but EventPacket are in every installation of ROS 2, so that RViz, Foxglove and PlotJuggler draw them; a
 cloud of points is the one among them that has named numbers for each of many dots. Tracks, forces and labels are those
-beside the recording that belong to it. Times are those of the source's clock. A packet of events says when its slice begins
-and is logged when it ends; what is computed from a slice has the time at which it ends. The frame of a simulated
+beside the recording that belong to it. Times are those of the source's clock. A packet of events says when its slice
+begins and is logged when it ends; what is computed from a slice has the time at which it ends. The frame of a simulated
 recording's messages is `evetac_simulated`.
 
 The library mcap writes the file. rosbags makes messages and definitions: it copies arrays at once, where
