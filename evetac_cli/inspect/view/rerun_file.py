@@ -3,8 +3,8 @@
     gel/events          points of each slice; class 1 brighter, 0 darker
     gel/dots            points of each slice, class 1 where the tracker lost the dot; gel/displacement from its rest
     gel/true_dots       the same of a simulation, known exactly
-    images/events       the event images of the page
-    series/PANEL/LINE   the series of the page: events, gripper, forces, displacement, flow, slip probability
+    images/events       the event images of the page; cameras/NAME those of other streams beside them
+    series/NN_PANEL/LINE   the series of the page: events, gripper, forces, displacement, flow, slip probability
     slip/SOURCE, phase  who says slip when; the phases of a grasp
     about               what is simulated, found and thinned, in words
 
@@ -24,7 +24,7 @@ from evetac_cli.errors import EvetacError, InputError, install_hint
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK, shown_colour
 from evetac_cli.inspect.view.trial_files import Trial
-from evetac_cli.inspect.view.view_data import Lane, ViewData
+from evetac_cli.inspect.view.view_data import Lane, Panel, ViewData
 from evetac_cli.jobs import Progress
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import BLOCK_SLICES, Recording
@@ -149,16 +149,23 @@ class _File:
         return [f"Of `gel/{name}` one slice in {every} is shown."] if every > 1 else []
 
     def images(self, view: ViewData) -> None:
-        """The event images, each at the first slice that it shows."""
+        """The event images, each at the first slice that it shows, and those of cameras where another one is shown."""
         if view.pictures:
-            self.static("images/events", self._rr.EncodedImage.from_fields(media_type="image/png"))
-            columns = self._rr.EncodedImage.columns(blob=view.pictures)
-            self._columns("images/events", view.frame_times * SLICE_US, columns)
+            self._images("images/events", "image/png", view.frame_times, view.pictures)
+        for camera in view.cameras:
+            changes = np.flatnonzero(np.diff(camera.shown, prepend=-1))
+            images = [camera.images[camera.shown[at]] for at in changes.tolist()]
+            self._images(f"cameras/{_name(camera.name)}", "image/jpeg", view.frame_times[changes], images)
+
+    def _images(self, path: str, media_type: str, at_ms: NDArray[np.int64], images: list[bytes]) -> None:
+        if images:
+            self.static(path, self._rr.EncodedImage.from_fields(media_type=media_type))
+            self._columns(path, at_ms * SLICE_US, self._rr.EncodedImage.columns(blob=images))
 
     def series(self, view: ViewData) -> None:
         """The lines of all panels, and the levels across them."""
-        for panel in view.panels:
-            path = f"series/{_name(panel.title)}"
+        for number, panel in enumerate(view.panels):
+            path = _chart(number, panel)
             for line in panel.lines:
                 self._line(f"{path}/{_name(line.name)}", line.name, line.colour, line.t_s, line.value)
             for name, level in panel.levels.items():
@@ -187,10 +194,11 @@ def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
     if view.pictures:
         pictures.append(rrb.Spatial2DView(origin="images", name=f"Events of {view.shown_ms} ms"))
     charts = []
-    for panel in view.panels:
+    pictures += [rrb.Spatial2DView(origin=f"cameras/{_name(one.name)}", name=one.name) for one in view.cameras]
+    for number, panel in enumerate(view.panels):
         words = [panel.title, f"[{panel.unit}]" if panel.unit else "", "(simulated)" if panel.simulated else ""]
         name = " ".join(word for word in words if word)
-        charts.append(rrb.TimeSeriesView(origin=f"series/{_name(panel.title)}", name=name))
+        charts.append(rrb.TimeSeriesView(origin=_chart(number, panel), name=name))
     if view.lanes:
         charts.append(rrb.StateTimelineView(origin="slip", name="Slip"))
     if view.phases:
@@ -225,6 +233,11 @@ def _about(title: str, trial: Trial, view: ViewData, notes: list[str]) -> str:
         ),
     ]
     return "\n\n".join(line for line in lines if line)
+
+
+def _chart(number: int, panel: Panel) -> str:
+    """Where the lines of a panel stand; its number keeps panels of one title apart."""
+    return f"series/{number:02}_{_name(panel.title)}"
 
 
 def _name(text: str) -> str:

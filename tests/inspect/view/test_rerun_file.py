@@ -65,18 +65,18 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
         "/gel/displacement": SLICES,
         "/gel/true_dots": SLICES,
         "/images/events": SLICES - 4,
-        f"{charts}events_a_millisecond/events": SLICES,
-        f"{charts}gripper_current/measured": SLICES // 2,
-        f"{charts}gripper_current/target": SLICES // 2,
-        f"{charts}gripper_width_between_the_fingers/width": SLICES // 2,
-        f"{charts}forces_on_one_pad_truth/normal": SLICES,
-        f"{charts}forces_on_one_pad_truth/shear": SLICES,
-        f"{charts}share_of_the_contact_that_slips_truth/that_the_camera_sees": SLICES,
-        f"{charts}share_of_the_contact_that_slips_truth/whole": SLICES,
-        f"{charts}dots_distance_from_rest/mean": SLICES,
-        f"{charts}dots_distance_from_rest/farthest": SLICES,
-        f"{charts}flow_that_labels_slip/window_against_gel": SLICES,
-        f"{charts}flow_that_labels_slip/threshold": 2,
+        f"{charts}00_events_a_millisecond/events": SLICES,
+        f"{charts}01_gripper_current/measured": SLICES // 2,
+        f"{charts}01_gripper_current/target": SLICES // 2,
+        f"{charts}02_gripper_width_between_the_fingers/width": SLICES // 2,
+        f"{charts}03_forces_on_one_pad_truth/normal": SLICES,
+        f"{charts}03_forces_on_one_pad_truth/shear": SLICES,
+        f"{charts}04_share_of_the_contact_that_slips_truth/that_the_camera_sees": SLICES,
+        f"{charts}04_share_of_the_contact_that_slips_truth/whole": SLICES,
+        f"{charts}05_dots_distance_from_rest/mean": SLICES,
+        f"{charts}05_dots_distance_from_rest/farthest": SLICES,
+        f"{charts}06_flow_that_labels_slip/window_against_gel": SLICES,
+        f"{charts}06_flow_that_labels_slip/threshold": 2,
         "/slip/truth": 3,
         "/slip/label": 4,
     }
@@ -85,7 +85,7 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
             assert at == 1000 * number
             assert row["Points2D:positions"] == [[float(x), float(y)] for x, y in zip(events.x, events.y, strict=True)]
             assert row["Points2D:class_ids"] == events.p.tolist()
-        force = [row["Scalars:scalars"][0] for _, row in rows["/series/forces_on_one_pad_truth/normal"]]
+        force = [row["Scalars:scalars"][0] for _, row in rows["/series/03_forces_on_one_pad_truth/normal"]]
         np.testing.assert_array_equal(force, recording.read("truth/normal_force_n"))
     dots = moving().astype(np.float32)
     np.testing.assert_array_equal([row["Points2D:positions"] for _, row in rows["/gel/dots"]], dots)
