@@ -1,12 +1,13 @@
 """The file that `view --rrd` writes for the viewer rerun: a trial on one timeline, and a layout of its views.
 
-    gel/events          points of each slice; class 1 brighter, 0 darker
-    gel/dots            points of each slice, class 1 where the tracker lost the dot; gel/displacement from its rest
-    gel/true_dots       the same of a simulation, known exactly
-    images/events       the event images of the page; cameras/NAME those of other streams beside them
-    series/NN_PANEL/LINE   the series of the page: events, gripper, forces, displacement, flow, slip probability
-    slip/SOURCE, phase  who says slip when; the phases of a grasp
-    about               what is simulated, found and thinned, in words
+    gel/events            points of each slice; class 1 brighter, 0 darker
+    gel/dots              points of each slice, class 1 where the tracker lost the dot
+    gel/displacement      arrows to them from where the dots rest
+    gel/true_dots         points of each slice, known exactly in a simulation
+    images/events         the event images of the page; cameras/NAME those of other cameras
+    series/NN_PANEL/LINE  the series of the page: events, gripper, forces, displacement, flow, slip probability
+    slip/SOURCE, phase    who says slip when; the phases of a grasp
+    about                 what is simulated, found and thinned, in words
 
 The timeline `t` counts from the start of the recording; what belongs to a slice stands at its start. Whole columns are
 handed over, block by block. A file does not grow without end: above MOST_EVENTS every nth event, above MOST_DOTS the
