@@ -12,11 +12,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 LOWEST := .venv-lowest
+LEROBOT := .venv-lerobot
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table grasp-shipped results film test test-all test-lowest check lint types docs bench clean
+	data-rate force grasp-table grasp-shipped results film test test-all test-lowest lerobot check lint types docs bench clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -95,6 +96,10 @@ $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(LOWEST)/bin/python scripts/lowest.py > $(LOWEST)/lowest.txt
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,log,plot,dev]'
 	@touch $@
+
+lerobot:  ## an environment of its own for LeRobot in .venv-lerobot, gigabytes, which slow tests of its data sets need
+	$(PYTHON) -m venv --clear $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
 check: $(READY)  ## ruff, mypy --strict and the documentation, side by side
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs

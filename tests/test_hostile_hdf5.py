@@ -162,6 +162,8 @@ ON_RECORDINGS = [
     "export --format dsec",
     "export --format text",
     "export --format calibration",
+    "export --format parquet",
+    "export --format lerobot -o out",
     "evaluate vibration",
     "evaluate data-rate",
     "evaluate grasp",

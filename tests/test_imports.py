@@ -53,6 +53,10 @@ ONLY_IN = {
     "dask": ("cli/engines.py",),
     "distributed": ("cli/engines.py",),
     "tornado": ("realtime/live_page/*",),
+    "pyarrow": ("formats/read/*", "formats/write/*"),
+    "av": ("formats/write/write_lerobot.py",),
+    "mcap": ("formats/write/write_mcap.py",),
+    "rerun": ("inspect/view/rerun_file.py",),
 }
 
 

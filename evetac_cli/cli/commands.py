@@ -249,7 +249,11 @@ EXPORT = Command(
     "inspect.export",
     "Recordings.",
     unit="events",
-    examples=("evetac export data --format dsec -o dsec", "evetac export a.recording.h5 --format aedat4"),
+    examples=(
+        "evetac export a.recording.h5 --format aedat4",
+        "evetac export data --format parquet -o tables",
+        "evetac export grasps --format lerobot --fps 50 -o touch",
+    ),
 )
 DOCTOR = Command(
     "doctor",

@@ -36,7 +36,12 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
 }
 # view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
 OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")} | {
-    "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
+    "out": (
+        Path | None,
+        None,
+        "-o/--out",
+        "Output file or folder; default: beside the file.",
+    ),
     "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
 }
 OF_EXPORT = OF_VIEW | {

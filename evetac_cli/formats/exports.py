@@ -1,39 +1,74 @@
-"""A recording -> a file that other programs read: one function, and one table of the formats that are written.
+"""Recordings -> what other programs read: files, or a folder of many trials, and one table of the formats.
 
 Of a recording, the formats of events hold the events and, in a note (formats/note.py), where it begins and ends, its
-frame and whether it was simulated; so it comes back from them event for event and slice for slice. Gripper, truth,
-control and dots are left out, and that is said.
+frame and whether it was simulated; so it comes back from them event for event and slice for slice. What a format does
+not hold of gripper, truth, control and dots is left out, and that is said. Tables and data sets for policies hold a
+trial: the recording and what was computed from it, with a row a slice or a frame, and no single events.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write import write_aedat4, write_calibration, write_dsec, write_text
+from evetac_cli.formats.write import (
+    write_aedat4,
+    write_calibration,
+    write_dsec,
+    write_lerobot,
+    write_mcap,
+    write_prophesee,
+    write_table,
+    write_text,
+)
+from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
-from evetac_cli.store.disk import taking_the_place_of
+from evetac_cli.store.disk import folder_taking_the_place_of, taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.read import Recording
 
 
 class Format(NamedTuple):
-    """A row of the table: endings of its files, the usual one first; who writes them; whether they hold events."""
+    """A row of the table: endings of its files, the usual one first; who writes them; whether they hold events.
+
+    of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
+    who writes a data set of many trials.
+    holds: groups and datasets of a recording that they hold beside its events.
+    """
 
     suffixes: tuple[str, ...]
-    write: Callable[[Recording, Path, Progress], None]
+    write: Callable[[Any, Path, Progress], list[str] | None] | None
     events: bool = True
+    of_trial: bool = False
+    write_folder: Callable[..., WrittenFolder] | None = None
+    holds: tuple[str, ...] = ()
 
 
+TABLE: dict[str, Any] = {"events": False, "of_trial": True}
 FORMATS = {
     "aedat4": Format((".aedat4",), write_aedat4.write),
     "dsec": Format((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
     "text": Format((".txt",), write_text.write),
+    "raw": Format((".raw",), write_prophesee.write_evt3),
+    "raw-evt2": Format((".raw",), write_prophesee.write_evt2),
+    "dat": Format((".dat",), write_prophesee.write_dat),
+    "mcap": Format((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
     "calibration": Format((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
+    "parquet": Format((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
+    "csv": Format((".csv",), write_table.write_csv, **TABLE),
+    "lerobot": Format((".parquet", ".json", ".mp4", ".md"), None, **TABLE, write_folder=write_lerobot.write),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
 LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
+
+
+def is_folder(format_: str, out: Path | None) -> bool:
+    """Whether all recordings go into one folder: of formats that have nothing else, and where `out` names no file."""
+    row = FORMATS[format_]
+    if row.write_folder is None:
+        return False
+    return row.write is None or (out is not None and out.suffix.lower() not in row.suffixes)
 
 
 def target_path(source: Path, format_: str, out: Path | None) -> Path:
@@ -54,11 +89,18 @@ def target_path(source: Path, format_: str, out: Path | None) -> Path:
 
 
 def export(
-    source: Path, format_: str, target: Path, *, force: bool = False, progress: Progress = silent
+    source: Path,
+    format_: str,
+    target: Path,
+    *,
+    force: bool = False,
+    progress: Progress = silent,
+    opened: Opener = recording_alone,
 ) -> dict[str, Any]:
     """Write a recording in another format, all or nothing; returns what was written and what was left out.
 
-    InputError if the target exists, unless `force`, or if the recording has not got what the format holds.
+    opened: gives the files of the recording's trial. InputError if the target exists, unless `force`, or if the
+    recording has not got what the format holds.
     """
     require_possible_name(target)
     if target.is_dir():
@@ -66,20 +108,65 @@ def export(
     if os.path.lexists(target) and not force:
         raise InputError("the output exists", where=str(target), hint="--force replaces it, -o NAME writes elsewhere")
     row = FORMATS[format_]
-    with Recording(source) as recording:
+    assert row.write is not None
+    with (opened if row.of_trial else recording_alone)(source) as files:
+        recording = files.recording
         if target.exists() and target.samefile(source):
             raise InputError("the output would replace the recording", where=str(target))
         with taking_the_place_of(target, target.suffix) as temporary:
-            row.write(recording, temporary, progress)
+            left_out = row.write(files if row.of_trial else recording, temporary, progress) or []
             size = temporary.stat().st_size
-        left_out = [name for name in LEFT_OUT if recording.has(name)] if row.events else []
+        if row.events:
+            left_out += _left_out(recording, row.holds)
         return {
             "recording": str(source),
             "output": str(target),
             "format": format_,
             "events": recording.event_count if row.events else None,
-            "slices": len(recording) if row.events else None,
+            "slices": len(recording) if row.events or row.of_trial else None,
             "size_bytes": size,
-            "left_out": " ".join(left_out) or None,
-            "simulated": bool(recording.header["simulated"]),
+            "left_out": ("; " if row.of_trial else " ").join(left_out) or None,
+            "simulated": files.simulated,
         }
+
+
+def _left_out(recording: Recording, holds: tuple[str, ...]) -> list[str]:
+    """What a file of events does not hold of a recording: whole groups, and datasets of those that it holds in part."""
+    names: list[str] = []
+    for group in LEFT_OUT:
+        paths = [path for path in recording.contents() if path == group or path.startswith(f"{group}/")]
+        left = [path for path in paths if path not in holds and group not in holds]
+        names += [group] if left and left == paths else left
+    return names
+
+
+def export_folder(
+    sources: Sequence[Path],
+    format_: str,
+    folder: Path,
+    options: Mapping[str, Any],
+    *,
+    force: bool = False,
+    progress: Progress = silent,
+    opened: Opener = recording_alone,
+) -> dict[str, Any]:
+    """Write many recordings as one data set in a folder, all or nothing; returns what was written and what left out.
+
+    options: of the format. InputError if the folder exists, unless `force` and it holds nothing else.
+    """
+    require_possible_name(folder)
+    row = FORMATS[format_]
+    assert row.write_folder is not None
+    with folder_taking_the_place_of(folder, row.suffixes, force=force) as temporary:
+        written = row.write_folder(sources, opened, temporary, progress, **options)
+        sizes = [path.stat().st_size for path in temporary.rglob("*") if path.is_file()]
+    return {
+        "recordings": len(sources),
+        "output": str(folder),
+        "format": format_,
+        **written.figures,
+        "files": len(sizes),
+        "size_bytes": sum(sizes),
+        "left_out": "; ".join(written.left_out) or None,
+        "simulated": written.simulated,
+    }

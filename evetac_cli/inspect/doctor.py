@@ -42,8 +42,9 @@ OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "o
 # What is missing without the extra of that name.
 SERVES = {
     "camera": "--camera dv",
-    "convert": "AEDAT4, bags, Prophesee's files, CSV and Parquet",
+    "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
     "plot": "pictures beside reports, pages, films",
+    "view": "view --rrd",
     "cluster": "--engine dask",
     "log": "train --log tensorboard",
 }

@@ -115,6 +115,69 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
             temporary.unlink()
 
 
+@contextmanager
+def folder_taking_the_place_of(path: Path, endings: tuple[str, ...], *, force: bool = False) -> Iterator[Path]:
+    """A new folder to write into, which takes the place of `path` when the block ends well, and leaves no trace else.
+
+    InputError where something is there already, but for an empty folder, and with `force` a folder in which all files
+    end in one of `endings`: what somebody else keeps there is never removed.
+    """
+    _check_replaceable(path, endings, force=force)
+    made = missing_folders(path.parent)
+    temporary = temporary_name(path)
+    before = temporary.with_name(f"{temporary.name.removesuffix('.tmp')}.before.tmp")
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        if path.is_dir():
+            path.replace(before)
+        temporary.replace(path)
+    except BaseException as error:
+        _remove(temporary)
+        remove_empty(made)
+        if isinstance(error, OSError):
+            raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
+        raise
+    finally:
+        if path.exists():
+            _remove(before)
+        elif before.exists():
+            before.replace(path)
+
+
+def _check_replaceable(path: Path, endings: tuple[str, ...], *, force: bool) -> None:
+    if not os.path.lexists(path):
+        existing_folder(path.parent)
+        return
+    if path.is_symlink() or not path.is_dir():
+        raise InputError("the output is no folder", where=str(path))
+    inside = (found for found in path.rglob("*") if found.is_symlink() or not found.is_dir())
+    first = next(inside, None)
+    if first is None:
+        return
+    if not force:
+        raise InputError("the output exists", where=str(path), hint="--force replaces it, -o NAME writes elsewhere")
+    others = (found for found in (first, *inside) if found.is_symlink() or found.suffix not in endings)
+    other = next(others, None)
+    if other is not None:
+        raise InputError(
+            "the folder holds other files, and is not replaced",
+            where=str(path),
+            expected=f"nothing but {', '.join(endings)}",
+            found=other.name,
+            hint="-o NAME writes elsewhere",
+        )
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, or a folder with all that is in it, as far as that is possible."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
+
+
 def temporary_name(path: Path, ending: str = "") -> Path:
     """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
     remove_unfinished(path, ending)
@@ -126,8 +189,7 @@ def remove_unfinished(path: Path, ending: str = "") -> None:
     """Remove what processes that no longer live left beside `path` while they wrote it."""
     for left in path.parent.glob(f"{escape(_start(path))}*.tmp{escape(ending)}"):
         if not _lives(left.name.removeprefix(_start(path)).partition(".")[0]):
-            with suppress(OSError):
-                left.unlink()
+            _remove(left)
 
 
 def _start(path: Path) -> str:

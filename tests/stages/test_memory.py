@@ -11,7 +11,7 @@ from evetac_cli import stages
 from evetac_cli.devices import replay
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_dsec
-from evetac_cli.formats.write import pieces
+from evetac_cli.formats.write import pieces, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.params.grasp import Grasp
@@ -77,6 +77,7 @@ BLOCKS = (
     (contents, "BLOCK_VALUES", 1 << 13),
     (replay, "BLOCK_SLICES", 100),
     (replay, "PACKET_EVENTS", 1 << 10),
+    (write_table, "BATCH_BYTES", 1 << 18),
     *CHUNKS,
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
@@ -92,6 +93,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "validate": lambda folder, out: _validate(folder / "imported.recording.h5", folder / "a.tracks.h5"),
     "export dsec": lambda folder, out: _export(folder, "dsec", out),
     "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
+    "export parquet": lambda folder, out: _export(folder, "parquet", out),
 }
 SLOW = (
     "grasp again",
@@ -100,6 +102,7 @@ SLOW = (
     "track-rgb",
     "import --sort",
     "export dsec",
+    "export parquet",
 )  # commands that take seconds
 
 

@@ -1,9 +1,10 @@
 """Read events from Prophesee's RAW (EVT2, EVT3) and DAT files with faery, the extra `convert`.
 
 The text at the head of a file, lines that begin with "% ", is read here: which encoding, which frame. Where it does not
-say the frame, faery would take 1280 x 720; we ask. And faery times events from the first word on, though they have no
-time before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem
-to begin seconds too early. So what comes before that word is left out, as the maker's own software does.
+say the frame, faery would take 1280 x 720; we ask. Exports of ours have two lines more: the note, and where the start
+of the recording is on the source's clock. And faery times events from the first word on, though they have no time
+before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem to
+begin seconds too early. So what comes before that word is left out, as the maker's own software does.
 """
 
 import re
@@ -15,10 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.faery_library import load_faery, refusal_text, scratch_file
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
+OFFSET = "t_offset_us"  # the key of a line of ours
 HEAD_LIMIT_BYTES = 1 << 20
 KINDS = {"2.0": "evt2", "evt2": "evt2", "3.0": "evt3", "evt3": "evt3"}
 WORD_BYTES = {"evt2": 4, "evt3": 2, "dat1": 8, "dat2": 8}
@@ -31,6 +34,8 @@ class Head(NamedTuple):
     kind: str  # evt2, evt3, dat1 or dat2
     frame_px: tuple[int, int] | None
     size: int
+    note: Note | None = None  # of an export of ours
+    clock_us: int = 0  # to be added to every time
 
 
 def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
@@ -38,7 +43,7 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     where = str(path)
     head = read_head(path)
     frame = choose_frame(head.frame_px, frame_px, where)
-    foreign = Foreign("prophesee", frame, ())
+    foreign = Foreign("prophesee", frame, (), head.clock_us, note=head.note)
     skipped = 0 if head.kind.startswith("dat") else untimed_bytes(path, head)
     rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
     if skipped:
@@ -64,8 +69,21 @@ def read_head(path: Path) -> Head:
         fields[key.lower()] = value.strip()
         size = end + 1
     return Head(
-        _kind(fields, where), _frame(fields), size + (2 if "evt" not in fields and "format" not in fields else 0)
+        _kind(fields, where),
+        _frame(fields),
+        size + (2 if "evt" not in fields and "format" not in fields else 0),
+        read_note(fields[NAME], where) if NAME in fields else None,
+        _clock_us(fields, where),
     )
+
+
+def _clock_us(fields: dict[str, str], where: str) -> int:
+    """Where the times of an export of ours begin on the source's clock; 0 in other files."""
+    text = fields.get(OFFSET, "0")
+    if not re.fullmatch("-?[0-9]{1,16}", text) or abs(int(text)) >= CLOCK_LIMIT_US:
+        expected = "microseconds within 285 years of 0"
+        raise InputError(f"`{OFFSET}` is damaged", where=where, expected=expected, found=text[:40])
+    return int(text)
 
 
 def _kind(fields: dict[str, str], where: str) -> str:

@@ -8,9 +8,10 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile, stem
+from evetac_cli.store.index import recording_of
 from evetac_cli.store.read import Recording
 
-KINDS = ("recording", "tracks", "labels", "features")
+KINDS = ("recording", "tracks", "labels", "features", "forces")
 MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a file was made from is searched
 
 
@@ -23,13 +24,14 @@ class Trial:
     tracks: StageFile | None = None
     labels: StageFile | None = None
     features: StageFile | None = None
+    forces: StageFile | None = None
     model: StageFile | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def files(self) -> list[StageFile]:
         """The files that exist."""
-        files = (self.recording, self.tracks, self.labels, self.features, self.model)
+        files = (self.recording, self.tracks, self.labels, self.features, self.forces, self.model)
         return [file for file in files if file is not None]
 
     @property
@@ -38,7 +40,10 @@ class Trial:
         if self.recording is not None:
             return len(self.recording)
         rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
-        return max(file.length(path) for file, path in rows if file is not None)
+        lengths = [file.length(path) for file, path in rows if file is not None]
+        if self.forces is not None:
+            lengths += [self.forces.length(path) for path in self.forces.contents()]
+        return max(lengths, default=0)
 
     @property
     def recording_parameters(self) -> Any:
@@ -77,7 +82,6 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                     found=str(getattr(trial, file.kind).path),
                 )
             trial.add(file)
-        _check_model(trial)
         for path in _beside(named):
             if getattr(trial, _kind_of(path)) is not None:
                 continue
@@ -90,6 +94,7 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                 trial.add(file)
             else:
                 trial.notes.append(f"Left out: {path.name} was made from another recording.")
+        _check_model(trial)
         if trial.recording is None:
             _search_recording(trial, named[0].path.parent, stack)
         yield trial
@@ -108,12 +113,11 @@ def _kind_of(path: Path) -> str:
 
 
 def _recording_id(file: StageFile) -> str | None:
-    """The id of the recording itself, or of the one a file was made from."""
+    """The id of the recording itself, or of the one that a file, or the tracks behind it, was made from."""
     if file.kind == "recording":
         return str(file.header["id"])
-    history = file.header["history"]
-    parents = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") == "recording"]
-    return str(parents[0]) if parents else None
+    made_from = recording_of(file.header, file.header["history"])
+    return str(made_from["id"]) if made_from else None
 
 
 def _one_recording(named: list[StageFile]) -> str:

@@ -1,0 +1,124 @@
+"""Files that take several episodes one after the other, and go on in the next file when they are large enough."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+CODEC = "libx264"
+CODEC_OPTIONS = {"crf": "18", "g": "2", "bf": "0"}  # every other picture stands alone, so that any is soon found
+
+
+class Place(NamedTuple):
+    """Where an episode lies: the file by its numbers, and from which time on, in s."""
+
+    chunk: int
+    file: int
+    start_s: float = 0.0
+
+
+class Numbered:
+    """The names of files that follow each other: `pattern` with chunk_index and file_index, so many in a chunk.
+
+    most_mb: when a file is large enough; None: never.
+    """
+
+    def __init__(self, folder: Path, pattern: str, chunk_files: int, most_mb: int | None) -> None:
+        self._folder, self._pattern, self._chunk_files, self._most_mb = folder, pattern, chunk_files, most_mb
+        self._number = -1
+        self._path: Path | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the next episode begins a new file."""
+        if self._path is None:
+            return True
+        return self._most_mb is not None and self._path.stat().st_size >= self._most_mb << 20
+
+    @property
+    def place(self) -> Place:
+        """The numbers of the present file."""
+        return Place(*divmod(self._number, self._chunk_files))
+
+    def next(self) -> str:
+        """The path of the next file, whose folder is there."""
+        self._number += 1
+        place = self.place
+        self._path = self._folder / self._pattern.format(chunk_index=place.chunk, file_index=place.file)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        return str(self._path)
+
+
+class Tables(AbstractContextManager["Tables"]):
+    """Parquet files with a row group an episode; rows: how many there are by now."""
+
+    def __init__(self, arrow: Any, files: Numbered) -> None:
+        self.rows = 0
+        self._arrow, self._files = arrow, files
+        self._writer: Any = None
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the present file."""
+        if self._writer is not None:
+            self._writer.close()
+
+    def append(self, table: Any) -> Place:
+        """Write the rows of an episode; returns where."""
+        if self._files.is_over:
+            self.close()
+            self._writer = self._arrow.parquet.ParquetWriter(self._files.next(), table.schema, compression="snappy")
+        self._writer.write_table(table)
+        self.rows += len(table)
+        return self._files.place
+
+
+class Videos(AbstractContextManager["Videos"]):
+    """Videos of grey pictures (height, width), one episode after the other."""
+
+    def __init__(self, av: Any, files: Numbered, fps: int, shape: Sequence[int]) -> None:
+        self._av, self._files, self._fps = av, files, fps
+        self._height, self._width = shape[:2]
+        self._frames = 0  # in the present file
+        self._file: Any = None
+        self._stream: Any = None
+
+    def __exit__(self, type_: type[BaseException] | None, *_: object) -> None:
+        self.close(whole=type_ is None)
+
+    def close(self, *, whole: bool = True) -> None:
+        """End the present file; without what the codec still holds where it is not wanted as a whole."""
+        if self._file is None:
+            return
+        if whole:
+            self._file.mux(self._stream.encode())
+        self._file.close()
+
+    @property
+    def now_s(self) -> float:
+        """Where the next picture will stand in the present file."""
+        return self._frames / self._fps
+
+    def begin(self) -> Place:
+        """Begin an episode; returns where."""
+        if self._files.is_over:
+            self.close()
+            self._frames = 0
+            self._file = self._av.open(self._files.next(), "w")
+            self._stream = self._file.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
+            self._stream.width, self._stream.height, self._stream.pix_fmt = self._width, self._height, "yuv420p"
+            self._file.start_encoding()  # the file is there from now on
+        return self._files.place._replace(start_s=self.now_s)
+
+    def add(self, picture: NDArray[np.uint8]) -> None:
+        """Add the next picture."""
+        frame = self._av.VideoFrame.from_ndarray(np.repeat(picture[:, :, None], 3, axis=2), format="rgb24")
+        frame.pts, frame.time_base = self._frames, Fraction(1, self._fps)
+        self._file.mux(self._stream.encode(frame))
+        self._frames += 1

@@ -1,0 +1,66 @@
+"""Statistics of episodes, which policies scale their inputs by: of one, and of several together.
+
+Source: compute_stats.py of lerobot 0.4.4. Ours are of all frames and pixels, exact; lerobot takes quantiles from
+histograms, and samples of the pictures.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Figures = Mapping[str, NDArray[Any]]  # min, max, mean, std, count, quantiles
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+
+
+def of_columns(values: NDArray[Any]) -> Figures:
+    """Of each column of (frames,) or (frames, n): least, greatest, mean, standard deviation, quantiles; how many."""
+    table = values.reshape(len(values), -1).astype(np.float64)
+    quantiles = np.quantile(table, list(QUANTILES.values()), axis=0)
+    return {
+        "min": table.min(axis=0),
+        "max": table.max(axis=0),
+        "mean": table.mean(axis=0),
+        "std": table.std(axis=0),
+        "count": np.array([len(table)]),
+        **dict(zip(QUANTILES, quantiles, strict=True)),
+    }
+
+
+def of_pictures(levels: NDArray[np.float64], pixels: NDArray[np.int64], frames: int) -> Figures:
+    """The same of pictures in which so many pixels have each grey level, 0 to 1 and increasing; (3, 1, 1) each."""
+    mean = (levels * pixels).sum() / pixels.sum()
+    shown, share = levels[pixels > 0], pixels.cumsum() / pixels.sum()
+    figures = {
+        "min": shown.min(),
+        "max": shown.max(),
+        "mean": mean,
+        "std": np.sqrt(((levels - mean) ** 2 * pixels).sum() / pixels.sum()),
+        **{name: levels[np.searchsorted(share, part)] for name, part in QUANTILES.items()},
+    }
+    return {"count": np.array([frames]), **{name: np.full((3, 1, 1), value) for name, value in figures.items()}}
+
+
+def together(a: Mapping[str, Figures], b: Mapping[str, Figures]) -> Mapping[str, Figures]:
+    """Of both, by the names of the columns; quantiles are means weighted by frames, as in lerobot, the others exact."""
+    return {name: _both(a[name], b[name]) for name in b} if a else b
+
+
+def _both(a: Figures, b: Figures) -> Figures:
+    share = b["count"][0] / (a["count"][0] + b["count"][0])
+    mean = a["mean"] + share * (b["mean"] - a["mean"])
+    spread_a, spread_b = (one["std"] ** 2 + (one["mean"] - mean) ** 2 for one in (a, b))
+    return {
+        "min": np.minimum(a["min"], b["min"]),
+        "max": np.maximum(a["max"], b["max"]),
+        "mean": mean,
+        "std": np.sqrt((1 - share) * spread_a + share * spread_b),
+        "count": a["count"] + b["count"],
+        **{name: a[name] + share * (b[name] - a[name]) for name in QUANTILES},
+    }
+
+
+def as_lists(statistics: Mapping[str, Figures]) -> dict[str, dict[str, Any]]:
+    """The same as JSON and Parquet take it."""
+    return {name: {figure: value.tolist() for figure, value in one.items()} for name, one in statistics.items()}

@@ -1,0 +1,202 @@
+"""A trial as an episode of frames for a policy: which columns it sees, and how 1000 slices a second become frames.
+
+Frame i is made of the slices from i * 1000 // fps to (i + 1) * 1000 // fps, the end excluded: all that is known at
+its end. State and action are the last values; the tactile vector is the mean of its slices, the last, or the last
+1000 // fps of them one after the other, the oldest first. The action of a frame is the goal that stands one frame
+later: what was commanded upon what the frame shows. So the last whole frame of a trial has none, and is left out.
+
+What is not known holds its last value, and is 0 before the first: policies cannot do with gaps.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US
+from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
+from evetac_cli.kernels.slip.features import event_image
+from evetac_cli.store.read import Recording
+
+Floats = NDArray[np.float32]
+RATE_HZ = 1_000_000 // SLICE_US
+STATE = ("gripper_position_ticks", "gripper_current_ma")
+ACTIONS = (("control_goal_ticks",), ("gripper_current_target_ma",))  # of a grasp; of any other trial with a gripper
+DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
+TACTILE = re.compile(
+    rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|force_(shear|regression|network)_[xy]_n|force_normal_n"
+    "|force_contact_probability|(control|model)_probability"
+)
+MOST_BYTES = 2_000_000_000  # of a trial's slices in memory
+MOST_EVENTS = 4_000_000  # drawn in one picture: the last ones
+LARGEST_PX = 4096  # side of a picture, which H.264 takes everywhere
+GREYS = np.array([0, 128, 255], np.uint8)  # darker, nothing, brighter, as in the paper's pictures
+
+
+class Outline(NamedTuple):
+    """What a trial could give to an episode: its columns, how long it is, its frame and its names."""
+
+    path: Path
+    facts: dict[str, Any]
+    task: str
+    id: str
+    names: tuple[str, ...]
+    slices: int
+    frame_px: tuple[int, int]
+
+
+class Vectors(NamedTuple):
+    """The columns that all trials have: of the state, the tactile vector and the action."""
+
+    state: tuple[str, ...]
+    tactile: tuple[str, ...]
+    action: tuple[str, ...]
+
+
+def outline(files: TrialFiles, task: str | None) -> Outline:
+    """What a trial could give; `task` in words, by default what its scene is about."""
+    recording = files.recording
+    names = tuple(name for columns in columns_of(files) for name in columns.names)
+    scene = recording.header["parameters"].get("scene")
+    about = scene.get("summary") if isinstance(scene, dict) else None
+    words = task or (about if isinstance(about, str) else "touch and hold an object")
+    return Outline(
+        recording.path, files.facts(), words, recording.header["id"], names, len(recording), recording.frame_px
+    )
+
+
+def choose_vectors(outlines: Sequence[Outline]) -> tuple[Vectors, list[str]]:
+    """The columns that all trials have, and those that only some have, which are left out.
+
+    InputError if a trial has no gripper or no displacements, or the trials have different frames.
+    """
+    common = set.intersection(*(set(one.names) for one in outlines))
+    action = next((names for names in ACTIONS if common.issuperset(names)), None)
+    for one in outlines:
+        has_action = any(set(one.names).issuperset(names) for names in ACTIONS)
+        if not has_action or not set(one.names).issuperset(STATE):
+            raise InputError("an episode needs an action, and there is no gripper", where=str(one.path))
+        if not any(map(DISPLACEMENT.fullmatch, one.names)):
+            raise InputError(
+                "an episode needs the displacements of the dots, and there are no features",
+                where=str(one.path),
+                expected="features beside the recording",
+                hint="evetac track, then evetac featurize",
+            )
+        if one.frame_px != outlines[0].frame_px:
+            raise InputError(
+                "episodes have pictures of one size", where=str(one.path), expected=_size(outlines[0]), found=_size(one)
+            )
+        if max(one.frame_px) > LARGEST_PX:
+            raise InputError(
+                "its pictures are too large for a video",
+                where=str(one.path),
+                expected=f"at most {LARGEST_PX} px a side",
+                found=_size(one),
+            )
+    tactile_of = [[name for name in one.names if TACTILE.fullmatch(name)] for one in outlines]
+    some = set().union(*tactile_of) - common
+    odd = next((name for name in sorted(some) if DISPLACEMENT.fullmatch(name)), None)
+    if action is None or odd is not None:
+        raise InputError(
+            "episodes have the same dots and the same action",
+            where=str(outlines[0].path.parent),
+            expected="trials of one gel, all grasps or none",
+            found=f"{odd or ACTIONS[0][0]} in some of them",
+            hint="export them to folders of their own",
+        )
+    tactile = tuple(name for name in tactile_of[0] if name in common)
+    left_out = [f"not in all trials: {', '.join(sorted(some))}"] if some else []
+    return Vectors(STATE, tactile, action), left_out
+
+
+def _size(one: Outline) -> str:
+    return f"{one.frame_px[0]} x {one.frame_px[1]}"
+
+
+def frame_edges(slices: int, fps: int) -> NDArray[np.int64]:
+    """Where frames begin, and where the last one ends: frame i has the slices [edges[i], edges[i + 1])."""
+    return np.arange(slices * fps // RATE_HZ + 1, dtype=np.int64) * RATE_HZ // fps
+
+
+class Episode(NamedTuple):
+    """The frames of a trial: (frames, values) each, and where the slices of each frame begin and end."""
+
+    state: Floats
+    tactile: Floats
+    action: Floats
+    edges: NDArray[np.int64]  # (frames + 1,)
+
+
+def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Episode:
+    """The frames of a trial; InputError if it has fewer than two, or is too long for memory."""
+    recording = files.recording
+    slices = len(recording)
+    edges = frame_edges(slices, fps)
+    if len(edges) < 3:
+        raise InputError(
+            "too short for an episode",
+            where=str(recording.path),
+            expected=f"two frames of {RATE_HZ / fps:g} ms",
+            found=f"{slices} ms",
+        )
+    width = sum(map(len, vectors))
+    if 16 * width * slices > MOST_BYTES:
+        raise InputError(
+            "too long for an episode",
+            where=str(recording.path),
+            expected=f"at most {MOST_BYTES // (16 * width) // RATE_HZ} s",
+            found=f"{slices / RATE_HZ:.0f} s",
+            hint="cut it with `evetac trim`",
+        )
+    columns = columns_of(files)
+    state, tactile, action = (known(read_columns(columns, names, slices)) for names in vectors)
+    ends = edges[1:] - 1
+    return Episode(
+        state[ends[:-1]], frames_of(tactile, edges[:-1], per_frame, RATE_HZ // fps), action[ends[1:]], edges[:-1]
+    )
+
+
+def known(values: Masked) -> Floats:
+    """The values with the last known one wherever none is known, 0 before the first; by columns of (slices, n)."""
+    missing = np.ma.getmaskarray(values)
+    rows = np.where(missing, 0, np.arange(len(values))[:, None])
+    latest = np.maximum.accumulate(rows, axis=0)
+    filled = values.filled(0.0)
+    return np.asarray(np.take_along_axis(filled, latest, axis=0), np.float32)
+
+
+def frames_of(values: Floats, edges: NDArray[np.int64], per_frame: str, stacked: int) -> Floats:
+    """One row a frame from the slices (slices, n) of each; of `stacked` that many slices, as (frames, stacked * n)."""
+    begins, ends = edges[:-1], edges[1:]
+    if per_frame == "last":
+        return values[ends - 1]
+    if per_frame == "mean":
+        sums = np.add.reduceat(values[: ends[-1]].astype(np.float64), begins, axis=0)
+        return np.asarray(sums / (ends - begins)[:, None], np.float32)
+    rows = ends[:, None] - stacked + np.arange(stacked)
+    return values[rows].reshape(len(begins), -1)
+
+
+def names_of(tactile: Sequence[str], per_frame: str, stacked: int) -> list[str]:
+    """The names of the tactile vector; of stacked slices also how many ms before the end of the frame each ends."""
+    if per_frame != "stacked":
+        return list(tactile)
+    return [f"{name}_{age}_ms_ago" for age in range(stacked - 1, -1, -1) for name in tactile]
+
+
+def pictures(recording: Recording, edges: NDArray[np.int64]) -> Iterator[NDArray[np.uint8]]:
+    """The events of each frame as the paper draws them, (height, width); a row or column is added to odd sides.
+
+    White is brighter, black darker, grey nothing. Codecs want even sides.
+    """
+    width, height = recording.frame_px
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        first, last = int(recording.starts[begin]), int(recording.starts[end])
+        events = recording.events(max(first, last - MOST_EVENTS), last)
+        drawn = event_image(events.x, events.y, events.p, (width, height))
+        yield GREYS[np.pad(drawn, ((0, height % 2), (0, width % 2))) + 1]

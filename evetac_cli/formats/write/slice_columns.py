@@ -1,0 +1,263 @@
+"""A trial as columns with one row a slice: what tables and data sets for policies are made of.
+
+Every dataset that has a row for each slice is read as columns of plain numbers, one for each dot and for each of x and
+y. Their names are the path of the dataset, the dot, x or y, and the unit at the end: `displacement_17_x_px`. Columns of
+forces begin with `force_`. Rows that have a clock of their own (gripper, control, other streams of the trial) stand in
+every slice as the last of them before its end, and their time stands beside them. Images of a stream are left out.
+
+Why no lists of dots: pandas keeps a list as an object with which nothing can be computed, and CSV has none. Plain
+columns are picked by a pattern in pandas, polars and duckdb alike, and Parquet reads only those that are asked for.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.store import schema, streams
+from evetac_cli.store.files import StageFile, stem
+from evetac_cli.store.index import describe
+from evetac_cli.store.read import Recording
+from evetac_cli.store.schema import Dataset
+from evetac_cli.text_files import parse_json
+
+Masked = np.ma.MaskedArray[Any, Any]
+KINDS = ("recording", "tracks", "labels", "forces", "features")  # of two columns of one name, the first stands
+PREFIX = {"forces": "force_"}
+COPIED = ("visible_slip_share",)  # by features from the truth, where it has its own column
+
+
+class TrialFiles(NamedTuple):
+    """The open files of one trial by their kinds, its recording among them, and what was left out of them.
+
+    slip_probability: of a detector for each slice, NaN before its first; where one was asked for.
+    """
+
+    by_kind: Mapping[str, StageFile]
+    notes: Sequence[str] = ()
+    slip_probability: NDArray[np.float32] | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """The recording."""
+        recording = self.by_kind["recording"]
+        assert isinstance(recording, Recording)
+        return recording
+
+    @property
+    def simulated(self) -> bool:
+        """Whether anything of it comes from a simulation: the recording, or what a model learned from."""
+        return any(bool(file.header["simulated"]) for file in self.by_kind.values())
+
+    def facts(self) -> dict[str, Any]:
+        """What tells a trial from others: name, object, sensor, seed, outcome, None where unknown; and if simulated."""
+        row = self._described("recording")
+        outcome = row.outcome
+        if outcome is None and "labels" in self.by_kind:
+            outcome = self._described("labels").outcome
+        return {
+            "trial": stem(self.recording.path),
+            "object": row.object,
+            "sensor": row.sensor or None,
+            "seed": row.seed,
+            "outcome": outcome,
+            "simulated": bool(self.recording.header["simulated"]),
+        }
+
+    def _described(self, kind: str) -> Any:
+        path = self.by_kind[kind].path
+        return describe(path.parent, path.name, 0, 0)
+
+
+Opener = Callable[[Path], AbstractContextManager[TrialFiles]]
+
+
+@contextmanager
+def recording_alone(path: Path) -> Iterator[TrialFiles]:
+    """The recording without the files beside it."""
+    with Recording(path) as recording:
+        yield TrialFiles({"recording": recording})
+
+
+class WrittenFolder(NamedTuple):
+    """What a data set of many trials holds: whether any is simulated, what was left out, and figures."""
+
+    simulated: bool
+    left_out: list[str]
+    figures: dict[str, Any]
+
+
+class Columns(NamedTuple):
+    """The columns of one dataset; read(start, stop) gives the slices [start, stop), (rows, columns).
+
+    Masked is what is not known: NaN, before the first row of a clock, after the end of a file.
+    """
+
+    names: tuple[str, ...]
+    meanings: tuple[str, ...]
+    unit: str
+    dtype: np.dtype[Any]
+    read: Callable[[int, int], Masked]
+
+
+def columns_of(files: TrialFiles) -> list[Columns]:
+    """All columns of a trial, without its time; features repeat some of tracks and labels, which then stand once."""
+    made = [_event_counts(files.recording)]
+    dots = _dot_words(files)
+    for kind in KINDS:
+        if kind in files.by_kind:
+            made += _of_file(files.by_kind[kind], dots)
+    if files.slip_probability is not None:
+        made.append(_of_detector(files.slip_probability))
+    seen: set[str] = set()
+    kept = []
+    for columns in made:
+        if seen.isdisjoint(columns.names):
+            kept.append(columns)
+            seen.update(columns.names)
+    return kept
+
+
+def read_columns(columns: Sequence[Columns], names: Sequence[str], slices: int) -> Masked:
+    """All slices of the columns of these names, (slices, columns), as float32; KeyError for a name that is missing."""
+    found: dict[str, Masked] = {}
+    for group in columns:
+        wanted = [name for name in group.names if name in names]
+        values = group.read(0, slices) if wanted else None
+        found |= {name: values[:, group.names.index(name)] for name in wanted if values is not None}
+    chosen = [found[name] for name in names]
+    return np.ma.stack(chosen, axis=1).astype(np.float32) if chosen else np.ma.zeros((slices, 0), np.float32)
+
+
+def not_in_tables(recording: Recording) -> list[str]:
+    """What no slice shows: rows of a clock that has several within a slice, and images of other streams; in words."""
+    said = []
+    for group in _clocks(recording):
+        t_us = recording.read(f"{group}/t_us")
+        shown = np.unique(_rows_at(t_us, 0, len(recording)))
+        missing = len(t_us) - int((shown >= 0).sum())
+        said += [f"{missing} of {len(t_us)} rows of {group}"] if missing else []
+        said += [f"images of {group}"] if recording.has(f"{group}/frames") else []
+    return said
+
+
+def _clocks(file: StageFile) -> list[str]:
+    """Groups whose rows have a clock of their own."""
+    return [path.removesuffix("/t_us") for path in file.contents() if path.endswith("/t_us")]
+
+
+def _event_counts(recording: Recording) -> Columns:
+    def read(start: int, stop: int) -> Masked:
+        return np.ma.array(np.diff(recording.starts[start : stop + 1]).astype(np.int32)[:, None])
+
+    return Columns(("events_total",), ("all events of the slice",), "", np.dtype(np.int32), read)
+
+
+def _of_detector(probability: NDArray[np.float32]) -> Columns:
+    def read(start: int, stop: int) -> Masked:
+        return _masked(probability[start:stop, None])
+
+    meaning = "slip probability by the detector whose header stands beside those of the files"
+    return Columns(("model_probability",), (meaning,), "", np.dtype(np.float32), read)
+
+
+def _dot_words(files: TrialFiles) -> Callable[[int], str]:
+    """Where a dot is in the grid, by its number."""
+    grids = (file.contents().get("sensor/dot_xy_px") for file in files.by_kind.values())
+    columns = next((shape[1] for _, shape in filter(None, grids) if shape[1]), None)
+    if columns is None:
+        return lambda number: f"dot {number}"
+    return lambda number: f"dot {number} (row {number // columns}, column {number % columns})"
+
+
+def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[Columns]:
+    stored, table = file.contents(), schema.load(file.kind)
+    clocks = {group: file.read(f"{group}/t_us") for group in _clocks(file)}
+    described = [(path, row) for path in stored if (row := table.find(path)) is not None and row.path not in COPIED]
+    order = {row.path: place for place, row in enumerate(table.datasets)}
+    for path, row in sorted(described, key=lambda pair: order[pair[1].path]):
+        along, *across = row.dims or ("",)
+        group = path.rpartition("/")[0]
+        read: Callable[[int, int], Masked]
+        if set(across) - {"dots", 2}:
+            continue
+        if along == "slices":
+            read = partial(_by_slice, file, path, stored[path][1])
+        elif group in clocks and row.dims:
+            read = partial(_by_clock, file, path, stored[path][1], np.dtype(row.dtype), clocks[group])
+        else:
+            continue
+        unit = row.unit or _unit_of_column(file, group, path.rpartition("/")[2])
+        named = _named(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
+        names, meanings = tuple(name for name, _ in named), tuple(words for _, words in named)
+        yield Columns(names, meanings, unit, np.dtype(row.dtype), read)
+
+
+def _unit_of_column(file: StageFile, group: str, column: str) -> str:
+    """The unit of a column of a stream, which the text of its group says; empty for all other datasets."""
+    if not group.startswith(f"{streams.GROUP}/"):
+        return ""
+    return str(parse_json(file.read(f"{group}/about")).get("units", {}).get(column, ""))
+
+
+def _named(row: Dataset, shape: Sequence[int], prefix: str, dot: Callable[[int], str]) -> list[tuple[str, str]]:
+    """Name and meaning of each column of a dataset, in the order in which its rows are flattened."""
+    base = prefix + row.path.replace("/", "_")
+    unit = f"_{row.unit.lower()}"
+    ending = unit if row.unit and base.endswith(unit) else ""
+    base = base.removesuffix(ending)
+    parts = [("", "")]
+    for dim, size in zip((row.dims or ())[1:], shape[1:], strict=True):
+        if dim == 2:
+            base = base.removesuffix("_xy")
+            each = [("_x", "x"), ("_y", "y")]
+        else:
+            digits = max(2, len(str(size - 1)))
+            each = [(f"_{number:0{digits}d}", dot(number)) for number in range(size)]
+        parts = [(name + more, f"{words}, {where}") for name, words in parts for more, where in each]
+    return [(base + name + ending, row.meaning + words) for name, words in parts]
+
+
+def _masked(values: NDArray[Any]) -> Masked:
+    return np.ma.masked_invalid(values) if values.dtype.kind == "f" else np.ma.array(values)
+
+
+def _by_slice(file: StageFile, path: str, shape: Sequence[int], start: int, stop: int) -> Masked:
+    values = file.read(path, min(start, shape[0]), min(stop, shape[0])).reshape(-1, int(np.prod(shape[1:])))
+    short = stop - start - len(values)
+    if not short:
+        return _masked(values)
+    rest = np.ma.masked_all((short, values.shape[1]), values.dtype)
+    return np.ma.concatenate([_masked(values), rest])
+
+
+def _rows_at(t_us: NDArray[np.int64], start: int, stop: int) -> NDArray[np.int64]:
+    """The last row before the end of each slice; -1 where there is none yet."""
+    ends = np.arange(start + 1, stop + 1, dtype=np.int64) * SLICE_US
+    return np.asarray(np.searchsorted(t_us, ends) - 1)
+
+
+def _by_clock(
+    file: StageFile,
+    path: str,
+    shape: Sequence[int],
+    dtype: np.dtype[Any],
+    t_us: NDArray[np.int64],
+    start: int,
+    stop: int,
+) -> Masked:
+    at = _rows_at(t_us, start, stop)
+    columns = int(np.prod(shape[1:]))
+    if not len(at) or at[-1] < 0:
+        return np.ma.masked_all((len(at), columns), dtype)
+    first = max(int(at[0]), 0)
+    values = file.read(path, first, int(at[-1]) + 1).reshape(-1, columns)
+    made = np.ma.array(_masked(values[np.maximum(at - first, 0)]))
+    made[at < 0] = np.ma.masked
+    return made

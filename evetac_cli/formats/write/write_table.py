@@ -1,0 +1,197 @@
+"""Write trials as tables with one row a slice: Parquet, CSV, or one Parquet data set of many trials.
+
+The columns are those of slice_columns.py; before them stand `t_ms`, the start of the slice, and what names the trial:
+`trial`, `object`, `sensor`, `seed`, `outcome`, `simulated`. What is not known is null, which pandas shows as NaN, and
+which sums in polars and duckdb leave out. In Parquet, units and meanings are metadata of the columns, and the headers
+of the files are the text `evetac` in the metadata of the table.
+
+A data set has a file a trial in folders `object=8/sensor=evetac/`, as Hive names them: pandas, polars, duckdb, Spark
+and pyarrow make columns of them, and leave out the folders that a query does not ask for. Seed and outcome, of which
+there are many or which depend on the labels, are columns of the files. All files have the same columns; where a trial
+has nothing to put into one, it is null.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from evetac_cli.errors import InputError, install_hint
+from evetac_cli.formats.write.slice_columns import (
+    Columns,
+    Opener,
+    TrialFiles,
+    WrittenFolder,
+    columns_of,
+    not_in_tables,
+)
+from evetac_cli.jobs import Progress
+from evetac_cli.store.index import LARGEST
+
+BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
+PARTITIONS = ("object", "sensor")
+UNKNOWN = "__HIVE_DEFAULT_PARTITION__"  # Hive's word for null
+COMPRESSION = "zstd"
+
+
+def load_pyarrow(where: str) -> Any:
+    """The module pyarrow with all that is used of it; InputError that says how to install it where it is missing."""
+    try:
+        import pyarrow
+        import pyarrow.csv
+        import pyarrow.parquet
+    except ImportError as error:
+        hint = install_hint("convert")
+        raise InputError("tables need pyarrow", where=where, found=str(error), hint=hint) from None
+    return pyarrow
+
+
+def write_parquet(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
+    """One trial as a Parquet file; returns what could not be shown."""
+    arrow = load_pyarrow(str(path.parent))
+    columns, facts = columns_of(files), files.facts()
+    _write_parquet(arrow, _schema(arrow, columns, typed([facts])), files, columns, facts, path, progress)
+    return [*files.notes, *not_in_tables(files.recording)]
+
+
+def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
+    """One trial as CSV, whose first line has the names; returns what could not be shown."""
+    arrow = load_pyarrow(str(path.parent))
+    columns, facts = columns_of(files), files.facts()
+    table = _schema(arrow, columns, typed([facts]))
+    with arrow.csv.CSVWriter(path, table) as writer:
+        for batch in _batches(arrow, table, files, columns, facts, progress):
+            writer.write_batch(batch)
+    return [*files.notes, *not_in_tables(files.recording)]
+
+
+def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:
+    """Many trials as one Parquet data set in a folder.
+
+    InputError if two trials would have the same file.
+    """
+    arrow = load_pyarrow(str(folder.parent))
+    schemas, facts, slices = [], [], []
+    for source in sources:
+        with opened(source) as files:
+            facts.append(files.facts())
+            schemas.append(_schema(arrow, columns_of(files), {}))
+            slices.append(len(files.recording))
+    types = {name: type_ for name, type_ in typed(facts).items() if name not in PARTITIONS}
+    table = arrow.unify_schemas([_schema(arrow, [], types), *schemas])
+    said, done = [], 0
+    for source, named, rows in zip(sources, facts, slices, strict=True):
+        path = folder / "/".join(_partition(name, named[name]) for name in PARTITIONS) / f"{named['trial']}.parquet"
+        if path.exists():
+            raise InputError("two recordings have the same name", where=str(source), found=path.name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+        def shown(now: float, total: float, doing: str = "", before: int = done) -> None:
+            progress(before + now, sum(slices), doing)
+
+        with opened(source) as files:
+            _write_parquet(arrow, table, files, columns_of(files), named, path, shown)
+            said += [f"{named['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
+        done += rows
+    simulated = any(named["simulated"] for named in facts)
+    return WrittenFolder(simulated, said, {"slices": sum(slices), "columns": len(table) + len(PARTITIONS)})
+
+
+def typed(facts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The type of each column that names a trial: whole numbers where all are, else text."""
+    types: dict[str, Any] = dict.fromkeys(facts[0], "string") | {"simulated": "bool"}
+    for name in ("object", "seed"):
+        values = [one[name] for one in facts if one[name] is not None]
+        if values and all(isinstance(value, int) and abs(value) <= LARGEST for value in values):
+            types[name] = "int64"
+    return types
+
+
+def _partition(name: str, value: Any) -> str:
+    return f"{name}={UNKNOWN if value is None else quote(str(value), safe='')}"
+
+
+def _schema(arrow: Any, columns: Sequence[Columns], types: Mapping[str, Any]) -> Any:
+    """Arrow's schema: time, what names the trial, the columns; units and meanings as metadata of each."""
+
+    def field(name: str, type_: Any, unit: str, meaning: str) -> Any:
+        return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
+
+    fields = [field("t_ms", arrow.int64(), "ms", "start of the slice, which lasts 1 ms")]
+    fields += [field(name, arrow.type_for_alias(type_), "", f"{name} of the trial") for name, type_ in types.items()]
+    for group in columns:
+        type_ = arrow.from_numpy_dtype(group.dtype)
+        fields += [
+            field(name, type_, group.unit, meaning) for name, meaning in zip(group.names, group.meanings, strict=True)
+        ]
+    return arrow.schema(fields)
+
+
+def _write_parquet(
+    arrow: Any,
+    table: Any,
+    files: TrialFiles,
+    columns: Sequence[Columns],
+    facts: Mapping[str, Any],
+    path: Path,
+    progress: Progress,
+) -> None:
+    described = table.with_metadata({"evetac": json.dumps(provenance(files, facts))})
+    with arrow.parquet.ParquetWriter(path, described, compression=COMPRESSION) as writer:
+        for batch in _batches(arrow, described, files, columns, facts, progress):
+            writer.write_batch(batch)
+
+
+def _batches(
+    arrow: Any,
+    table: Any,
+    files: TrialFiles,
+    columns: Sequence[Columns],
+    facts: Mapping[str, Any],
+    progress: Progress,
+) -> Iterator[Any]:
+    """The slices of a trial, some at a time, with all columns of the schema."""
+    slices = len(files.recording)
+    at_once = max(1, BATCH_BYTES // (8 * len(table)))
+    for first in range(0, slices, at_once):
+        stop = min(first + at_once, slices)
+        progress(first, slices, "slices")
+        made = {"t_ms": arrow.array(np.arange(first, stop))}
+        for group in columns:
+            values = group.read(first, stop)
+            mask = np.ma.getmaskarray(values)
+            for at, name in enumerate(group.names):
+                made[name] = arrow.array(values.data[:, at], mask=mask[:, at])
+        for name in facts:
+            if name in table.names:
+                type_ = table.field(name).type
+                value = str(facts[name]) if type_ == arrow.string() and facts[name] is not None else facts[name]
+                made[name] = arrow.repeat(arrow.scalar(value, type_), stop - first)
+        rows = [made[field.name] if field.name in made else arrow.nulls(stop - first, field.type) for field in table]
+        yield arrow.record_batch(rows, schema=table)
+    progress(slices, slices, "slices")
+
+
+def provenance(files: TrialFiles, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Where a trial comes from: the header of each of its files, and its sensor; ancestors are named by their ids."""
+    recording = files.recording
+    return {
+        **facts,
+        "t_offset_us": int(recording.read("t_offset")),
+        "sensor_datasets": {name: _plain(value) for name, value in recording.sensor_datasets().items()},
+        "headers": {
+            kind: {name: value for name, value in file.header.items() if name != "history"}
+            for kind, file in files.by_kind.items()
+        },
+    }
+
+
+def _plain(value: Any) -> Any:
+    """A dataset as JSON takes it; a dot that is missing has no numbers."""
+    if isinstance(value, str):
+        return value
+    array = np.asarray(value)
+    return np.where(np.isnan(array), None, array).tolist() if array.dtype.kind == "f" else array.tolist()
