@@ -20,6 +20,7 @@ other events, and where their times are impossible the whole file is refused.
 """
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -92,29 +93,36 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     where = str(path)
     with path.open("rb") as handle:
         header = _header(handle, where)
-        label, chosen, others = _choose(header, stream, where)
+        label, chosen, others = _choose(handle, header, stream, where)
         packets = _walk(handle, header, chosen.number)
+        left_out = _left_out(handle, header, packets)
     foreign = Foreign("aedat4", choose_frame(chosen.frame_px, frame_px, where), ())
     foreign.note = read_note(chosen.note, where) if chosen.note else None
     if others:
         foreign.notes.append(f"took the event stream {label}; also there: {', '.join(others)} (choose with --stream)")
-    left_out = list(_left_out(header, packets))
-    if left_out:
-        foreign.notes.append(f"left out: {', '.join(left_out)}")
+    foreign.left_out |= left_out
     foreign.may_be_empty = packets.whole and header.table >= 0 and not packets.spans
     if not foreign.may_be_empty:
         foreign.batches = _batches(path, header, chosen.number, packets, foreign)
     return foreign
 
 
-def _left_out(header: Header, packets: Packets) -> Iterator[str]:
-    """How much there is of each kind of stream that is no stream of events, in words."""
-    for kind, name in KINDS.items():
-        numbers = [stream.number for stream in header.streams if stream.kind == kind != "EVTS"]
-        count = sum(packets.counts.get(number, 0) for number in numbers)
-        if count:  # a packet holds one frame, but many samples
-            words = name.removesuffix("s") if count == 1 else name
-            yield f"{count} {words}" if kind == "FRME" else f"{count} packet{'s' * (count > 1)} of {name}"
+def _left_out(handle: BinaryIO, header: Header, packets: Packets) -> dict[str, int]:
+    """How much there is of each kind of stream that is no stream of events: by the packet table, else in packets."""
+    others = {stream.number: stream.kind for stream in header.streams if stream.kind != "EVTS"}
+    if not any(packets.counts.get(number) for number in others):
+        return {}
+    load_faery("AEDAT4 needs", handle.name)
+    rows = _table(handle, header)
+    counts: Counter[str] = Counter()
+    for number, kind in others.items():
+        count = packets.counts.get(number, 0)
+        name = KINDS.get(kind, f"samples of {kind}")
+        if rows is not None:
+            counts[name] += sum(row.elements_count for row in rows if row.track_id == number)
+        elif count:  # a packet holds one frame, but many samples
+            counts[name if kind == "FRME" else f"packets of {name}"] += count
+    return {name: count for name, count in counts.items() if count > 0}
 
 
 def is_whole(path: Path) -> bool:
@@ -127,7 +135,7 @@ def is_whole(path: Path) -> bool:
         return all(walk.whole and _listed(handle, header, number) == walk.spans for number, walk in walks.items())
 
 
-def _choose(header: Header, wanted: str | None, where: str) -> tuple[str, Stream, list[str]]:
+def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) -> tuple[str, Stream, list[str]]:
     """Label of the stream, the stream, and the labels of the other event streams.
 
     A label is the stream's name, with the camera before it (`camera/name`) where the file has several cameras.
@@ -135,7 +143,10 @@ def _choose(header: Header, wanted: str | None, where: str) -> tuple[str, Stream
     streams = [stream for stream in header.streams if stream.kind == "EVTS"]
     if not streams:
         kinds = dict.fromkeys(KINDS.get(stream.kind, stream.kind) for stream in header.streams)
-        raise InputError(f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream", where=where)
+        held = _left_out(handle, header, _walk(handle, header, -1))
+        found = ", ".join(f"{name} {count:,}" for name, count in held.items())
+        message = f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream"
+        raise InputError(message, where=where, found=found)
     several = len({stream.camera for stream in streams}) > 1
     labels = {f"{stream.camera}/{stream.name}" if several else stream.name: stream for stream in streams}
     label = min(labels) if wanted is None else wanted
@@ -212,23 +223,11 @@ def _walk(handle: BinaryIO, header: Header, number: int) -> Packets:
 
 def _listed(handle: BinaryIO, header: Header, number: int) -> list[Span] | None:
     """The packets of one stream as the packet table lists them, None where there is no table or it is damaged."""
-    size = handle.seek(0, 2)
-    if not header.size <= header.table < size:
+    rows = _table(handle, header)
+    if rows is None:
         return None
-    handle.seek(header.table)
-    table = handle.read(min(size - header.table, TABLE_LIMIT_BYTES))
     spans: list[Span] = []
     end = header.size
-    with scratch_file(".aedat4") as (copy, file):
-        start = _start(copy, header.compression)
-        position = len(start).to_bytes(8, "little")
-        _replace(file, start.replace(NO_TABLE, position, 1) + table)
-        try:
-            with _aedat().Decoder(copy) as decoder:
-                rows = decoder.file_data_definitions()
-        except BaseException as error:
-            refusal_text(error)
-            return None
     for row in rows:
         if row.track_id == number:
             if row.byte_offset - 8 < end or row.byte_offset + row.size > header.table or row.size <= 0:
@@ -236,6 +235,25 @@ def _listed(handle: BinaryIO, header: Header, number: int) -> list[Span] | None:
             end = row.byte_offset + row.size
             spans.append(Span(row.byte_offset, end))
     return spans
+
+
+def _table(handle: BinaryIO, header: Header) -> list[Any] | None:
+    """The rows of the packet table, None where there is no table or it is damaged."""
+    size = handle.seek(0, 2)
+    if not header.size <= header.table < size:
+        return None
+    handle.seek(header.table)
+    table = handle.read(min(size - header.table, TABLE_LIMIT_BYTES))
+    with scratch_file(".aedat4") as (copy, file):
+        start = _start(copy, header.compression)
+        position = len(start).to_bytes(8, "little")
+        _replace(file, start.replace(NO_TABLE, position, 1) + table)
+        try:
+            with _aedat().Decoder(copy) as decoder:
+                return list(decoder.file_data_definitions())
+        except BaseException as error:
+            refusal_text(error)
+            return None
 
 
 def _batches(path: Path, header: Header, number: int, packets: Packets, foreign: Foreign) -> Iterator[Columns]:

@@ -1,18 +1,21 @@
-"""Read events from Prophesee's RAW (EVT2, EVT3) and DAT files with faery, the extra `convert`.
+"""Read events from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files with faery, the extra `convert`.
 
 The text at the head of a file, lines that begin with "% ", is read here: which encoding, which frame. Where it does not
 say the frame, faery would take 1280 x 720; we ask. And faery times events from the first word on, though they have no
 time before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem
-to begin seconds too early. So what comes before that word is left out, as the maker's own software does.
+to begin seconds too early. So what comes before that word is left out, as the maker's own software does. Sensors of
+the fourth generation send the halves of a word of EVT2.1 the other way round (`endianness=legacy`); they are put right.
+Words of external triggers are counted.
 """
 
 import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
@@ -20,17 +23,18 @@ from evetac_cli.formats.read.faery_library import load_faery, refusal_text, scra
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 HEAD_LIMIT_BYTES = 1 << 20
-KINDS = {"2.0": "evt2", "evt2": "evt2", "3.0": "evt3", "evt3": "evt3"}
-WORD_BYTES = {"evt2": 4, "evt3": 2, "dat1": 8, "dat2": 8}
-TIME_HIGH = 0x8  # the upper four bits of a word that holds the high bits of time
+KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
+WORD_BYTES = {"evt2": 4, "evt2.1": 8, "evt3": 2, "dat1": 8, "dat2": 8}
+TIME_HIGH, TRIGGER = 0x8, 0xA  # the upper four bits of a word that holds the high bits of time, or a trigger
 
 
 class Head(NamedTuple):
     """What the text says, and where the words begin."""
 
-    kind: str  # evt2, evt3, dat1 or dat2
+    kind: str  # evt2, evt2.1, evt3, dat1 or dat2
     frame_px: tuple[int, int] | None
     size: int
+    swapped: bool = False  # of each word, the upper half comes first
 
 
 def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
@@ -39,13 +43,17 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     head = read_head(path)
     frame = choose_frame(head.frame_px, frame_px, where)
     foreign = Foreign("prophesee", frame, ())
-    skipped = 0 if head.kind.startswith("dat") else untimed_bytes(path, head)
+    raw = not head.kind.startswith("dat")
+    skipped = untimed_bytes(path, head) if raw else 0
     rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
     if skipped:
         foreign.notes.append(f"left out {skipped} bytes before the first time stamp")
     if rest:
         foreign.notes.append(f"cut short: the last {rest} bytes are no whole word")
-    foreign.batches = _trimmed(path, head, frame, skipped) if skipped else decode(path, head.kind, frame, where)
+    if raw and (triggers := sum(int(np.count_nonzero(kinds == TRIGGER)) for kinds in _kinds(path, head))):
+        foreign.left_out["triggers"] = triggers
+    anew = skipped or head.swapped
+    foreign.batches = _copied(path, head, frame, skipped) if anew else decode(path, head.kind, frame, where)
     return foreign
 
 
@@ -63,9 +71,9 @@ def read_head(path: Path) -> Head:
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
         fields[key.lower()] = value.strip()
         size = end + 1
-    return Head(
-        _kind(fields, where), _frame(fields), size + (2 if "evt" not in fields and "format" not in fields else 0)
-    )
+    kind = _kind(fields, where)
+    legacy = fields.get("endianness") == "legacy" or "endianness=legacy" in fields.get("format", "").split(";")
+    return Head(kind, _frame(fields), size + 2 * kind.startswith("dat"), legacy and kind == "evt2.1")
 
 
 def _kind(fields: dict[str, str], where: str) -> str:
@@ -80,7 +88,7 @@ def _kind(fields: dict[str, str], where: str) -> str:
     raise InputError(
         "a RAW file in an encoding that is not read here",
         where=where,
-        expected="EVT2 or EVT3",
+        expected="EVT2, EVT2.1 or EVT3",
         found=name[:20] or "no name",
         hint="convert it to HDF5 or text with the maker's tools",
     )
@@ -98,32 +106,46 @@ def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
 
 
 def untimed_bytes(path: Path, head: Head) -> int:
-    """Bytes before the first word that holds the high bits of time."""
-    word = WORD_BYTES[head.kind]
+    """Bytes before the first word that holds the high bits of time, as far as the first block of words goes."""
+    kinds = next(_kinds(path, head), None)
+    if kinds is None:
+        return 0
+    high = np.flatnonzero(kinds == TIME_HIGH)
+    whole = len(kinds) * WORD_BYTES[head.kind] == HEAD_LIMIT_BYTES  # there may be more
+    return int(high[0] if len(high) else len(kinds) * whole) * WORD_BYTES[head.kind]
+
+
+def _kinds(path: Path, head: Head) -> Iterator[NDArray[Any]]:
+    """The upper four bits of all words, in blocks."""
+    for block in _words(path, head, 0):
+        word = 8 * block.dtype.itemsize
+        yield block >> (word - 4)
+
+
+def _words(path: Path, head: Head, skipped: int) -> Iterator[NDArray[Any]]:
+    """All whole words after so many bytes, in blocks, the halves of each in order."""
+    size = WORD_BYTES[head.kind]
     with path.open("rb") as file:
-        file.seek(head.size)
-        content = file.read(HEAD_LIMIT_BYTES)
-    words = np.frombuffer(content[: len(content) // word * word], f"<u{word}")
-    high = np.flatnonzero(words >> (8 * word - 4) == TIME_HIGH)
-    if not len(high):
-        return 0 if len(content) < HEAD_LIMIT_BYTES else len(words) * word
-    return int(high[0]) * word
+        file.seek(head.size + skipped)
+        while block := file.read(HEAD_LIMIT_BYTES):
+            words = np.frombuffer(block[: len(block) // size * size], f"<u{size}")
+            yield words << np.uint64(32) | words >> np.uint64(32) if head.swapped else words
 
 
-def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
-    """Decode a copy without the words that have no time."""
-    with scratch_file(".raw") as (copy, target), path.open("rb") as source:
+def _copied(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
+    """Decode a copy without the words that have no time, of words whose halves are in order."""
+    with scratch_file(".raw") as (copy, target):
         target.write(raw_header(head.kind, frame))
-        source.seek(head.size + skipped)
-        while block := source.read(HEAD_LIMIT_BYTES):
-            target.write(block)
+        for words in _words(path, head, skipped):
+            target.write(words.tobytes())
         target.flush()
         yield from decode(copy, head.kind, frame, str(path))
 
 
 def raw_header(kind: str, frame: tuple[int, int]) -> bytes:
-    """The lines of text that a RAW file of an encoding (evt2, evt3) begins with."""
-    return "% evt {}.0\n% geometry {}x{}\n% end\n".format(kind[-1], *frame).encode()
+    """The lines of text that a RAW file of an encoding (evt2, evt2.1, evt3) begins with."""
+    version = {"evt2": "2.0", "evt3": "3.0"}.get(kind, kind[3:])
+    return "% evt {}\n% geometry {}x{}\n% end\n".format(version, *frame).encode()
 
 
 def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterator[Columns]:

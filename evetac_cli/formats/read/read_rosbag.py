@@ -25,7 +25,6 @@ MCAP = b"\x89MCAP0\r\n"
 ROS1 = b"#ROSBAG V2.0\n"
 METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
-MOST_LEFT_OUT = 5  # topics without events that are named
 ZSTD = b"\x28\xb5\x2f\xfd"
 PROPHESEE = ("evt2", "evt3")
 ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
@@ -56,7 +55,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         topic, kind, others = _choose(reader.connections, ros2, stream, where)
         if others:
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
-        foreign.notes += _left_out(reader.connections)
+        foreign.left_out |= _left_out(reader.connections)
         first = next(_messages(reader, topic, kind, where), None)
         if first is None:
             raise InputError(f"no message on the topic {topic}", where=where, hint="a recorder that saw no camera?")
@@ -103,18 +102,13 @@ def _choose(connections: list[Any], ros2: bool, wanted: str | None, where: str) 
     return topic, topics[topic], sorted(set(topics) - {topic})
 
 
-def _left_out(connections: list[Any]) -> Iterator[str]:
-    """How many messages there are of topics without events, in words."""
-    counts: Counter[tuple[str, str]] = Counter()
+def _left_out(connections: list[Any]) -> dict[str, int]:
+    """How many messages there are of each topic without events."""
+    counts: Counter[str] = Counter()
     for one in connections:
-        if one.msgtype not in TYPES:
-            counts[one.topic, one.msgtype] += one.msgcount
-    named = [
-        f"{count} message{'s' * (count > 1)} on {topic} ({kind})" for (topic, kind), count in counts.items() if count
-    ]
-    if named:
-        more = f", and {len(named) - MOST_LEFT_OUT} more topics" if len(named) > MOST_LEFT_OUT else ""
-        yield f"left out: {', '.join(named[:MOST_LEFT_OUT])}{more}"
+        if one.msgtype not in TYPES and one.msgcount:
+            counts[f"messages on {one.topic} ({one.msgtype})"] += one.msgcount
+    return dict(counts)
 
 
 def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
@@ -156,6 +150,7 @@ def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: st
         try:
             inner = read_prophesee.open_prophesee(raw, None)
             foreign.notes += inner.notes
+            foreign.left_out |= inner.left_out
             yield from inner.batches
         except InputError as error:
             raise InputError(str(error).replace(str(raw), where)) from None

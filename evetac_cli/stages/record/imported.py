@@ -31,7 +31,7 @@ class ImportJob(Job):
 
 def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> Outcome:
     """Import an event file of another program as a recording."""
-    from evetac_cli.formats.imports import read_events  # with the libraries of its format
+    from evetac_cli.formats.imports import left_out_text, read_events  # with the libraries of its format
 
     imported = read_events(
         job.inputs[0],
@@ -68,6 +68,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         "format": imported.format,
         "sorted": params.sort,
         "dropped": dict(imported.counts),
+        "left_out": dict(imported.left_out),
         "notes": notes,
     }
     recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=imported.simulated)
@@ -82,6 +83,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         slices=imported.slices,
         events=imported.stored.size,
         dropped=lost,
+        left_out=left_out_text(imported.left_out) or None,
         notes="; ".join(notes) or None,
     )
 
