@@ -37,7 +37,7 @@ def write(folder: Path, events: Events) -> None:
     np.savez_compressed(folder / "packed.npz", events=np.asfortranarray(table))
     np.save(folder / "events.npy", table[:, [1, 2, 0, 3]].astype(np.float64))
     np.save(folder / "structured.npy", rows)
-    lines = "".join("%d,%d,%d,%d,note\n" % tuple(row) for row in table[:, [1, 2, 3, 0]].tolist())
+    lines = "".join(",".join(map(str, row)) + ",note\n" for row in table[:, [1, 2, 3, 0]].tolist())
     (folder / "events.csv").write_text("%geometry:640,480\nx,y,polarity,timestamp,label\n" + lines)
     _hdf5(folder, table, rows)
     _aedat(folder, table)
