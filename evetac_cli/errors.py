@@ -24,7 +24,7 @@ MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 # Libraries that only some commands need: the extra that installs each, and what it is imported as.
 EXTRAS = {
     "camera": ("dv_processing",),
-    "convert": ("rosbags", "faery", "hdf5plugin"),
+    "convert": ("rosbags", "faery", "hdf5plugin", "pyarrow"),
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "cluster": ("dask", "distributed"),
 }

@@ -100,6 +100,12 @@ def recording(path: Path, *, lost_slices: bool = True) -> Header:
         "control/slices_processed": np.arange(steps, dtype=np.int64),
         "control/outcome": "{}",
         "control/probability": np.full(SLICES, np.nan, np.float32),
+        "streams/arm/t_us": np.arange(5, dtype=np.int64) * 5000,
+        "streams/arm/about": '{"what": "pose of the arm", "units": {"x_m": "m"}}',
+        "streams/arm/x_m": np.linspace(0.0, 1.0, 5),
+        "streams/wrist/t_us": np.array([0, 12_000], np.int64),
+        "streams/wrist/about": '{"what": "camera at the wrist"}',
+        "streams/wrist/frames": np.zeros((2, 6, 8, 3), np.uint8),
     }
     return write_stage(path, Recipe("recording", 1, {}, seed=1, simulated_source=True), arrays)
 

@@ -52,7 +52,9 @@ def test_a_hint_installs_into_the_environment_that_it_is_for(
     if mark is not None:
         (tmp_path / mark).touch()
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    monkeypatch.setattr(errors, "find_spec", lambda name: name in ("rosbags", "faery", "hdf5plugin", "bokeh") or None)
+    monkeypatch.setattr(
+        errors, "find_spec", lambda name: name in ("rosbags", "faery", "hdf5plugin", "pyarrow", "bokeh") or None
+    )
     kept = "convert,plot" if mark else "plot"  # pip adds to what there is, the others make it anew
     assert install_hint("plot") == f"in the clone: {INSTALLERS.get(mark, 'pip install')} '.[{kept}]'"
     assert install_hint() == ("in the clone: pip install ." if mark is None else install_hint("convert"))

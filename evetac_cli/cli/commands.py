@@ -43,6 +43,16 @@ PIPELINE = (
         examples=("evetac trim long.recording.h5 --from-ms 500 --to-ms 1500 -o piece.recording.h5",),
     ),
     Command(
+        "attach",
+        recording.Attach,
+        "stages.attach",
+        "Recordings.",
+        examples=(
+            "evetac attach a.recording.h5 --stream arm=pose.csv --stream force=ft.parquet --offset arm=0.012",
+            "evetac attach a.recording.h5 --stream wrist=trial.mcap:/wrist/image_raw -o b.recording.h5",
+        ),
+    ),
+    Command(
         "calibrate",
         recording.Calibrate,
         "stages.calibrate",

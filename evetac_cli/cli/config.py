@@ -18,6 +18,7 @@ from evetac_cli.text_files import read_toml
 COMMANDS = (
     "record",
     "trim",
+    "attach",
     "calibrate",
     "identify",
     "label",
@@ -90,7 +91,9 @@ def _coerce(value: Any, hint: Any, where: str) -> Any:
             return float(value)
         if type(value) is option:
             return value
-    names = " or ".join(option.__name__ for option in wanted)
+        if option == list[str] and isinstance(value, list) and all(isinstance(text, str) for text in value):
+            return value
+    names = " or ".join("list of texts" if option == list[str] else option.__name__ for option in wanted)
     raise InputError("wrong type", where=where, expected=names, found=repr(value))
 
 

@@ -33,7 +33,7 @@ FORMATS = {
     "calibration": Format((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
-LEFT_OUT = ("gripper", "truth", "control", "capture", "sensor/dot_xy_px", "sensor/window_px")
+LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
 
 
 def target_path(source: Path, format_: str, out: Path | None) -> Path:

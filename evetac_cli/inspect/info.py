@@ -13,6 +13,7 @@ from evetac_cli.devices import losses
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
+from evetac_cli.store import streams
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
 from evetac_cli.text_files import parse_json
@@ -122,10 +123,34 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "sensor": recording.read("sensor/name"),
             "dots": "none" if grid is None else in_words(*grid.shape[:2]),
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
-            "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture"))) or "none",
+            "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture", "streams"))) or "none",
+            **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),
         }
+
+
+def _streams(recording: Recording) -> dict[str, str]:
+    """Of each other stream what it is, how many samples it has, how often, and from when to when."""
+    shapes = recording.contents()
+    figures = {}
+    for name in streams.names(shapes):
+        group = f"{streams.GROUP}/{name}"
+        samples = recording.length(f"{group}/t_us")
+        parts = [str(parse_json(recording.read(f"{group}/about")).get("what") or "") or "numbers"]
+        columns = [path for path in shapes if path.startswith(f"{group}/") and path.count("/") == 2]
+        if f"{group}/frames" in shapes:
+            _, height, width, _ = shapes[f"{group}/frames"][1]
+            parts.append(f"{samples} frames of {width} x {height} px")
+        else:
+            parts.append(f"{samples} samples of {len(columns) - 2} columns")
+        if samples:
+            first_s, last_s = (int(recording.read(f"{group}/t_us", at, at + 1)[0]) / 1e6 for at in (0, samples - 1))
+            if last_s > first_s:
+                parts.append(f"{(samples - 1) / (last_s - first_s):.4g} Hz")
+            parts.append(f"{first_s:.3f} to {last_s:.3f} s")
+        figures[f"stream_{name}"] = ", ".join(parts)
+    return figures
 
 
 def _capture(file: StageFile) -> dict[str, Any]:

@@ -174,6 +174,24 @@ class Trim:
 
 
 @dataclass(frozen=True)
+class Attach:
+    """Add other streams of the trial to a recording: an arm's pose, forces, a camera's images; as a new recording."""
+
+    stream: list[str] | None = parameter(
+        None,
+        "NAME=FILE: a stream of this name from CSV, Parquet or a bag of ROS 1 or ROS 2; of a bag FILE:/TOPIC. Several"
+        " times for several streams.",
+        recipe=False,
+    )
+    offset: list[str] | None = parameter(
+        None,
+        "NAME=SECONDS: added to the times of a stream, where its clock is not that of the events; default: 0.",
+        unit="s",
+        recipe=False,
+    )
+
+
+@dataclass(frozen=True)
 class Calibrate:
     """Find the dot grid of a gel in a press recording, or import it, and write it as JSON for --calibration."""
 

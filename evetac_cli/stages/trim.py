@@ -1,8 +1,8 @@
 """trim: a range of slices out of a recording, as a recording of its own.
 
-Every group is cut: rows of slices by their index, rows of gripper and controller by their time. Times begin anew at 0,
-and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost slices and why it
-ended, because its counts are those of the whole recording.
+Every group is cut: rows of slices by their index, rows of gripper, controller and other streams by their time. Times
+begin anew at 0, and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost
+slices and why it ended, because its counts are those of the whole recording.
 
 Tracks and features of a piece from slice 0 on are the first rows of those of the whole, bit for bit, because a slice's
 depend on no later slice. In a piece that begins later the tracker starts with dots at rest, as in every recording.
@@ -19,8 +19,9 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params.recording import Trim
-from evetac_cli.stages import one_file, row_blocks
+from evetac_cli.stages import BLOCK_ROWS, one_file, row_blocks
 from evetac_cli.store import schema
+from evetac_cli.store.contents import BLOCK_VALUES
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
@@ -28,7 +29,8 @@ from evetac_cli.store.read import Recording, open_recording
 OUTPUT = "recording"
 METHOD = 1
 PIECE_ROWS = 1 << 18  # events that are in memory together
-CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us"}  # dims whose rows have times of their own
+# Dims whose rows have times of their own, and where these are; in the stream itself for `samples`.
+CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "samples": "t_us"}
 
 
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
@@ -85,20 +87,24 @@ class _Piece:
         }
         self.lengths: dict[str, int] = {}
         self._ranges: dict[str, tuple[int, int, str]] = {}  # of each dataset the rows, and the clock that picks some
-        kept = {dim: self._within(clock) for dim, clock in CLOCKS.items() if recording.has(clock)}
+        kept: dict[str, int] = {}  # rows, by their clock
         table = schema.load(OUTPUT)
         for name in recording.contents():
             described = table.find(name)
             dim = described.dims[0] if described is not None and described.dims else ""
+            group = described.named_group(name) if described is not None else ""
             if name in self.whole or (name.startswith("capture/") and name != "capture/ended"):
                 continue
             if dim in ("events", "slices"):
                 rows = (begin, stop) if dim == "events" else (first, end)
                 self._ranges[name] = (*rows, "")
                 self.lengths[name] = rows[1] - rows[0]
-            elif dim in kept:
-                self._ranges[name] = (0, recording.length(name), CLOCKS[str(dim)])
-                self.lengths[name] = kept[str(dim)]
+            elif dim in CLOCKS:
+                clock = f"{group}/{CLOCKS[str(dim)]}" if group else CLOCKS[str(dim)]
+                if clock not in kept:
+                    kept[clock] = self._within(clock)
+                self._ranges[name] = (0, recording.length(name), clock)
+                self.lengths[name] = kept[clock]
             else:
                 self.whole[name] = recording.read(name)
         self.whole |= _lost(recording, first, end)
@@ -109,13 +115,20 @@ class _Piece:
         slices = self._slices[1] - self._slices[0]
         done, total = 0, sum(stop - start for start, stop, _ in self._ranges.values())
         for name, (start, stop, clock) in self._ranges.items():
-            for first, last in row_blocks(stop - start, PIECE_ROWS if name.startswith("events/") else None):
+            for first, last in row_blocks(stop - start, self._at_once(name)):
                 rows = self._recording.read(name, start + first, start + last)
                 if clock:
                     rows = rows[self._rows(clock, first, last)]
-                yield {name: rows - shift_us if name == "events/t" or name in CLOCKS.values() else rows}
+                yield {name: rows - shift_us if name in ("events/t", clock) else rows}
                 done += last - first
                 progress(done * slices // max(total, 1), slices)
+
+    def _at_once(self, name: str) -> int:
+        """How many rows of a dataset are read together: fewer of images."""
+        if name.startswith("events/"):
+            return PIECE_ROWS
+        _, shape = self._recording.contents()[name]
+        return max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, int(np.prod(shape[1:])))))
 
     def _within(self, clock: str) -> int:
         """How many rows have a time within the slices."""

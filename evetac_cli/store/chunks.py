@@ -24,7 +24,8 @@ GZIP_LEVEL = 1  # what the dataset says of itself, and what HDF5 takes for rows 
 class RowWriter:
     """Makes a dataset, and takes its rows in pieces of any size; complete once it is closed.
 
-    A dataset of fewer than FEW numbers is written plainly.
+    A dataset of fewer than FEW numbers is written plainly. Rows larger than a chunk may be, such as large images, lie
+    in several chunks each, which HDF5 packs.
     """
 
     def __init__(
@@ -32,34 +33,39 @@ class RowWriter:
     ) -> None:
         """length: how many rows will come; None: as many as do, and the dataset may grow later."""
         size = int(np.prod(row_shape, dtype=np.int64))
-        if length is not None and length * size < FEW:
+        row_bytes = max(1, size * np.dtype(dtype).itemsize)
+        self._packs = length is None or length * size >= FEW
+        if not self._packs:
             self.dataset = h5.create_dataset(name, shape=(length, *row_shape), dtype=dtype, track_times=False)
         else:
-            row_bytes = max(1, size * np.dtype(dtype).itemsize)
             chunk = max(1, min(CHUNK_ROWS, CHUNK_BYTES // row_bytes, CHUNK_ROWS if length is None else length))
+            within_row = row_shape
+            if row_bytes > CHUNK_BYTES:
+                self._packs = False
+                within_row = (max(1, CHUNK_BYTES * row_shape[0] // row_bytes), *row_shape[1:])
             self.dataset = h5.create_dataset(
                 name,
                 shape=(length or 0, *row_shape),
                 maxshape=(None, *row_shape) if length is None else None,
                 dtype=dtype,
-                chunks=(chunk, *row_shape),
+                chunks=(chunk, *within_row),
                 compression="gzip",
                 compression_opts=GZIP_LEVEL,
                 shuffle=True,
                 track_times=False,
             )
-            self._open = np.zeros((chunk, *row_shape), dtype)  # the chunk that is not full yet
+            self._open = np.zeros((chunk, *within_row), dtype)  # the chunk that is not full yet
         self._grows = length is None
         self.rows = 0
 
     def append(self, rows: NDArray[Any]) -> None:
         """Add rows at the end."""
         first, self.rows = self.rows, self.rows + len(rows)
-        if self.dataset.chunks is None:
-            self.dataset[first : self.rows] = rows
-            return
         if self._grows:
             self.dataset.resize(self.rows, axis=0)
+        if not self._packs:
+            self.dataset[first : self.rows] = rows
+            return
         chunk = len(self._open)
         taken = 0
         while taken < len(rows):
@@ -72,7 +78,7 @@ class RowWriter:
 
     def close(self) -> None:
         """Write what waits."""
-        if self.dataset.chunks is not None and (waiting := self.rows % len(self._open)):
+        if self._packs and (waiting := self.rows % len(self._open)):
             self._open[waiting:] = 0
             self._pack(self.rows - waiting)
 

@@ -23,7 +23,7 @@ from evetac_cli.kernels.slip.architectures import (
     prefixes,
     weight_shapes,
 )
-from evetac_cli.store import schema
+from evetac_cli.store import schema, streams
 from evetac_cli.store.schema import Dataset, Limits
 from evetac_cli.text_files import parse_json
 
@@ -255,6 +255,26 @@ def _lost_slices(file: Contents, shapes: Shapes) -> Iterator[Fault]:
             yield "capture/lost_slices", "gaps that end after they begin", f"{wrong[0][0]} to {wrong[0][1]}"
 
 
+def _streams(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    """Streams and their columns have names that fit, their images a shape that can be shown, their units are texts."""
+    for path, (_, shape) in shapes.items():
+        if not path.startswith(f"{streams.GROUP}/"):
+            continue
+        _, *named = path.split("/")
+        wrong = [name for name in named if not streams.NAME.fullmatch(name)]
+        if wrong or len(named) != 2 or named[1] in streams.TAKEN[3:]:
+            yield path, f"streams/NAME/COLUMN, in letters, digits, _ . and -, not {', '.join(streams.TAKEN[3:])}", path
+        if named[-1] == "frames" and (
+            shape[3] not in (1, 3) or not all(0 < side <= streams.LARGEST_FRAME_PX for side in shape[1:3])
+        ):
+            most = streams.LARGEST_FRAME_PX
+            yield path, f"1 or 3 channels, and 1 to {most} rows and columns", " x ".join(map(str, shape[1:]))
+        if named[-1] == "about":
+            units = parse_json(file.read(path)).get("units", {})
+            if not isinstance(units, dict) or not all(isinstance(unit, str) for unit in units.values()):
+                yield path, "`units` that are texts, by column", str(units)[:SHORT]
+
+
 def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     rows, columns = (int(size) for size in file.read("dot_shape"))
     dots = shapes["displacement_px"][1][1]
@@ -317,7 +337,7 @@ def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 _RULES: dict[str, tuple[Callable[[Contents, Shapes], Iterator[Fault]], ...]] = {
-    "recording": (_sensor, _lost_slices),
+    "recording": (_sensor, _lost_slices, _streams),
     "tracks": (_sensor,),
     "labels": (_onset,),
     "features": (_grid_of_features, _onset),

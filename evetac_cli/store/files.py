@@ -207,7 +207,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     try:
         with StageFile(path) as existing:
             header = existing.header
-            of_devices = existing.has("capture/ended") and header["content"] is not None
+            of_devices = existing.has("capture/ended") and header["content"] is not None and not header["parents"]
     except InputError as error:
         if force:
             return False

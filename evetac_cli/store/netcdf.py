@@ -21,6 +21,7 @@ import h5py
 from evetac_cli.store import schema
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.schema import Dataset
+from evetac_cli.text_files import parse_json
 
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's word for a scale without values
 LARGEST_INT = 2**63 - 1  # what an attribute holds as a number
@@ -50,7 +51,9 @@ def describe_file(h5: h5py.File, header: Header) -> None:
         if row is None:
             continue
         describe_dataset(dataset, row)
-        for axis, dimension in enumerate(_dimensions(header["kind"], row, dataset.shape)):
+        if row.described_in:
+            _describe_column(h5, dataset, row.named_group(name), row.described_in)
+        for axis, dimension in enumerate(_dimensions(header["kind"], row, name, dataset.shape)):
             scale = h5.get(dimension)
             if scale is None:
                 scale = _new_scale(h5, dimension, dataset.shape[axis])
@@ -65,10 +68,22 @@ def describe_dataset(dataset: Any, row: Dataset | None) -> None:
     dataset.attrs["long_name"] = row.meaning
 
 
+def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) -> None:
+    """Write the unit of a column and what it is a column of, as the JSON text of its group tells them."""
+    about = parse_json(h5[f"{group}/{described_in}"].asstr()[()])
+    name = column.name.rpartition("/")[2]
+    column.attrs["units"] = about.get("units", {}).get(name) or "1"
+    column.attrs["long_name"] = f"{name}, {about.get('what') or group.rpartition('/')[2]}"
+
+
 def strays(kind: str, dimensions: Iterable[str]) -> list[str]:
     """Paths of dimensions that a file of this kind does not have."""
-    known = set(dimension_paths(kind).values())
-    return [path for path in dimensions if path not in known and not _of_open_shape(kind, path)]
+    known = [re.escape(path).replace(r"\*", "[^/]+") for path in dimension_paths(kind).values()]
+    return [
+        path
+        for path in dimensions
+        if not any(re.fullmatch(pattern, path) for pattern in known) and not _of_open_shape(kind, path)
+    ]
 
 
 def _of_open_shape(kind: str, path: str) -> bool:
@@ -86,7 +101,7 @@ def dimension_problems(
     lines: dict[str, str] = {}
     for path, (_, shape) in stored.items():
         row = schema.load(kind).find(path)
-        for dimension, size in zip(_dimensions(kind, row, shape) if row else (), shape, strict=False):
+        for dimension, size in zip(_dimensions(kind, row, path, shape) if row else (), shape, strict=False):
             length = lengths.get(dimension, size)
             if length != size:
                 lines.setdefault(dimension, f"{dimension}: expected length {size} (as in {path}), found {length}")
@@ -95,7 +110,10 @@ def dimension_problems(
 
 @functools.cache
 def dimension_paths(kind: str) -> dict[str, str]:
-    """Name of each dimension of a kind -> its path: in the deepest group that holds all datasets that may have it."""
+    """Name of each dimension of a kind -> its path: in the deepest group that holds all datasets that may have it.
+
+    Where a group has a name of its own, a `*` stands for it.
+    """
     homes: dict[str, list[str]] = {}
     for row in schema.load(kind).datasets:
         groups = row.path.split("/")[:-1]
@@ -152,10 +170,11 @@ def _names(row: Dataset) -> list[str]:
     ]
 
 
-def _dimensions(kind: str, row: Dataset, shape: tuple[int, ...]) -> list[str]:
-    """Paths of the dimensions of a stored dataset."""
+def _dimensions(kind: str, row: Dataset, path: str, shape: tuple[int, ...]) -> list[str]:
+    """Paths of the dimensions of the dataset that is stored at a path."""
     if row.dims is not None:
-        return [dimension_paths(kind)[name] for name in _names(row)]
+        group = row.named_group(path).rpartition("/")[2]
+        return [dimension_paths(kind)[name].replace("*", group) for name in _names(row)]
     group = row.path.rpartition("/")[0]
     before = [shape[:axis].count(size) for axis, size in enumerate(shape)]
     return [

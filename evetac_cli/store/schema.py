@@ -1,8 +1,10 @@
 """What a file of each kind holds: the tables in schemas/ lay files out and check them, and nothing else says it.
 
 A schema is a flat table: path -> dtype, named dims, unit, meaning. Every named dim has one size in a file; `slices+1`
-is the dim `slices` plus one. A path may end in `*` (any name), and dims may be null (any shape). A group listed in
-`optional_groups` is there with all its required datasets or not at all.
+is the dim `slices` plus one. Dims may be null (any shape). A path may end in `*`: any path. A `*` between slashes is a
+group with a name of its own, of which there may be several: `streams/*/t_us`. Each has sizes of its own for the dims,
+which no dataset outside such a group uses, and all its required datasets. A group listed in `optional_groups` is there
+with all its required datasets or not at all. `described_in`: the JSON text of the group with `units` of its columns.
 
 A dataset may have limits, of which store/contents.py makes checks:
 
@@ -19,7 +21,8 @@ A dataset may have limits, of which store/contents.py makes checks:
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,6 +70,19 @@ class Dataset:
     meaning: str
     optional: bool
     limits: Limits = ANYTHING
+    described_in: str = ""
+
+    def describes(self, path: str) -> bool:
+        """Whether a path is that of this row."""
+        if "*" not in self.path:
+            return path == self.path
+        pattern = re.escape(self.path).replace(r"/\*/", "/[^/]+/")
+        return re.fullmatch(re.sub(r"/\\\*$", "/.+", pattern), path) is not None
+
+    def named_group(self, path: str) -> str:
+        """The group with a name of its own in which a dataset of this row lies; empty if there is none."""
+        before, star, _ = self.path.partition("*/")
+        return "/".join(path.split("/")[: before.count("/") + 1]) if star else ""
 
     @property
     def edges(self) -> bool:
@@ -87,7 +103,7 @@ class Schema:
     def find(self, path: str) -> Dataset | None:
         """The row that describes a path, if any."""
         for row in self.datasets:
-            if row.path == path or (row.path.endswith("*") and path.startswith(row.path[:-1])):
+            if row.describes(path):
                 return row
         return None
 
@@ -105,6 +121,7 @@ def load(kind: str) -> Schema:
             row["meaning"],
             row.get("optional", False),
             _limits(row),
+            row.get("described_in", ""),
         )
         for path, row in table["datasets"].items()
     )
@@ -120,14 +137,13 @@ def _limits(row: Mapping[str, Any]) -> Limits:
 
 def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
     """Compare what a file holds, path -> (dtype, shape), with its schema; one line per difference, empty if valid."""
-    lines = []
-    for row in schema.datasets:
-        group = row.path.split("/")[0]
-        group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in stored)
-        wanted = not row.optional and not group_absent
-        if wanted and not any(schema.find(path) is row for path in stored):
-            lines.append(f"{row.path} is missing: {row.meaning}")
-    sizes: dict[str, tuple[int, str]] = {}
+    lines = [
+        f"{path} is missing: {row.meaning}"
+        for row in schema.datasets
+        if not row.optional
+        for path in _missing(schema, row, stored)
+    ]
+    sizes: dict[tuple[str, str], tuple[int, str]] = {}
     for path, (dtype, shape) in stored.items():
         described = schema.find(path)
         if described is None:
@@ -136,14 +152,31 @@ def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) 
         if dtype != described.dtype:
             lines.append(f"{path}: expected dtype {described.dtype}, found {dtype}")
         if described.dims is not None:
-            lines += _shape_problems(path, described.dims, shape, sizes)
+            lines += _shape_problems(path, described.dims, shape, sizes, described.named_group(path))
     return lines
 
 
+def _missing(schema: Schema, row: Dataset, stored: Mapping[str, Any]) -> Iterator[str]:
+    """Paths at which a required dataset is missing."""
+    before, star, after = row.path.partition("*/")
+    if star:
+        names = {path.removeprefix(before).partition("/")[0] for path in stored if path.startswith(before)}
+        yield from (path for name in sorted(names) if (path := f"{before}{name}/{after}") not in stored)
+        return
+    group = row.path.split("/")[0]
+    group_absent = group in schema.optional_groups and not any(path.startswith(group + "/") for path in stored)
+    if not group_absent and not any(schema.find(path) is row for path in stored):
+        yield row.path
+
+
 def _shape_problems(
-    path: str, dims: tuple[str | int, ...], shape: tuple[int, ...], sizes: dict[str, tuple[int, str]]
+    path: str,
+    dims: tuple[str | int, ...],
+    shape: tuple[int, ...],
+    sizes: dict[tuple[str, str], tuple[int, str]],
+    group: str,
 ) -> list[str]:
-    """Compare one shape with its dims, remembering the size that each named dim was first seen with."""
+    """Compare one shape with its dims, remembering the size that each dim of a group was first seen with."""
     if len(shape) != len(dims):
         return [f"{path}: expected dims {list(dims)}, found shape {list(shape)}"]
     lines = []
@@ -157,7 +190,7 @@ def _shape_problems(
         if base < 0:
             lines.append(f"{path}: expected at least {more} for `{dim}`, found {size}")
             continue
-        first, where = sizes.setdefault(name, (base, path))
+        first, where = sizes.setdefault((group, name), (base, path))
         if base != first:
             lines.append(f"{path}: expected {first + int(more or 0)} for `{dim}` (as in {where}), found {size}")
     return lines

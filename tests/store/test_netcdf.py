@@ -20,13 +20,14 @@ from evetac_cli.store import netcdf, provenance, schema
 from evetac_cli.store.chunks import put
 from evetac_cli.store.files import StageFile, put_header, replacing, write_stage
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.schema import KINDS
+from evetac_cli.store.schema import KINDS, Dataset
 from evetac_cli.store.segments import RecordingWriter
 from tests.conftest import Made
 
 WEIGHTS = {"conv.weight": (8, 8, 3), "out.weight": (1, 8), "out.bias": (1,)}
 SHARED = {"slices": 90, "dots": 56, "rows": 7, "columns": 8, "events": 300}  # other dimensions have 11 rows
-TEXT = '{"object": 8}'
+UNIT = "N m"  # of the column of another stream
+TEXT = f'{{"object": 8, "units": {{"camera.dropped": "{UNIT}"}}}}'
 
 
 def every_dataset(kind: str, rows: dict[str, int] = SHARED) -> dict[str, Any]:
@@ -51,6 +52,14 @@ def written(path: Path, kind: str, arrays: dict[str, Any], **about: Any) -> Path
             put(h5, name, value)
         put_header(h5, Recipe(kind, 3, {"preset": "paper"}, **{"seed": 5, **about}).header())
     return path
+
+
+def said(row: Dataset, name: str) -> tuple[str, str]:
+    """The unit and the long name of a dataset of a schema, written from `every_dataset`."""
+    if not row.described_in:
+        return row.unit or "1", row.meaning
+    column, group = name.split("/")[::-1][:2]
+    return UNIT, f"{column}, {group}"
 
 
 def labels() -> dict[str, Any]:
@@ -91,8 +100,7 @@ def test_every_dataset_says_what_it_holds(tmp_path: Path, kind: str) -> None:
         for name, dataset in datasets(h5).items():
             row = schema.load(kind).find(name)
             assert row is not None
-            assert dataset.attrs["units"] == (row.unit or "1")
-            assert dataset.attrs["long_name"] == row.meaning
+            assert (dataset.attrs["units"], dataset.attrs["long_name"]) == said(row, name)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -104,7 +112,7 @@ def test_xarray_reads_every_kind(tmp_path: Path, kind: str) -> None:
     for name, variable in read.items():
         row = schema.load(kind).find(name)
         assert row is not None
-        assert (variable.attrs["units"], variable.attrs["long_name"]) == (row.unit or "1", row.meaning)
+        assert (variable.attrs["units"], variable.attrs["long_name"]) == said(row, name)
         if row.dtype == "utf8":
             assert variable.item() == TEXT
         else:

@@ -15,7 +15,7 @@ from evetac_cli.store import schema
 from evetac_cli.store.schema import KINDS, Schema
 
 Stored = dict[str, tuple[str, tuple[int, ...]]]
-STARS = ("conv/weight", "bias")  # what stands for `*` in a path
+STARS = ("conv/weight", "bias")  # what stands for `*` at the end of a path
 
 
 def sizes() -> Iterator[int]:
@@ -40,17 +40,18 @@ def layout(table: Schema, *, required_only: bool = False) -> Stored:
                 shape.append(size[name] + int(more or 0))
             else:
                 shape.append(dim)
-        for path in [row.path[:-1] + star for star in STARS] if row.path.endswith("*") else [row.path]:
+        for path in [named(row.path, star) for star in STARS]:
             stored[path] = (row.dtype, tuple(shape))
     return stored
 
 
+def named(path: str, star: str = STARS[0]) -> str:
+    """A path in which names stand for each `*`."""
+    path = path.replace("/*/", "/arm/")
+    return path[:-1] + star if path.endswith("*") else path
+
+
 EVERY_DATASET = [(kind, row.path) for kind in KINDS for row in schema.load(kind).datasets]
-
-
-def present(kind: str, path: str) -> str:
-    """A path in a layout that a row of the schema describes."""
-    return path[:-1] + STARS[0] if path.endswith("*") else path
 
 
 def with_shape(stored: Stored, path: str, shape: tuple[int, ...]) -> Stored:
@@ -70,20 +71,20 @@ def test_valid_layouts_have_no_problems(kind: str, required_only: bool) -> None:
 def test_every_missing_dataset_is_named(kind: str, path: str) -> None:
     """Assert that leaving out a dataset is a problem that names it and says what it is, unless it is optional."""
     table = schema.load(kind)
-    row = table.find(present(kind, path))
+    row = table.find(named(path))
     assert row is not None
     left = {name: about for name, about in layout(table).items() if table.find(name) is not row}
     lines = schema.problems(table, left)
     if row.optional:
         assert lines == []
     else:
-        assert lines == [f"{path} is missing: {row.meaning}"]
+        assert lines == [f"{path.replace('/*/', '/arm/')} is missing: {row.meaning}"]
 
 
 @pytest.mark.parametrize(("kind", "path"), EVERY_DATASET)
 def test_wrong_dtype_is_named(kind: str, path: str) -> None:
     """Assert that a dtype that differs only in width or sign is a problem that says both."""
-    table, path = schema.load(kind), present(kind, path)
+    table, path = schema.load(kind), named(path)
     stored = layout(table)
     dtype, shape = stored[path]
     other = {"int64": "int32", "uint8": "int8", "float64": "float32", "utf8": "uint8"}.get(dtype, "float64")
@@ -95,7 +96,7 @@ def test_wrong_dtype_is_named(kind: str, path: str) -> None:
 @pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind, path in EVERY_DATASET if not path.endswith("*")])
 def test_every_axis_is_checked(kind: str, path: str) -> None:
     """Assert that a longer axis is a problem where its size is fixed or shared, and none where it stands alone."""
-    table = schema.load(kind)
+    table, path = schema.load(kind), named(path)
     stored = layout(table)
     row = table.find(path)
     assert row is not None
@@ -105,7 +106,8 @@ def test_every_axis_is_checked(kind: str, path: str) -> None:
         longer = tuple(size + (place == axis) for place, size in enumerate(shape))
         lines = schema.problems(table, with_shape(stored, path, longer))
         name = str(dim).partition("+")[0]
-        uses = [other.path for other in table.datasets for d in other.dims or () if str(d).partition("+")[0] == name]
+        dims = [(other, d) for other in stored for d in getattr(table.find(other), "dims", None) or ()]
+        uses = [other for other, d in dims if str(d).partition("+")[0] == name]
         if isinstance(dim, int):
             assert lines == [f"{path}: expected size {dim}, found {dim + 1}"]
         elif len(uses) > 1:
@@ -150,11 +152,31 @@ def test_optional_group_is_all_or_nothing(group: str) -> None:
     table = schema.load("recording")
     base, full = layout(table, required_only=True), layout(table)
     members = [path for path in full if path.startswith(group + "/")]
-    required = {row.path for row in table.datasets if row.path in members and not row.optional}
+    required = {path for path in members if not getattr(table.find(path), "optional", True)}
     assert schema.problems(table, base | {path: full[path] for path in members}) == []
     for path in members:
         missing = {line.split(" ")[0] for line in schema.problems(table, {**base, path: full[path]})}
         assert missing == required - {path}
+
+
+def test_groups_with_names_of_their_own() -> None:
+    """Assert that each has sizes and required datasets of its own, and that no dim is used inside and outside."""
+    table = schema.load("recording")
+    base = layout(table, required_only=True)
+    arm = {"streams/arm/t_us": ("int64", (5,)), "streams/arm/about": ("utf8", ()), "streams/arm/x_m": ("float64", (5,))}
+    foot = {"streams/foot/t_us": ("int64", (7,)), "streams/foot/about": ("utf8", ())}
+    assert schema.problems(table, base | arm | foot) == []
+    assert schema.problems(table, base | arm | {"streams/arm/y_m": ("float64", (7,))}) == [
+        "streams/arm/y_m: expected 5 for `samples` (as in streams/arm/t_us), found 7"
+    ]
+    (line,) = schema.problems(table, base | arm | {"streams/foot/t_us": ("int64", (7,))})
+    assert line.startswith("streams/foot/about is missing")
+    (line,) = schema.problems(table, base | {"streams/t_us": ("int64", (5,))})
+    assert line == "streams/t_us is not in the schema of a recording file"
+    for kind in KINDS:
+        rows = [(row.named_group(row.path), row.dims or ()) for row in schema.load(kind).datasets]
+        inside, outside = ({dim for group, dims in rows if bool(group) == named for dim in dims} for named in (1, 0))
+        assert not {dim for dim in inside & outside if isinstance(dim, str)}
 
 
 def test_group_names_are_not_prefixes() -> None:
@@ -247,7 +269,7 @@ def test_tables_are_sound(kind: str) -> None:
 def test_limits_are_sound(kind: str, path: str) -> None:
     """Assert that limits name datasets that exist, fit the dtype, and that every float says whether it is finite."""
     table = schema.load(kind)
-    row = table.find(present(kind, path))
+    row = table.find(named(path))
     assert row is not None
     limits = row.limits
     assert limits.finite in ((True, "or NaN") if row.dtype.startswith("float") else ("",))

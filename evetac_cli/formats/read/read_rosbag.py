@@ -51,7 +51,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     """Events of one topic: the one named, or the first by name that holds events."""
     where = str(path)
     foreign = Foreign("rosbag", (1, 1), ())
-    with _opened(path) as (reader, ros2):
+    with open_bag(path) as (reader, ros2):
         topic, kind, others = _choose(reader.connections, ros2, stream, where)
         if others:
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
@@ -161,7 +161,7 @@ def _contents(
 ) -> Generator[tuple[str, Any], None, None]:
     """What is in each message of a topic; all have one frame and one encoding. Lost messages are noted."""
     lost, expected = 0, None
-    with _opened(path) as (reader, ros2):
+    with open_bag(path) as (reader, ros2):
         for number, message in enumerate(_messages(reader, topic, kind, str(path))):
             where = f"{path}: message {number} on {topic}"
             frame, content = _read(kind, message, ros2, where)
@@ -208,7 +208,7 @@ def _messages(reader: Any, topic: str, kind: str, where: str) -> Iterator[bytes]
     messages = iter(reader.messages(chosen))
     number = 0
     while True:
-        with _bag_in_words(where, f"message {number}"):
+        with bag_in_words(where, f"message {number}"):
             message = next(messages, None)
         if message is None:
             return
@@ -217,7 +217,7 @@ def _messages(reader: Any, topic: str, kind: str, where: str) -> Iterator[bytes]
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
+def open_bag(path: Path) -> Iterator[tuple[Any, bool]]:
     """The bag, open for reading, and whether it is of ROS 2."""
     where = str(path)
     try:
@@ -238,7 +238,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
         with path.open("rb") as file:
             head = file.read(len(SQLITE))
         kind = Reader1 if head.startswith(ROS1) else Reader2.STORAGE_PLUGINS[".mcap" if head[:8] == MCAP else ".db3"]
-    with _bag_in_words(where, "the bag"):
+    with bag_in_words(where, "the bag"):
         reader = kind(path)
         reader.open()
     try:
@@ -249,7 +249,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, bool]]:
 
 
 @contextmanager
-def _bag_in_words(where: str, what: str) -> Iterator[None]:
+def bag_in_words(where: str, what: str) -> Iterator[None]:
     """Damaged bags make rosbags, and the parsers below it, raise anything."""
     try:
         yield

@@ -7,7 +7,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import pages
-from evetac_cli.inspect.view import gripper
+from evetac_cli.inspect.view import gripper, streams
 from evetac_cli.inspect.view.event_images import (
     choose_frame_times,
     draw_pictures,
@@ -70,6 +70,8 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
     empty = span[0] == span[1]
     probability = model_output(trial, span)
     panels = [] if empty else series_panels(trial, span, probability)
+    notes = _label_notes(trial) + trial.notes
+    others = [] if empty else streams.stream_panels(trial, span, notes)
     view = ViewData(
         slices=trial.slices,
         span=span,
@@ -79,10 +81,10 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
         window_px=window_px(trial),
         onsets={} if empty else slip_onsets(trial, span, probability),
         # the gripper's below the events, which come first where there is a recording
-        panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:]],
+        panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:], *others],
         lanes=[] if empty else slip_lanes(trial, span, probability),
         phases=[] if empty else gripper.phase_lanes(trial, span),
-        notes=_label_notes(trial) + trial.notes,
+        notes=notes,
         frame_times=np.empty(0, np.int64),
         dense={},
         contact_times={} if empty else gripper.contact_times(trial, span),
@@ -98,6 +100,7 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
         choose_frame_times(view, trial, params.images)
         draw_pictures(view, trial, progress)
         place_dots(view, trial)
+        streams.draw_cameras(view, trial)
         view.side = gripper.side_view(trial, np.minimum(view.frame_times + view.shown_ms, span[1]) - 1)
         view.opens_at = telling_frame(view)
     return view

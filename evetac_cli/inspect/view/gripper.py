@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.inspect.view.event_images import read_rows
-from evetac_cli.inspect.view.time_series import Read, decimated, first_row, rows_of, timed
+from evetac_cli.inspect.view.time_series import decimated, first_row, own_clock, rows_of, timed
 from evetac_cli.inspect.view.trial_files import Trial, inner
 from evetac_cli.inspect.view.view_data import Lane, Line, Panel, SideView
 from evetac_cli.kernels.grip.paper import Phase
@@ -27,13 +27,14 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
         return []
     simulated = bool(recording.header["simulated"])
     t_s, first, _ = timed(recording, "gripper/t_us", span)
-    position = _at(t_s, {"position": BLUE}, rows_of(recording, "gripper/position_ticks", first))
+    position = own_clock(t_s, {"position": BLUE}, rows_of(recording, "gripper/position_ticks", first))
 
     def currents(start: int, stop: int) -> NDArray[Any]:
         names = ("current_ma", "current_target_ma")
         return np.stack([recording.read(f"gripper/{name}", first + start, first + stop) for name in names], axis=1)
 
-    current = Panel("Gripper, current", "mA", _at(t_s, {"measured": ORANGE, "target": INK}, currents), {}, simulated)
+    measured = own_clock(t_s, {"measured": ORANGE, "target": INK}, currents)
+    current = Panel("Gripper, current", "mA", measured, {}, simulated)
     if not recording.has("control"):
         width = [
             Line("width", line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
@@ -41,7 +42,7 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
         ]
         return [current, Panel("Gripper, width between the fingers", "mm", width, {}, simulated)]
     control_s, first_step, _ = timed(recording, "control/t_us", span)
-    goal = _at(control_s, {"goal": INK}, rows_of(recording, "control/goal_ticks", first_step))
+    goal = own_clock(control_s, {"goal": INK}, rows_of(recording, "control/goal_ticks", first_step))
     panels = [Panel("Gripper, goal and position (up closes)", "ticks", [*goal, *position], {}, simulated), current]
     start, stop = span
     if recording.has("truth/table_gap_mm"):
@@ -59,14 +60,6 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
         lines = decimated({"moved": PINK}, start, stop - start, moved)
         panels.append(Panel("Object, moved in the gripper since the grip, truth", "mm", lines, {}, simulated=True))
     return panels
-
-
-def _at(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Line]:
-    """Series of rows that have their own clock."""
-    return [
-        Line(line.name, line.colour, t_s[np.rint(line.t_s * 1000).astype(np.int64)], line.value)
-        for line in decimated(names, 0, len(t_s), read)
-    ]
 
 
 def _mm_per_px(trial: Trial) -> float | None:

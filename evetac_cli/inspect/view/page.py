@@ -28,6 +28,7 @@ def render_page(trial: Trial, view: ViewData) -> bytes:
         "HEADING": _heading(trial, title, view.simulated),
         "VIEWER": "" if len(view.frame_times) else "hidden",
         "SIDE": "" if view.side is not None else "hidden",
+        "CAMERAS": _cameras(view),
         "EMPTY": _empty(view),
         "ONSETS": _onsets(view),
         "CHARTS": charts,
@@ -67,6 +68,10 @@ def _data(view: ViewData) -> dict[str, Any]:
         "true": _base64(view.true_xy_px),
         "onsets": {source: slice_ for source, slice_ in view.onsets.items() if slice_ is not None},
         "opens_at": view.opens_at,
+        "cameras": [
+            {"shown": camera.shown, "images": [b64encode(jpeg).decode() for jpeg in camera.images]}
+            for camera in view.cameras
+        ],
         "side": None
         if view.side is None
         else {
@@ -98,6 +103,15 @@ def _heading(trial: Trial, title: str, simulated: bool) -> str:
     lead = f'<p class="lead">{pages.short(summary)}</p>' if isinstance(summary, str) else ""
     id_ = f'<p class="id">recording <code>{html.escape(trial.recording_id)}</code></p>'
     return f"<h1>{html.escape(title)}</h1><div>{badges}</div>{lead}{id_}"
+
+
+def _cameras(view: ViewData) -> str:
+    """A place for the images of each other camera of the trial."""
+    return "".join(
+        f"<figure><img data-camera='{at}' alt='Image of {html.escape(camera.name)}'>"
+        f"<figcaption>{html.escape(camera.name)}</figcaption></figure>"
+        for at, camera in enumerate(view.cameras)
+    )
 
 
 def _files(trial: Trial) -> str:
@@ -201,7 +215,7 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
 
 
 def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
-    unit = f" <small>{unit}</small>" if unit else ""
+    unit = f" <small>{pages.short(unit)}</small>" if unit else ""
     mark = " <span class='badge simulated'>simulated</span>" if simulated else ""
     return f"<h2>{pages.short(title)}{unit}{mark}<span class='keys'>{keys}</span></h2>"
 

@@ -106,6 +106,14 @@ def decimated(names: dict[str, str], start: int, length: int, read: Read) -> lis
     return [line for line in lines if np.isfinite(line.value).any()]
 
 
+def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Line]:
+    """Series of rows that have their own clock, whose times are t_s."""
+    return [
+        Line(line.name, line.colour, t_s[np.rint(line.t_s * 1000).astype(np.int64)], line.value)
+        for line in decimated(names, 0, len(t_s), read)
+    ]
+
+
 def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
     """Series of the slices of the span, from all files of the trial; `probability` is that of model_output."""
     start, stop = span

@@ -49,6 +49,15 @@ class SideView:
     force_n: NDArray[np.float32]  # (frames,) of one finger
 
 
+@dataclass(frozen=True)
+class CameraImages:
+    """Images of another camera of the trial: JPEG, and which of them each event image is shown with; -1: none yet."""
+
+    name: str
+    images: list[bytes]
+    shown: list[int]
+
+
 @dataclass
 class ViewData:
     """All that a page or an animation draws; frames are the times at which there is an event image."""
@@ -75,3 +84,4 @@ class ViewData:
     true_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), simulated
     side: SideView | None  # simulated
     opens_at: int = 0  # frame that tells most
+    cameras: list[CameraImages] = field(default_factory=list)

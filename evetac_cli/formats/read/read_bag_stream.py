@@ -1,0 +1,247 @@
+"""A topic of a ROS bag as a stream of samples: images, or the numbers of any message that ROS itself defines.
+
+rosbags finds the messages and decodes them by its own definitions, never by those that a bag brings along: these would
+become code. Names are those of the fields, `pose.position.x`; units those that the definitions state (REP 103).
+Images and numbers wait on disk, so a bag of hours takes no more memory than a short one.
+"""
+
+import io
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, install_hint
+from evetac_cli.formats.read.read_rosbag import TYPES, bag_in_words, open_bag
+from evetac_cli.store.disk import joined_on_disk
+from evetac_cli.store.streams import LARGEST_FRAME_PX, Stream, free_name
+
+MESSAGES_AT_ONCE = 1000  # of numbers
+MOST_NUMBERS = 512  # of a message
+MOST_NAMED = 12  # topics
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+# Encodings of images: channels, and which of them are shown, in our order: grey, or red, green, blue.
+ENCODINGS = {
+    "mono8": (1, (0,)),
+    "8UC1": (1, (0,)),
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "8UC3": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+}
+# Units of fields, by the message that they are in.
+UNITS = {
+    "geometry_msgs/msg/Pose": {"position": "m"},
+    "geometry_msgs/msg/PointStamped": {"point": "m"},
+    "geometry_msgs/msg/Transform": {"translation": "m"},
+    "geometry_msgs/msg/Wrench": {"force": "N", "torque": "N m"},
+    "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/msg/Accel": {"linear": "m/s2", "angular": "rad/s2"},
+    "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
+}
+READ = "images, and messages that ROS itself defines, such as geometry_msgs/PoseStamped or geometry_msgs/WrenchStamped"
+
+
+def read_bag_stream(path: Path, topic: str, folder: Path | None) -> tuple[Stream, list[str]]:
+    """A topic as a stream in its own clock, without a name, and notes; InputError in words.
+
+    topic: or, where it is empty, the only one that is not of events. folder: on whose disk it waits.
+    """
+    where = f"{path}: {topic}" if topic else str(path)
+    with open_bag(path) as (reader, ros2):
+        connections = _of_topic(reader.connections, topic, where)
+        topic, kind = connections[0].topic, connections[0].msgtype
+        where = f"{path}: {topic}"
+        decode = _decoder(kind, ros2, {connection.digest for connection in connections}, where)
+        messages = _decoded(reader.messages(connections), decode, where)
+        reader_of = _Images(where) if kind in (IMAGE, COMPRESSED) else _Numbers(where)
+        t_us, *values = joined_on_disk(folder, reader_of.parts(messages)) or (np.empty(0, np.int64),)
+    if not len(t_us):
+        raise InputError("no message on this topic", where=where)
+    clock = "header.stamp" if reader_of.stamped else "the time at which the bag was given the message"
+    stream = Stream("", t_us, what=kind.replace("/msg/", "/"), source=f"{path.name}: {topic}", clock=clock)
+    return reader_of.filled(stream, values), []
+
+
+def _of_topic(connections: list[Any], topic: str, where: str) -> list[Any]:
+    """The connections of a topic; InputError where it is not there, of two types, or not the only one to choose."""
+    others = sorted({one.topic for one in connections if one.msgtype not in TYPES})
+    chosen = topic or (others[0] if len(others) == 1 else "")
+    found = [one for one in connections if one.topic == chosen]
+    if not found:
+        named = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
+        message = "no such topic" if topic else "which topic?"
+        hint = f"name it after the file, as in FILE:{others[0]}" if others else ""
+        raise InputError(message, where=where, expected=named or "a topic", found=topic, hint=hint)
+    if len({one.msgtype for one in found}) > 1:
+        raise InputError("messages of several types", where=where, found=", ".join(one.msgtype for one in found))
+    return found
+
+
+def _decoder(kind: str, ros2: bool, digests: set[str], where: str) -> Callable[[bytes], Any]:
+    """What makes an object of the bytes of a message; InputError for a type that ROS does not define, or otherwise."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
+    if kind not in store.fielddefs:
+        raise InputError("messages of a type that is not read here", where=where, expected=READ, found=kind)
+    if ros2:
+        return lambda message: store.deserialize_cdr(message, kind)
+    ours = store.generate_msgdef(kind)[1]
+    if digests - {ours, "*"}:
+        found = ", ".join(sorted(digests))[:120]
+        raise InputError(f"{kind} has another definition here", where=where, expected=f"checksum {ours}", found=found)
+    return lambda message: store.deserialize_ros1(message, kind)
+
+
+def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str) -> Iterator[tuple[int, Any]]:
+    """Time of reception in ns and content of each message."""
+    messages, number = iter(messages), 0
+    while True:
+        with bag_in_words(where, f"message {number}"):
+            message = next(messages, None)
+            content = None if message is None else decode(message[2])
+        if message is None:
+            return
+        yield int(message[1]), content
+        number += 1
+
+
+class _Reader:
+    """Turns messages into parts of arrays; `stamped` says whether their own stamps are the times."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.stamped = False
+        self.number = -1  # of the message that came last
+
+    def time_us(self, received_ns: int, message: Any) -> int:
+        """When a message was measured, as it says itself if the first one does, else when it was received."""
+        self.number += 1
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        stamp_us = 0 if stamp is None else stamp.sec * 10**6 + stamp.nanosec // 1000
+        if self.number == 0:
+            self.stamped = stamp_us != 0
+        return stamp_us if self.stamped else received_ns // 1000
+
+    def refuse(self, message: str, expected: str, found: str) -> None:
+        """InputError at the present message."""
+        where = f"{self.where}: message {self.number}"
+        raise InputError(message, where=where, expected=expected[:300], found=found[:300])
+
+
+class _Numbers(_Reader):
+    """All numbers of messages as columns."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__(where)
+        self._names: list[str] = []
+        self._units: list[str] = []
+
+    def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
+        """Times and rows of numbers of the next messages."""
+        times: list[int] = []
+        rows: list[list[float]] = []
+        for received_ns, message in messages:
+            times.append(self.time_us(received_ns, message))
+            found: dict[str, tuple[float, str]] = {}
+            _numbers(message, "", "", found)
+            if not self._names:
+                self._names, self._units = list(found), [unit for _, unit in found.values()]
+            if list(found) != self._names or not found or len(found) > MOST_NUMBERS:
+                expected = f"1 to {MOST_NUMBERS} numbers, always the same: {', '.join(self._names)}"
+                self.refuse("no column can be made of its fields", expected, ", ".join(found) or "no number")
+            rows.append([value for value, _ in found.values()])
+            infinite = next((name for name, value in zip(found, rows[-1], strict=True) if math.isinf(value)), None)
+            if infinite is not None:
+                self.refuse("an infinite value", "finite values, or NaN", infinite)
+            if len(rows) == MESSAGES_AT_ONCE:
+                yield np.array(times, np.int64), np.array(rows)
+                times, rows = [], []
+        if rows:
+            yield np.array(times, np.int64), np.array(rows)
+
+    def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
+        """The stream with what was read."""
+        columns: dict[str, NDArray[np.float64]] = {}
+        units: dict[str, str] = {}
+        for at, (wanted, unit) in enumerate(zip(self._names, self._units, strict=True)):
+            name = free_name(wanted, columns)
+            columns[name], units[name] = values[0][:, at], unit
+        return Stream(**{**vars(stream), "columns": columns, "units": units})
+
+
+def _numbers(value: Any, name: str, unit: str, found: dict[str, tuple[float, str]]) -> None:
+    """The numbers in a field and below it, with their units, by the path of each; texts and headers are passed over."""
+    if len(found) > MOST_NUMBERS:
+        return
+    if is_dataclass(value):
+        labels = getattr(value, "name", None)  # of joints, as JointState has them
+        units = UNITS.get(getattr(value, "__msgtype__", ""), {})
+        for item in fields(value):
+            inner = getattr(value, item.name)
+            path = f"{name}.{item.name}" if name else item.name
+            if isinstance(inner, np.ndarray) and isinstance(labels, list) and len(labels) == len(inner):
+                for label, one in zip(labels, inner.tolist(), strict=True):
+                    found[f"{path}.{label}"] = float(one), ""
+            elif item.name != "header":
+                _numbers(inner, path, units.get(item.name, unit), found)
+    elif isinstance(value, (bool, int, float, np.number)):
+        found[name] = float(value), unit
+    elif isinstance(value, (list, np.ndarray)):
+        for at, one in enumerate(value[: MOST_NUMBERS + 1]):
+            _numbers(one, f"{name}.{at}", unit, found)
+
+
+class _Images(_Reader):
+    """Images of one size."""
+
+    def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
+        """Time and image of the next message."""
+        shape: tuple[int, ...] | None = None
+        for received_ns, message in messages:
+            t_us = self.time_us(received_ns, message)
+            image = self._plain(message) if hasattr(message, "step") else self._unpacked(message)
+            shape = shape or image.shape
+            if image.shape != shape:
+                self.refuse("the images change their size", "{1} x {0}, {2} channels".format(*shape), str(image.shape))
+            yield np.array([t_us], np.int64), image[None]
+
+    def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
+        """The stream with what was read."""
+        return Stream(**{**vars(stream), "frames": values[0]})
+
+    def _check_size(self, width: int, height: int) -> None:
+        if not (0 < width <= LARGEST_FRAME_PX and 0 < height <= LARGEST_FRAME_PX):
+            self.refuse("an image of an odd size", f"1 to {LARGEST_FRAME_PX} px a side", f"{width} x {height}")
+
+    def _plain(self, message: Any) -> NDArray[np.uint8]:
+        if message.encoding not in ENCODINGS:
+            self.refuse("an image in an encoding that is not read here", ", ".join(ENCODINGS), str(message.encoding))
+        stored, shown = ENCODINGS[message.encoding]
+        width, height, step = int(message.width), int(message.height), int(message.step)
+        self._check_size(width, height)
+        if step < width * stored or len(message.data) != step * height:
+            self.refuse(
+                "an image of another size than it says", f"{height} rows of {step} bytes", str(len(message.data))
+            )
+        rows = np.asarray(message.data, np.uint8).reshape(height, step)[:, : width * stored]
+        return np.ascontiguousarray(rows.reshape(height, width, stored)[:, :, list(shown)])
+
+    def _unpacked(self, message: Any) -> NDArray[np.uint8]:
+        try:
+            from PIL import Image
+        except ImportError as error:
+            hint = install_hint("convert")
+            raise InputError("packed images need pillow", where=self.where, found=str(error), hint=hint) from None
+        with bag_in_words(self.where, f"the image of message {self.number}"):
+            opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
+        self._check_size(*opened.size)  # before it is unpacked
+        with bag_in_words(self.where, f"the image of message {self.number}"):
+            pixels = np.asarray(opened.convert("L" if opened.mode in ("L", "1") else "RGB"))
+        return pixels.reshape(*pixels.shape[:2], -1)

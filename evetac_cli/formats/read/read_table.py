@@ -1,0 +1,268 @@
+"""Tables of other programs, CSV or Parquet, as a stream of samples: a column of times, and columns of numbers.
+
+pyarrow reads both, batch by batch; what was read waits on disk, so a table of hours takes no more memory than a short
+one. The column of times is found by its name, its unit by the name, the type, or the size of its numbers; `clock` says
+which. What is no number is left out, and named.
+"""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, install_hint
+from evetac_cli.store.disk import joined_on_disk
+from evetac_cli.store.streams import Stream, free_name
+from evetac_cli.text_files import open_regular
+
+PARQUET = b"PAR1"
+BATCH_ROWS = 1 << 16
+BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
+MOST_COLUMNS = 512
+MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
+MOST_HEAD_BYTES = 1 << 16  # of the line of names
+MOST_US = 1 << 60  # 36,000 years: two such times can be added
+NAMED_LEFT_OUT = 5
+
+TIME = re.compile(
+    r"(?:(?:field[._])?header[._]|_+|ros(?:bag)?|log_?|msg_?)?(?:t|time|timestamp|stamp)(?:_(?P<unit>s|ms|us|ns))?"
+)
+PARTS = re.compile(r"(?:.*[._])?stamp[._](?P<part>secs?|nanosecs?|nsecs?)")
+BRACKETS = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]{1,20})[\])]")
+TICKS_S = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # of each unit of time in a second
+YEARS_S = (946_684_800, 4_102_444_800)  # 2000 to 2100, as Unix counts
+# Units that a name may end in, as in `force_n`.
+ENDINGS = {"m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "n": "N", "nm": "N m", "ma": "mA", "hz": "Hz", "pa": "Pa"}
+NAMES = "t_us, t_ms, t_s, t_ns, timestamp, time, stamp or header.stamp"
+
+
+class _Times(NamedTuple):
+    """Where the times of a table are: one column, or two, seconds and nanoseconds; the unit, as far as it is known."""
+
+    columns: tuple[int, ...]
+    unit: str
+    clock: str
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether a file begins as Parquet does."""
+    with open_regular(path) as file:
+        return file.read(len(PARQUET)) == PARQUET
+
+
+def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
+    """A table as a stream in its own clock, without a name, and notes; InputError in words.
+
+    folder: on whose disk the numbers wait; the one for temporary files otherwise.
+    """
+    where = str(path)
+    try:
+        import pyarrow
+    except ImportError as error:
+        hint = install_hint("convert")
+        raise InputError("CSV and Parquet need pyarrow", where=where, found=str(error), hint=hint) from None
+    with _in_words(where, pyarrow.ArrowException):
+        names, types, batches = _parquet(path) if is_parquet(path) else _csv(path)
+        if len(names) > MOST_COLUMNS:
+            found = f"{len(names)} columns"
+            raise InputError("too wide a table", where=where, expected=f"at most {MOST_COLUMNS} columns", found=found)
+        times = _find_times(names, where)
+        numbers = [
+            at
+            for at, kind in enumerate(types)
+            if at not in times.columns
+            and (pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind) or pyarrow.types.is_boolean(kind))
+        ]
+        if not numbers:
+            raise InputError("no column of numbers beside the times", where=where, found=", ".join(names)[:200])
+        read = _Rows(times, numbers, names, where)
+        t_us, *values = joined_on_disk(folder, map(read.batch, batches)) or (np.empty(0, np.int64),)
+    if not len(t_us):
+        raise InputError("the table has no row", where=where)
+    columns: dict[str, NDArray[np.float64]] = {}
+    units = {}
+    for at, column in zip(numbers, values, strict=True):
+        plain, unit = _unit(names[at])
+        name = free_name(plain, columns)
+        columns[name], units[name] = column, unit
+    others = [names[at] for at in range(len(names)) if at not in (*times.columns, *numbers)]
+    notes = [f"left out: {_some(others)}, which {'are' if len(others) > 1 else 'is'} not of numbers"] if others else []
+    return Stream("", t_us, columns, units=units, source=path.name, clock=read.clock), notes
+
+
+class _Rows:
+    """Turns batches of a table into times and columns of floats; `clock` says how once the first has come."""
+
+    def __init__(self, times: _Times, numbers: list[int], names: list[str], where: str) -> None:
+        self._times, self._numbers, self._names, self._where = times, numbers, names, where
+        self._unit, self.clock = times.unit, times.clock
+        self._done = 0  # rows
+
+    def batch(self, batch: Any) -> tuple[NDArray[Any], ...]:
+        """Times in us and the numbers of the next rows."""
+        t_us = self._t_us([batch.column(at) for at in self._times.columns])
+        self._refuse("a time that cannot be", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
+        columns = []
+        for at in self._numbers:
+            values = batch.column(at).cast("float64", safe=False).to_numpy(zero_copy_only=False)
+            if np.isinf(values).any():
+                self._refuse(f"an infinite value in the column {self._names[at]}", np.isinf(values), values)
+            columns.append(values)
+        self._done += len(t_us)
+        return t_us, *columns
+
+    def _t_us(self, columns: list[Any]) -> NDArray[np.int64]:
+        import pyarrow
+
+        for column in columns:
+            if column.null_count:
+                missing = ~column.is_valid().to_numpy(zero_copy_only=False)
+                self._refuse("a row without a time", missing, np.full(len(column), "nothing"))
+        if pyarrow.types.is_timestamp(columns[0].type):
+            self.clock = f"{self._times.clock}, whose type says its unit"
+            stamps = columns[0].cast(pyarrow.timestamp("us", columns[0].type.tz), safe=False)
+            return np.asarray(stamps.cast("int64").to_numpy(zero_copy_only=False))
+        if not (pyarrow.types.is_integer(columns[0].type) or pyarrow.types.is_floating(columns[0].type)):
+            found = f"{self._times.clock} holds {columns[0].type}"
+            raise InputError("the times are no numbers", where=self._where, found=found)
+        if len(columns) > 1:
+            seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
+            self._refuse("a time that cannot be", np.abs(seconds) > MOST_US // 10**6, seconds)
+            self._refuse("nanoseconds beyond a second", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds)
+            return np.asarray(seconds * 10**6 + nanoseconds // 1000)
+        values = columns[0].to_numpy(zero_copy_only=False)
+        if values.dtype.kind == "f":
+            self._refuse("a time that is no number", ~np.isfinite(values), values)
+        if not self._unit and len(values):
+            self._unit = _guess(values, self._where, self._times.clock)
+            self.clock = f"{self._times.clock}, taken as {self._unit}"
+        ticks = TICKS_S[self._unit or "s"]
+        self._refuse("a time that cannot be", np.abs(values.astype(np.float64)) * (1e6 / ticks) > MOST_US, values)
+        if values.dtype.kind == "f":
+            return np.rint(values * (1e6 / ticks)).astype(np.int64)
+        whole = values.astype(np.int64)
+        return np.asarray(whole * (10**6 // ticks) if ticks <= 10**6 else whole // (ticks // 10**6))
+
+    def _refuse(self, message: str, wrong: NDArray[np.bool_], values: NDArray[Any]) -> None:
+        """InputError for the first row that is wrong, if any."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(message, where=f"{self._where}: row {self._done + row + 1}", found=str(values[row])[:60])
+
+
+def _find_times(names: list[str], where: str) -> _Times:
+    """The columns of times, by name: one that says its unit rather than one that does not."""
+    plain = [_unit(name) for name in names]
+    parts = {match["part"][0]: at for at, (name, _) in enumerate(plain) if (match := PARTS.fullmatch(name.lower()))}
+    found = []
+    for at, (name, unit) in enumerate(plain):
+        match = TIME.fullmatch(name.lower())
+        if match:
+            found.append((match["unit"] or (unit if unit in TICKS_S else ""), at))
+    named = next((pair for pair in found if pair[0]), None)
+    if named is None and len(parts) == 2:
+        columns = parts["s"], parts["n"]
+        return _Times(columns, "ns", " and ".join(f"column {names[at].strip()}" for at in columns))
+    if not found:
+        raise InputError(
+            "no column of times", where=where, expected=f"a column named {NAMES}", found=", ".join(names)[:200]
+        )
+    unit, at = named or found[0]
+    return _Times((at,), unit, f"column {plain[at][0]}" + (f", in {unit}" if unit else ""))
+
+
+def _guess(values: NDArray[Any], where: str, clock: str) -> str:
+    """The unit of times that nothing says: of dates by their size, of others seconds if there are fractions."""
+    first = abs(float(values[0]))
+    for unit, ticks in TICKS_S.items():
+        if YEARS_S[0] * ticks <= first < YEARS_S[1] * ticks:
+            return unit
+    if values.dtype.kind == "f" and first < YEARS_S[0] and (values != np.rint(values)).any():
+        return "s"
+    hint = "name the column t_s, t_ms, t_us or t_ns"
+    raise InputError("times whose unit nothing says", where=where, found=f"{clock}: {values[0]}", hint=hint)
+
+
+def _unit(name: str) -> tuple[str, str]:
+    """The name of a column without a unit in brackets, and its unit, as far as the name tells."""
+    plain = name.strip().lstrip("%#").strip()
+    match = BRACKETS.fullmatch(plain)
+    if match:
+        return match["name"], match["unit"].strip()
+    return plain, ENDINGS.get(plain.lower().rpartition("_")[2], "") if "_" in plain else ""
+
+
+def _csv(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
+    """Names and types of the columns, and the rows in batches."""
+    import pyarrow
+    from pyarrow import csv
+
+    where = str(path)
+    with open_regular(path) as file:
+        head = file.readline(MOST_HEAD_BYTES)
+    try:
+        line = head.decode("utf-8-sig").strip()
+    except UnicodeDecodeError:
+        line = ""
+    delimiter = max(",;\t", key=line.count)
+    delimiter = delimiter if delimiter in line else " "
+    names = line.split(delimiter)
+    if not line or len(head) == MOST_HEAD_BYTES or not line.isprintable() and "\t" not in line:
+        raise InputError("neither a table nor a bag", where=where, expected="CSV, Parquet, or a bag of ROS 1 or ROS 2")
+    if any(re.fullmatch(r"\s*[-+]?[.\d][\d.eE+-]*\s*", name) for name in names):
+        raise InputError("its first line does not name the columns", where=where, found=line[:80])
+    how = csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES), csv.ParseOptions(delimiter=delimiter)
+    with csv.open_csv(where, *how) as first:
+        found = first.schema
+    times = _find_times(found.names, where).columns
+    # A column may begin with whole numbers and go on with others, so all but the times are read as floats.
+    as_floats = {
+        name: pyarrow.float64()
+        for at, (name, kind) in enumerate(zip(found.names, found.types, strict=True))
+        if at not in times and (pyarrow.types.is_integer(kind) or pyarrow.types.is_null(kind))
+    }
+    types = [as_floats.get(name, kind) for name, kind in zip(found.names, found.types, strict=True)]
+
+    def batches() -> Iterator[Any]:
+        with csv.open_csv(where, *how, csv.ConvertOptions(column_types=as_floats)) as reader:
+            yield from reader
+
+    return list(found.names), types, batches()
+
+
+def _parquet(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
+    """Names and types of the columns, and the rows in batches."""
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(path) as file:
+        groups = (file.metadata.row_group(number).total_byte_size for number in range(file.metadata.num_row_groups))
+        largest = max(groups, default=0)
+        if not 0 <= largest <= MOST_GROUP_BYTES:
+            found = f"{largest / 1e6:,.0f} MB"
+            expected = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB"
+            raise InputError("too much of it has to be read at once", where=str(path), expected=expected, found=found)
+        schema = file.schema_arrow
+
+    def batches() -> Iterator[Any]:
+        with parquet.ParquetFile(path) as file:
+            yield from file.iter_batches(BATCH_ROWS, use_threads=False)
+
+    return list(schema.names), list(schema.types), batches()
+
+
+def _some(names: list[str]) -> str:
+    more = f" and {len(names) - NAMED_LEFT_OUT} more" if len(names) > NAMED_LEFT_OUT else ""
+    return f"column{'s' * (len(names) > 1)} {', '.join(name.strip()[:60] for name in names[:NAMED_LEFT_OUT])}{more}"
+
+
+@contextmanager
+def _in_words(where: str, of_pyarrow: type[Exception]) -> Iterator[None]:
+    try:
+        yield
+    except (of_pyarrow, OSError, OverflowError) as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        raise InputError("the table cannot be read", where=where, found=reason) from None

@@ -1,0 +1,130 @@
+"""attach: other streams of a trial, such as an arm's pose or a camera's images, into a copy of its recording.
+
+Why a command of its own: the streams of a trial come from other programs, often later, and go with any recording,
+imported, simulated or of devices. Why a new file: a recording never changes once it is made, as labels and tracks name
+the one that they were made from. The hash of all arrays is part of the recipe, as it is of an import.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.streams import aligned, read_stream
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.params.recording import Attach
+from evetac_cli.stages import one_file
+from evetac_cli.store import contents, streams
+from evetac_cli.store.disk import existing_folder
+from evetac_cli.store.files import stem, up_to_date, write_stage
+from evetac_cli.store.provenance import ContentDigest, Recipe
+from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.streams import Stream
+
+OUTPUT = "recording"
+METHOD = 1
+
+
+def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
+    """One new recording for every recording, named <name>-streams."""
+    sources = _named(params.stream, "--stream", "NAME=FILE")
+    unknown = [name for name in _offsets(params) if name not in sources]
+    if unknown:
+        raise InputError("no such stream", where="--offset", expected=", ".join(sources), found=unknown[0])
+    if not sources:
+        raise InputError("no stream to add", where="--stream", expected="NAME=FILE, as in arm=pose.csv")
+    one_file(files, out)
+    if out is not None and out.suffix == ".h5":
+        return [Job((file,), out) for file in files]
+    return [Job((file,), (out or file.parent) / f"{stem(file)}-streams.{OUTPUT}.h5") for file in files]
+
+
+def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Write a recording with all that one holds, and the streams; InputError where they do not fit it."""
+    sources, offsets = _named(params.stream, "--stream", "NAME=FILE"), _offsets(params)
+    folder = existing_folder(job.output.parent)
+    notes: list[str] = []
+    added: list[Stream] = []
+    with open_recording(job.inputs[0]) as recording:
+        there = streams.names(recording.contents())
+        twice = next((name for name in sources if name in there), None)
+        if twice:
+            raise InputError(f"it has a stream {twice}", where=str(job.inputs[0]), hint="give the new one another name")
+        for number, (name, source) in enumerate(sources.items()):
+            progress(number, len(sources), "streams read")
+            stream, said = read_stream(source, name, folder)
+            start_us, slices = int(recording.read("t_offset")), len(recording)
+            stream = aligned(stream, offsets.get(name, 0.0), start_us, slices, source)
+            notes += [f"{name}: {note}" for note in (f"times by {stream.clock}", *said)]
+            added.append(stream)
+        digest = ContentDigest()
+        for block in (_whole(recording, added), *_blocks(recording, added)):
+            for path, values in block.items():
+                digest.update(path, values)
+        header = recording.header
+        about = {one.name: {"source": one.source, "offset_s": one.offset_s} for one in added}
+        parameters = {**header["parameters"], "streams": {**header["parameters"].get("streams", {}), **about}}
+        recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,), content=digest.hexdigest())
+        made = not up_to_date(job.output, recipe, force=force)
+        if made:
+            lengths = {path: shape[0] for path, (_, shape) in recording.contents().items() if shape}
+            columns = (item for one in added for item in one.datasets().items())
+            lengths |= {path: len(values) for path, values in columns if not isinstance(values, str)}
+            write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added), lengths)
+    return outcome(
+        job,
+        made=made,
+        simulated=bool(header["simulated"]),
+        streams=len(added),
+        samples=sum(len(one.t_us) for one in added),
+        left_out=sum(one.left_out for one in added),
+        notes="; ".join(notes),
+    )
+
+
+def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
+    """Numbers and texts: what has no rows."""
+    there = {path: recording.read(path) for path, (_, shape) in recording.contents().items() if not shape}
+    return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+
+
+def _blocks(recording: Recording, added: Sequence[Stream]) -> Iterator[dict[str, Any]]:
+    """Everything that has rows, one dataset after the other, in pieces that memory holds."""
+    for path, (_, shape) in recording.contents().items():
+        if shape:
+            yield from ({path: rows} for rows in contents.blocks(recording, path, shape))
+    for one in added:
+        for path, values in one.datasets().items():
+            if not isinstance(values, str):
+                at_once = max(1, contents.BLOCK_VALUES // max(1, math.prod(values.shape[1:])))
+                for first in range(0, len(values), at_once):
+                    yield {path: values[first : first + at_once]}
+
+
+def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
+    """What was given as NAME=VALUE, by name; InputError for anything else, or a name that cannot be one."""
+    named: dict[str, str] = {}
+    for text in given or ():
+        name, equals, value = text.partition("=")
+        if not equals or not value or not streams.NAME.fullmatch(name):
+            expected = f"{form}; names are of letters, digits, _ . and -"
+            raise InputError("cannot be read", where=flag, expected=expected, found=text)
+        if name in named:
+            raise InputError(f"{name} is given twice", where=flag, found=text)
+        named[name] = value
+    return named
+
+
+def _offsets(params: Attach) -> dict[str, float]:
+    """The offsets of the streams, in s."""
+    offsets = {}
+    for name, text in _named(params.offset, "--offset", "NAME=SECONDS").items():
+        try:
+            offsets[name] = float(text)
+        except ValueError:
+            offsets[name] = math.nan
+        if not abs(offsets[name]) < streams.MOST_OFFSET_S:
+            expected = f"NAME=SECONDS, less than {streams.MOST_OFFSET_S:g}"
+            raise InputError("not an offset", where="--offset", expected=expected, found=f"{name}={text}")
+    return offsets

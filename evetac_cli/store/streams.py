@@ -1,0 +1,77 @@
+"""Other streams of a trial: what else was measured beside the events, such as an arm's pose or a camera's images.
+
+A stream is the group `streams/NAME` of a recording. Its times are in the recording's clock, so nothing has to be added
+to compare it with events, gripper or truth.
+"""
+
+import json
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+
+GROUP = "streams"
+NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,63}")  # of a stream, and of a column
+# Names in a stream's group that no column may have: its other datasets, and the dimensions of all.
+TAKEN = ("t_us", "about", "frames", "samples", "frame_rows", "frame_columns", "channels")
+LARGEST_FRAME_PX = 16384  # of either side
+MOST_OFFSET_S = 1e11  # 3,000 years
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One stream: times in us, never decreasing, in the recording's clock; columns of numbers, or images, or both.
+
+    columns: name -> float64, one a sample. frames: uint8 (samples, rows, columns, 1 or 3: red, green, blue), which may
+    lie on disk. units: of the columns, by name. what: in a few words. source: file, or file and topic. clock: where the
+    times come from, in words. offset_s: what was added to them. left_out: samples outside the recording.
+    """
+
+    name: str
+    t_us: NDArray[np.int64]
+    columns: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    frames: NDArray[np.uint8] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    what: str = ""
+    source: str = ""
+    clock: str = ""
+    offset_s: float = 0.0
+    left_out: int = 0
+
+    def datasets(self) -> dict[str, Any]:
+        """What a recording holds of it, path -> array or text."""
+        about = {name: getattr(self, name) for name in ("what", "source", "clock", "offset_s", "left_out")}
+        about["units"] = {name: unit for name, unit in self.units.items() if unit and name in self.columns}
+        whole = {"about": json.dumps(about, sort_keys=True, allow_nan=False), "t_us": self.t_us, **self.columns}
+        if self.frames is not None:
+            whole["frames"] = self.frames
+        return {f"{GROUP}/{self.name}/{name}": values for name, values in whole.items()}
+
+    def within(self, slices: int) -> "Stream":
+        """The samples within a recording of so many slices; the others are counted in `left_out`."""
+        first, stop = np.searchsorted(self.t_us, (0, slices * SLICE_US)).tolist()
+        return replace(
+            self,
+            t_us=self.t_us[first:stop],
+            columns={name: values[first:stop] for name, values in self.columns.items()},
+            frames=None if self.frames is None else self.frames[first:stop],
+            left_out=self.left_out + len(self.t_us) - (stop - first),
+        )
+
+
+def names(paths: Collection[str]) -> list[str]:
+    """The streams that a recording with datasets of these paths holds, by name."""
+    return sorted({path.split("/")[1] for path in paths if path.startswith(f"{GROUP}/")})
+
+
+def free_name(wanted: str, taken: Collection[str]) -> str:
+    """A name for a column as close to another program's as ours allow, unlike those that are taken."""
+    name = re.sub("[^A-Za-z0-9_.-]+", "_", wanted.strip()).strip("._-")[:56] or "column"
+    name = name if NAME.match(name) else f"_{name}"
+    numbered = [name, *(f"{name}_{number}" for number in range(2, len(taken) + len(TAKEN) + 3))]
+    return next(name for name in numbered if name not in taken and name not in TAKEN)
