@@ -3,8 +3,9 @@
 The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
 """
 
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,10 +18,12 @@ from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnkn
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
+from evetac_cli.formats.read.read_other_streams import aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.jobs import Progress, silent
+from evetac_cli.store.streams import Stream
 
 EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -55,6 +58,7 @@ FORMATS = (
     BAG,
 )
 
+OTHER_STREAMS = {"aedat4": aedat4_streams, "rosbag": bag_streams}  # who reads what is kept beside the events
 # Files that people keep beside their event files: how they begin, what they are, and how to convert them.
 OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
     ((b"#!AER-DAT",), "AEDAT of another version", "convert it to AEDAT4 with the maker's DV, or to text"),
@@ -81,6 +85,7 @@ class Imported:
     counts: dict[str, int]  # events dropped, by reason: not_a_number, out_of_frame
     sorted: int  # events put back in order
     notes: list[str]  # what the user should know: other streams, losses, what was assumed and what was left out
+    streams: list[Stream]  # IMU samples, triggers, frames: in the recording's clock
     left_out: dict[str, int]  # what the file holds beside these events, and how much of it: frames, IMU samples, ...
     simulated: bool = False  # an export of ours says that its events come from a simulation
 
@@ -96,6 +101,7 @@ def read_events(
     frame_px: tuple[int, int] | None = None,
     sort: bool = False,
     stream: str | None = None,
+    frames: bool = False,
     folder: Path | None = None,
     progress: Progress = silent,
 ) -> Imported:
@@ -104,6 +110,7 @@ def read_events(
     folder: on whose disk the events wait; the one for temporary files otherwise.
     frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
     HDF5), that of the smallest known sensor that holds all events, and a note says so.
+    frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
     path: a file, or the folder of a ROS 2 bag.
     progress: of the events that were read; how many there will be, no format says.
     sort: put events whose time goes backwards in order (stable) instead of refusing them.
@@ -140,7 +147,7 @@ def read_events(
     except MemoryError as error:
         raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
     events = normal.stored
-    notes = [*foreign.notes, *_losses(foreign, normal), *_unsaid(foreign)]
+    notes = [*foreign.notes, *_losses(foreign, normal)]
     if note is None and not events.size:
         notes.append("the file holds no events")
     if normal.sorted:
@@ -148,22 +155,49 @@ def read_events(
     slices = (events.last_us - normal.first_us) // SLICE_US + 1 if events.size else 0
     if note and not foreign.cut_short and not _lacks_events(foreign, normal):
         slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
+    t_offset_us = normal.first_us + foreign.clock_us if events.size or note else 0
+    streams = _kept(path, foreign, t_offset_us, slices, frames=frames, folder=folder)
+    notes += _unsaid(foreign, streams)
     return Imported(
         stored=events,
         frame_px=foreign.frame_px,
-        t_offset_us=normal.first_us + foreign.clock_us if events.size or note else 0,
+        t_offset_us=t_offset_us,
         slices=slices,
         format=foreign.format,
         counts=normal.dropped,
         sorted=normal.sorted,
         notes=notes,
+        streams=streams,
         left_out=foreign.left_out,
         simulated=note is not None and note.simulated,
     )
 
 
-def _unsaid(foreign: Foreign) -> Iterator[str]:
-    """What was left out, counted, and what was assumed, in words."""
+def _kept(
+    path: Path, foreign: Foreign, t_offset_us: int, slices: int, *, frames: bool, folder: Path | None
+) -> list[Stream]:
+    """The other streams of the file that are kept, in the recording's clock; what came is no longer left out."""
+    read = OTHER_STREAMS.get(foreign.format)
+    if read is None or not foreign.left_out:
+        return []
+    streams = []
+    counts: Counter[str] = Counter()
+    for stream, name, unreadable in read(path, frames=frames, folder=folder):
+        for counted in (name, f"packets of {name}"):
+            foreign.left_out.pop(counted, None)
+        within = replace(stream, t_us=stream.t_us - t_offset_us).within(slices)
+        counts[f"{name} outside the recording"] += within.left_out
+        counts[f"unreadable packets of {name}"] += unreadable
+        if len(within.t_us):
+            streams.append(within)
+    foreign.left_out |= +counts
+    return streams
+
+
+def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
+    """What was kept beside the events, what was left out, counted, and what was assumed, in words."""
+    if streams:
+        yield "kept: " + ", ".join(f"{len(stream.t_us):,} samples of {stream.name}" for stream in streams)
     if foreign.left_out:
         yield f"left out: {left_out_text(foreign.left_out)}"
     if foreign.assumed:

@@ -69,8 +69,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         made = not up_to_date(job.output, recipe, force=force)
         if made:
             lengths = {path: shape[0] for path, (_, shape) in recording.contents().items() if shape}
-            columns = (item for one in added for item in one.datasets().items())
-            lengths |= {path: len(values) for path, values in columns if not isinstance(values, str)}
+            for one in added:
+                lengths |= one.lengths()
             write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added), lengths)
     return outcome(
         job,
@@ -86,7 +86,7 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts: what has no rows."""
     there = {path: recording.read(path) for path, (_, shape) in recording.contents().items() if not shape}
-    return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+    return there | {path: text for one in added for path, text in one.texts().items()}
 
 
 def _blocks(recording: Recording, added: Sequence[Stream]) -> Iterator[dict[str, Any]]:
@@ -95,11 +95,7 @@ def _blocks(recording: Recording, added: Sequence[Stream]) -> Iterator[dict[str,
         if shape:
             yield from ({path: rows} for rows in contents.blocks(recording, path, shape))
     for one in added:
-        for path, values in one.datasets().items():
-            if not isinstance(values, str):
-                at_once = max(1, contents.BLOCK_VALUES // max(1, math.prod(values.shape[1:])))
-                for first in range(0, len(values), at_once):
-                    yield {path: values[first : first + at_once]}
+        yield from one.blocks()
 
 
 def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:

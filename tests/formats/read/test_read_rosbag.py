@@ -148,7 +148,7 @@ def test_event_arrays_are_read(write: Write, bag: str, compress: bool) -> None:
     assert (imported.format, imported.frame_px, imported.notes) == (
         "rosbag",
         FRAME,
-        ["left out: 1 message on /n (other_msgs/msg/Number)"],
+        ["left out: messages on /n (other_msgs/msg/Number) 1"],
     )
     assert imported.t_offset_us == events.t[0]
 
