@@ -4,6 +4,7 @@ import functools
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -382,6 +383,22 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     imported = read_events(path, frame_px=FRAME, sort=True)
     assert (event_rows(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
     assert imported.notes == ["time went backwards: 1 events were put back in order"]
+
+
+def test_what_the_docs_tell_to_write_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the page's lines of Python and its command, and its text, give the two events that they show."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "recordings.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    blocks = [re.sub("(?m)^    ", "", block) for block in re.findall(r"(?m)(?:^    .+\n)+", page)]
+    exec(next(block for block in blocks if block.startswith("import numpy")))
+    command = next(block for block in blocks if "touch.npz" in block and block.startswith("evetac")).split()
+    params = Record(source=Path(command[command.index("--from") + 1]), frame_size="640x480")
+    (job,) = record.jobs([], params, Path(command[command.index("--out") + 1]))
+    (row,) = record.run(job, params).rows
+    assert (row["events"], row["notes"]) == (2, None)
+    (tmp_path / "a.txt").write_text(next(block for block in blocks if block.startswith("t_us x y p")))
+    written = [(0, 312, 77, 1), (7, 313, 77, 0)]
+    assert event_rows(read_events(tmp_path / "a.txt")) == event_rows(read_events(tmp_path / "touch.npz")) == written
 
 
 # --- files that are something else --------------------------------------------------------------------------------
