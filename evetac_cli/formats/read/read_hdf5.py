@@ -22,7 +22,7 @@ from evetac_cli.formats.read.event_validation import (
     check_lengths,
     choose_frame,
 )
-from evetac_cli.store.checked_hdf5 import DAMAGE, EVENT_FILE_FILTERS, CheckedHdf5
+from evetac_cli.store.checked_hdf5 import DAMAGE, EVENT_FILE_FILTERS, CheckedHdf5, damage_in_words
 
 BATCH_ROWS = 1 << 20
 OFFSETS = ("t_offset", "events/t_offset")
@@ -61,17 +61,15 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None, stream: str | None) 
         every = [name for layout in LAYOUTS for name in layout.paths]
         datasets = file.datasets([*every, *OFFSETS], EVENT_FILE_FILTERS)
         layout, others = _choose(file, datasets, stream)
-        for name in layout.paths:
-            _check_kind(file, datasets[name], layout, name)
-        check_lengths([len(datasets[name]) for name in layout.paths] * (4 // len(layout.paths)), where)
-        rows = len(datasets[layout.paths[0]])
-        try:
+        with damage_in_words(path, "its contents"):
+            for name in layout.paths:
+                _check_kind(file, datasets[name], layout, name)
+            rows = [len(datasets[name]) for name in layout.paths]
+            check_lengths(rows * (4 // len(rows)), where)
             clock_us = _t_offset(datasets, where) if layout.name == "DSEC" else 0
             unit = layout.us_per_unit
             if unit is None:
                 unit = unit_of(datasets[layout.paths[0]][:BATCH_ROWS])
-        except DAMAGE as error:
-            raise _unreadable(where, error) from error
         note, own_px = _frame(file, layout)
         left_out = {
             f"rows of {name}": length
@@ -80,7 +78,9 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None, stream: str | None) 
         }
     hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
     frame = choose_frame(own_px, frame_px, where, hint)
-    foreign = Foreign("hdf5", frame, _batches(path, layout, rows, unit), clock_us, note=note, may_be_empty=note is None)
+    foreign = Foreign(
+        "hdf5", frame, _batches(path, layout, rows[0], unit), clock_us, note=note, may_be_empty=note is None
+    )
     foreign.left_out = left_out
     if others:
         foreign.notes.append(f"took the camera {layout.stream}; also there: {', '.join(others)} (choose with --stream)")

@@ -1,11 +1,13 @@
-"""Read events from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files with faery, the extra `convert`.
+"""Read events from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files, all but EVT2.1 with faery, the extra `convert`.
 
 The text at the head of a file, lines that begin with "% ", is read here: which encoding, which frame. Where it does not
 say the frame, faery would take 1280 x 720; we ask. And faery times events from the first word on, though they have no
 time before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem
-to begin seconds too early. So what comes before that word is left out, as the maker's own software does. Sensors of
-the fourth generation send the halves of a word of EVT2.1 the other way round (`endianness=legacy`); they are put right.
-Words of external triggers are counted.
+to begin seconds too early. So what comes before that word is left out, as the maker's own software does. Words of
+external triggers are counted.
+
+faery 0.7.1 has no EVT2.1. Its words have 64 bits: four of type, and for events six of time, eleven of column, eleven of
+row, and one for each of 32 columns from there on. Some sensors send the upper half first (`endianness=legacy`).
 """
 
 import re
@@ -25,6 +27,9 @@ SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Dat
 HEAD_LIMIT_BYTES = 1 << 20
 KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
 WORD_BYTES = {"evt2": 4, "evt2.1": 8, "evt3": 2, "dat1": 8, "dat2": 8}
+KINDS_21 = (0x0, 0x1, 0x8, 0xA, 0xE, 0xF)  # darker, brighter, time, trigger, and two that hold no events
+FIELDS_21 = ((54, 0x3F), (43, 0x7FF), (32, 0x7FF))  # shift and mask of the low bits of time, of column and row
+HIGH_21 = 1 << 28  # at which the high bits of time begin anew
 TIME_HIGH, TRIGGER = 0x8, 0xA  # the upper four bits of a word that holds the high bits of time, or a trigger
 
 
@@ -52,8 +57,12 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
         foreign.notes.append(f"cut short: the last {rest} bytes are no whole word")
     if raw and (triggers := sum(int(np.count_nonzero(kinds == TRIGGER)) for kinds in _kinds(path, head))):
         foreign.left_out["triggers"] = triggers
-    anew = skipped or head.swapped
-    foreign.batches = _copied(path, head, frame, skipped) if anew else decode(path, head.kind, frame, where)
+    if head.kind == "evt2.1":
+        foreign.batches = _evt21(path, head, skipped)
+    elif skipped:
+        foreign.batches = _trimmed(path, head, frame, skipped)
+    else:
+        foreign.batches = decode(path, head.kind, frame, where)
     return foreign
 
 
@@ -132,8 +141,8 @@ def _words(path: Path, head: Head, skipped: int) -> Iterator[NDArray[Any]]:
             yield words << np.uint64(32) | words >> np.uint64(32) if head.swapped else words
 
 
-def _copied(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
-    """Decode a copy without the words that have no time, of words whose halves are in order."""
+def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
+    """Decode a copy without the words that have no time."""
     with scratch_file(".raw") as (copy, target):
         target.write(raw_header(head.kind, frame))
         for words in _words(path, head, skipped):
@@ -142,10 +151,36 @@ def _copied(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Ite
         yield from decode(copy, head.kind, frame, str(path))
 
 
+def _evt21(path: Path, head: Head, skipped: int) -> Iterator[Columns]:
+    """The events of EVT2.1; InputError at a word of a type that is none of its own."""
+    high = turns = done = start = 0
+    for words in _words(path, head, skipped):
+        kind = (words >> np.uint64(60)).astype(np.int64)
+        unknown = ~np.isin(kind, KINDS_21)
+        if unknown.any():
+            at = int(np.argmax(unknown))
+            place = head.size + skipped + 8 * (done + at)
+            found = f"type {kind[at]:#x} at byte {place}"
+            raise InputError("a word that EVT2.1 does not have", where=str(path), found=found, hint="copy it again")
+        highs = kind == TIME_HIGH
+        times = ((words[highs] >> np.uint64(32)) & np.uint64(HIGH_21 - 1)).astype(np.int64)
+        wrapped = np.cumsum(np.diff(times, prepend=high) < -(HIGH_21 // 2)) + turns
+        since = np.concatenate([[high + turns * HIGH_21], times + wrapped * HIGH_21])[np.cumsum(highs)]
+        if len(times):
+            high, turns = int(times[-1]), int(wrapped[-1])
+        events = kind <= 1
+        of_pixels, p = words[events], kind[events]
+        word, column = np.nonzero((of_pixels.astype(np.uint32)[:, None] >> np.arange(32, dtype=np.uint32)) & 1)
+        low, x, y = ((of_pixels >> np.uint64(shift)).astype(np.int64) & mask for shift, mask in FIELDS_21)
+        t = (since[events] << 6) + low
+        yield Columns(t[word], x[word] + column, y[word], p[word].astype(np.uint8), partial(at_index, start))
+        start += len(word)
+        done += len(kind)
+
+
 def raw_header(kind: str, frame: tuple[int, int]) -> bytes:
-    """The lines of text that a RAW file of an encoding (evt2, evt2.1, evt3) begins with."""
-    version = {"evt2": "2.0", "evt3": "3.0"}.get(kind, kind[3:])
-    return "% evt {}\n% geometry {}x{}\n% end\n".format(version, *frame).encode()
+    """The lines of text that a RAW file of an encoding (evt2, evt3) begins with."""
+    return "% evt {}.0\n% geometry {}x{}\n% end\n".format(kind[-1], *frame).encode()
 
 
 def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterator[Columns]:

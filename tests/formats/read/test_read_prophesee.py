@@ -10,12 +10,13 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read import read_prophesee
 from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
 faery = pytest.importorskip("faery")
 from faery.file_encoder import events_to_file  # noqa: E402
 
-KINDS = (("evt2", "raw"), ("evt2.1", "raw"), ("evt3", "raw"), ("dat2", "dat"))
+KINDS = (("evt2", "raw"), ("evt3", "raw"), ("dat2", "dat"))
 
 
 def write(path: Path, events: Events, kind: str) -> Path:
@@ -96,6 +97,27 @@ def test_vectors_of_evt21(tmp_path: Path) -> None:
     imported = read_events(path)
     assert event_rows(imported) == [(0, 64, 7, 1), (0, 66, 7, 1), (0, 95, 7, 1)]
     assert imported.t_offset_us == 2 * 64 + 5
+
+
+def test_the_clock_of_evt21_may_wrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that 34 bits of microseconds wrap without a gap, in blocks of any size."""
+    monkeypatch.setattr(read_prophesee, "HEAD_LIMIT_BYTES", 1 << 12)
+    events = drawn(3000, start_us=(1 << 34) - 1_000_000)
+    path = tmp_path / "a.raw"
+    path.write_bytes(HEAD_21 + evt21(events).tobytes())
+    assert_equal(read_events(path), events)
+
+
+def test_other_words_of_evt21(tmp_path: Path) -> None:
+    """Assert that words before the first time are left out, the maker's own passed over, and unknown ones refused."""
+    words = [1 << 60 | 1, 8 << 60, 14 << 60, 15 << 60, 1 << 60 | 3, 0]
+    path = tmp_path / "a.raw"
+    path.write_bytes(HEAD_21 + np.array(words, "<u8").tobytes())
+    imported = read_events(path)
+    assert event_rows(imported) == [(0, 0, 0, 1), (0, 1, 0, 1)]
+    assert imported.notes == ["left out 8 bytes before the first time stamp"]
+    path.write_bytes(HEAD_21 + np.array([*words[1:], 7 << 60], "<u8").tobytes())
+    assert f"type 0x7 at byte {len(HEAD_21) + 40}" in refusal(path)
 
 
 def test_triggers_are_counted(tmp_path: Path) -> None:
