@@ -33,6 +33,7 @@ BATCH_ROWS = 1 << 18
 BATCH_BYTES = 1 << 22  # of one array
 MOST_HEADER_BYTES = 1 << 14  # numpy itself takes 10,000
 MOST_ITEM_BYTES = 1 << 10
+MOST_MEMBERS = 1000
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 # Deflate makes up to 1,032 bytes of one, and a column of one polarity comes near; all four columns together do not.
 MOST_TIMES = 100
@@ -56,6 +57,11 @@ class Array(NamedTuple):
     columns_first: bool  # order F
 
     @property
+    def end(self) -> int:
+        """The byte after the last one."""
+        return self.start + math.prod(self.shape) * self.dtype.itemsize
+
+    @property
     def is_column(self) -> bool:
         """Whether it is one row of plain numbers."""
         return self.dtype.kind in "iubf" and bool(self.shape) and math.prod(self.shape) == max(self.shape)
@@ -65,7 +71,8 @@ class Array(NamedTuple):
         """Whether it may hold all columns of events."""
         if self.dtype.names:
             plain = all(self.dtype[name].kind in "iubf" for name in self.dtype.names)
-            return len(self.shape) == 1 and plain and by_name(self.dtype.names) is not None
+            small = len(self.shape) == 1 and self.dtype.itemsize <= MOST_ITEM_BYTES
+            return small and plain and by_name(self.dtype.names) is not None
         return self.dtype.kind in "iuf" and len(self.shape) == 2 and self.shape[1] == 4
 
     def __str__(self) -> str:
@@ -129,7 +136,9 @@ def _choose(
         raise InputError("no such array of events", where=where, expected=expected, found=stream[:80])
     else:
         held = ", ".join(f"{name} {array}".strip() for name, array in list(arrays.items())[:8]) or "nothing"
-        raise InputError("holds no columns of events", where=where, expected=EXPECTED, found=held)
+        objects = any(array.dtype.hasobject for array in arrays.values())
+        hint = "write Python objects again as numbers: they are never loaded, as they can run code" if objects else ""
+        raise InputError("holds no columns of events", where=where, expected=EXPECTED, found=held, hint=hint)
     if chosen[0].dtype.names:
         places = by_name(chosen[0].dtype.names)
         unused = [name for i, name in enumerate(chosen[0].dtype.names) if places and i not in places.places]
@@ -211,8 +220,11 @@ def _skip(file: IO[bytes], size: int) -> None:
 
 
 def _single(path: Path, foreign: Foreign, where: str) -> Array:
-    array = _array(lambda: path.open("rb"), where)
-    after = path.stat().st_size - array.start - math.prod(array.shape) * array.dtype.itemsize
+    with path.open("rb") as file:
+        array = _array(_read(file, MOST_HEADER_BYTES), lambda: path.open("rb"), where)
+    after = path.stat().st_size - array.end
+    if array.dtype.hasobject:
+        return array
     if after < 0:
         raise InputError("the array is cut short", where=where, found=f"{-after} bytes too few", hint="copy it again")
     if after:
@@ -225,7 +237,10 @@ def _archived(path: Path, where: str) -> dict[str, Array]:
     arrays: dict[str, Array] = {}
     size, announced = path.stat().st_size, 0
     with _Bounded(path) as file, zipfile.ZipFile(file) as archive:
-        for member in archive.infolist():
+        members = archive.infolist()
+        if len(members) > MOST_MEMBERS:
+            raise InputError("an archive of too many arrays", where=where, found=f"{len(members):,}")
+        for member in members:
             if not member.filename.endswith(".npy"):
                 raise InputError(
                     "not an archive of numpy arrays", where=where, found=member.filename[:80], hint="unpack it"
@@ -249,8 +264,10 @@ def _archived(path: Path, where: str) -> dict[str, Array]:
                     found=f"{announced:,} bytes of {size:,}",
                     hint="the archive is damaged, or made to harm",
                 )
-            array = _array(partial(_member, path, member.filename), f"{where}: {name[:80]}")
-            if array.start + math.prod(array.shape) * array.dtype.itemsize != member.file_size:
+            with archive.open(member) as content:
+                head = _read(content, MOST_HEADER_BYTES)
+            array = _array(head, partial(_member, path, member.filename), f"{where}: {name[:80]}")
+            if array.end != member.file_size and not array.dtype.hasobject:
                 raise InputError(
                     f"{name[:80]} is not as long as it says", where=where, expected=str(array), found="another length"
                 )
@@ -280,20 +297,16 @@ def _member(path: Path, name: str) -> Iterator[IO[bytes]]:
         yield member
 
 
-def _array(open_: Callable[[], Any], where: str) -> Array:
-    """What the header of an array says."""
-    with open_() as file:
-        head = io.BytesIO(_read(file, MOST_HEADER_BYTES))
+def _array(content: bytes, open_: Callable[[], Any], where: str) -> Array:
+    """What the header of an array says; `content` are its first bytes."""
+    head = io.BytesIO(content)
     version = npy.read_magic(head)
     if version not in HEADERS:
         raise InputError("an array of another version", where=where, expected="1.0 or 2.0", found=f"{version}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers that Python 2 wrote
         shape, columns_first, dtype = HEADERS[version](head)
-    if dtype.hasobject:
-        hint = "write it again as numbers; objects are never loaded, as they can run code"
-        raise InputError("holds Python objects", where=where, expected="numbers", found=str(dtype)[:80], hint=hint)
-    if not 0 < dtype.itemsize <= MOST_ITEM_BYTES or not all(0 <= length < 2**62 for length in shape):
+    if not all(0 <= length < 2**62 for length in shape):
         raise InputError("no array of numbers", where=where, found=f"{str(dtype)[:80]} of shape {str(shape)[:80]}")
     return Array(open_, head.tell(), dtype, shape, bool(columns_first))
 

@@ -185,13 +185,17 @@ class Trap:
 
 
 def test_objects_are_never_loaded(tmp_path: Path) -> None:
-    """Assert that arrays of Python objects are refused in words, alone, in an archive and as a field."""
+    """Assert that arrays of Python objects are refused in words, alone, in an archive and as a field, or left out."""
     trap = np.array([Trap(), 1], object)
-    np.save(tmp_path / "a.npy", trap, allow_pickle=True)
-    np.savez(tmp_path / "b.npz", t=trap, x=trap, y=trap, p=trap, allow_pickle=True)
-    np.save(tmp_path / "c.npy", np.zeros(2, [("t", object), ("x", "i2"), ("y", "i2"), ("p", "i1")]), allow_pickle=True)
+    np.save(tmp_path / "a.npy", trap)
+    np.savez(tmp_path / "b.npz", t=trap, x=trap, y=trap, p=trap)
+    np.save(tmp_path / "c.npy", np.zeros(2, [("t", object), ("x", "i2"), ("y", "i2"), ("p", "i1")]))
     for name in ("a.npy", "b.npz", "c.npy"):
         assert "Python objects" in refusal(tmp_path / name, frame_px=FRAME)
+    np.savez(tmp_path / "d.npz", **EVENTS._asdict(), about=trap)
+    imported = read_events(tmp_path / "d.npz", frame_px=FRAME)
+    assert_equal(imported, EVENTS)
+    assert imported.left_out["values of about"] == 2
     assert not (Path(__file__).parent / "was_run").exists()
 
 
@@ -232,6 +236,8 @@ def test_other_archives_are_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("events.txt", "0 1 2 1\n")
     assert "unpack it" in refusal(path, frame_px=FRAME)
+    many = npz(tmp_path / "many.npz", {f"a{number}": npy(bytes(8), "'<i8'", (1,)) for number in range(1001)})
+    assert "too many arrays" in refusal(many, frame_px=FRAME)
     directory = 2 << 20
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 30000, 30000, directory, 30, 0)
     path.write_bytes(b"PK\3\4" + bytes(26) + bytes(directory) + end)
