@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import event_files
 import numpy as np
 import wire
 
@@ -166,6 +167,7 @@ KINDS = (
     Kind("AEDAT4", "events.aedat4", "bytes", _IMPORT),
     Kind("Prophesee RAW", "events.raw", "bytes", _IMPORT),
     Kind("Prophesee DAT", "events.dat", "bytes", _IMPORT),
+    *(Kind(name, file, mutation, _IMPORT) for name, (file, mutation) in event_files.FILES.items()),
     Kind("camera words", "words.bin", "bytes", ("wire words {f}",)),
     Kind("servo answers", "answers.bin", "bytes", ("wire answers {f}",)),
     Kind(
@@ -199,7 +201,7 @@ KINDS = (
 
 def make(folder: Path) -> None:
     """Make the corpus in a folder, unless it is there."""
-    if (folder / "complete").exists():
+    if (folder / "complete").exists() and all((folder / kind.file).exists() for kind in KINDS):
         return
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "short.toml").write_text(_short_scene())
@@ -213,6 +215,7 @@ def make(folder: Path) -> None:
     wire.write_answers(folder / "answers.bin")
     _write_raw(folder / "events.raw", events.t[:20_000])
     _write_dat(folder / "events.dat", *(column[:20_000] for column in events))
+    event_files.write(folder, events.part(0, event_files.EVENTS))
     _write_streams(folder)
     attach = ("attach", "piece.recording.h5", "--stream", "arm=pose.csv", "--stream", "wrist=trial.bag:/image")
     command = [sys.executable, "-m", "evetac_cli", *attach, "--out", "attached.recording.h5", "--quiet"]
