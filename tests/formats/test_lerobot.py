@@ -268,7 +268,7 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
     path = trial(tmp_path / "in", "a", gripper__current_target_ma=np.linspace(60.0, 5.0, SLICES // 2), **none)
     written(tmp_path / "out", [path])
     info, frames, _ = read(tmp_path / "out")
-    assert info["features"]["action"]["names"] == ["gripper_current_target_ma"]
+    assert info["features"]["action"]["names"] == ["gripper_current_target_ma", "gripper_current_written_ma"]
     wanted = np.linspace(60.0, 5.0, SLICES // 2)[np.arange(2, FRAMES + 2) * 4 // 2 - 1]
     np.testing.assert_allclose(np.stack(frames["action"])[:, 0], wanted, rtol=1e-6)
     assert "control_probability" not in info["features"]["observation.tactile"]["names"]

@@ -25,7 +25,10 @@ from evetac_cli.store.read import Recording
 Floats = NDArray[np.float32]
 RATE_HZ = 1_000_000 // SLICE_US
 STATE = ("gripper_position_ticks", "gripper_current_ma")
-OF_GRASP, OF_GRIPPER = ("control_goal_ticks",), ("gripper_current_target_ma",)  # actions; without a controller
+# Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
+# policies cannot take for an action; so what was written to the goal current stands in both.
+OF_GRASP = ("control_goal_ticks", "gripper_current_written_ma")
+OF_GRIPPER = ("gripper_current_target_ma", "gripper_current_written_ma")
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
 TACTILE = re.compile(
     rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|force_(shear|regression|network)_[xy]_n|force_normal_n"
