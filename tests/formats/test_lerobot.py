@@ -254,6 +254,7 @@ def test_trials_that_make_no_episodes_are_refused(tmp_path: Path) -> None:
     no_gripper = trial(tmp_path / "in", "c", **{f"gripper__{name}": None for name in without})
     assert "there is no gripper" in refusal(tmp_path / "out", [no_gripper])
     assert "too short" in refusal(tmp_path / "out", [whole], fps=50)
+    assert "no trial has such an object" in refusal(tmp_path / "out", [whole], test_objects=[3])
     controls = ("t_us", "u_ff_ticks", "x_ref_ticks", "goal_ticks", "slip", "phase", "missed", "slices_processed")
     ramp = trial(tmp_path / "in", "e", **{f"control__{name}": None for name in (*controls, "probability", "outcome")})
     assert "control_goal_ticks in some of them" in refusal(tmp_path / "out", [whole, ramp])
