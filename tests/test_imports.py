@@ -17,6 +17,7 @@ GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources"
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
     "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
+    "gym": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
@@ -52,6 +53,7 @@ ONLY_IN = {
     "dask": ("cli/engines.py",),
     "distributed": ("cli/engines.py",),
     "tornado": ("realtime/live_page/*",),
+    "gymnasium": ("gym.py",),
 }
 
 

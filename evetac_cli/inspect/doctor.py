@@ -45,6 +45,7 @@ SERVES = {
     "convert": "AEDAT4, bags, Prophesee's files",
     "plot": "pictures beside reports, pages, films",
     "cluster": "--engine dask",
+    "robot": "evetac_cli.gym, examples",
 }
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used

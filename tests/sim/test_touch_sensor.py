@@ -113,10 +113,8 @@ def test_forces_balance() -> None:
     """
     sensor = touched()
     sensor.step(0.02, normal_n=5.0, shear_n=(1.0, -0.5))
-    touch = sensor.step(0.1)
+    touch = sensor.step(0.4, shear_n=(1.0, -0.5))
     assert touch.normal_n == 5.0
-    sensor.step(0.1, shear_n=(1.0, -0.5))
-    touch = sensor.step(0.3, shear_n=(1.0, -0.5))
     assert touch.shear_n == pytest.approx((1.0, -0.5), abs=1e-4)
     gel = sensor._gel
     stiffness = gel.material.shear_modulus_pa * gel.cell_area_m2 / gel.material.height_m
@@ -215,7 +213,7 @@ def test_force_beyond_friction_slides_and_stays_bounded() -> None:
     speed_m_s = (after.place_m[0] - before.place_m[0]) / 0.1
     assert speed_m_s == pytest.approx(0.5 / PUSHER_N_S_M, rel=0.05)
     sensor.step(0.02, shear_n=(0.5, 0.0))
-    first, second = sensor.step(0.1), sensor.step(0.1)
+    first, second = (sensor.step(0.1, shear_n=(0.5, 0.0)) for _ in range(2))
     assert not second.slip
     assert second.place_m == pytest.approx(first.place_m, abs=1e-6)
 
