@@ -3,7 +3,6 @@
 import importlib
 import sys
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -125,9 +124,3 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(evetac_cli, "gym", raising=False)
     with pytest.raises(EvetacError, match=r"gymnasium is not installed(.|\n)*\[robot\]"):
         importlib.import_module("evetac_cli.gym")
-
-
-def test_the_page_registers_it() -> None:
-    """Assert that the page on robot simulators says how the environment is made."""
-    page = (Path(__file__).resolve().parents[1] / "docs" / "robot-simulators.md").read_text()
-    assert 'gymnasium.make("evetac/Lift-v0"' in page
