@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "scripts"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import results
 
+ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "robot-simulators.md"
 CODE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
 COMMANDS = re.findall(r"^    python (examples/\w+\.py.*)$", PAGE.read_text(), re.MULTILINE)
