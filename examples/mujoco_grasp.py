@@ -31,7 +31,7 @@ from evetac_cli.store.files import StageFile
 
 SLIP_THRESHOLD = 0.3  # as `evetac grasp`
 FINGER_N_M = 3.6e3  # of one finger: 1.8 N/mm of the gap, as the package's own
-AWAY_TICKS = 6
+AWAY_TICKS = 4  # before touch, where the fingers begin
 WIDEST_M = gap_m(0.0)
 TOUCH_MS, LIFT_MS, HOLD_MS = 1000, 3000, 1000
 RISE_M, RISE_M_S, RISES_AT_MS = 0.1, 0.05, 300
