@@ -42,6 +42,7 @@ Observation = dict[str, NDArray[np.float32]]
 MOST_TICKS = 60.0  # of the goal beyond light contact: about 14 N
 FARTHEST_PX, MOST_EVENTS, MOST_READ = 200.0, 1000.0, 2000.0  # ends of observations, in px, events a ms, ticks and mA
 COST_N_S, COST_MM = 0.02, 0.05
+LOST_MM = 20.0  # an object that moved so far in the hand is lost, and more of it costs no more
 TRUTH = ("truth/table_gap_mm", "truth/normal_force_n", "truth/object_xy_px")
 
 
@@ -76,8 +77,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     light contact in ticks and motor current in mA; time_s (1,), since the lift began.
 
     Reward: 1 for an object that hangs more than 50 mm above the table at the end of the lift, and 1 if it still does
-    at the end; less 0.02 for each N s of one finger's normal force, and 0.05 for each mm that the object moved in the
-    hand. Force and motion are the simulation's truth. `info` has them too, and what was drawn.
+    at the end; less 0.02 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
+    object moved in the hand. Force and motion are the simulation's truth. `info` has them too, and what was drawn.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
@@ -154,6 +155,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
         self._drawn = {"object": number, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
         self._lifted = False
+        self._moved_mm = 0.0
         self._slices = 0
         rows = self._play(self._timing.touch_ms)
         self._touch_ticks = self._gripper.read().position_ticks
@@ -165,6 +167,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._playing is None:
             raise gymnasium.error.ResetNeeded("this episode is over, or none was begun: call reset()")
         share = float(np.clip(np.asarray(action, np.float64).reshape(-1)[0], 0.0, 1.0))
+        if np.isnan(share):
+            raise InputError("not a number", where="action", expected="0 to 1", found=f"{action}")
         self._control.goal = self._touch_ticks + round(MOST_TICKS * share)
         timing, before = self._timing, self._slices
         rows = self._play(min(timing.every_ms, timing.end_ms - self._slices))
@@ -172,10 +176,11 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         fell = self._gripper.simulation.finished and not ended
         hangs = rows["truth/table_gap_mm"][-1] > LIFTED_MM and rows["truth/normal_force_n"][-1] > 0.0
         object_mm = self._object_now_mm(rows)
-        moved_mm = float(np.hypot(*(object_mm - self._object_mm)))
+        paid_mm = min(self._moved_mm, LOST_MM)
+        self._moved_mm += float(np.hypot(*(object_mm - self._object_mm)))
         self._object_mm = object_mm
         force_n_s = float(np.sum(rows["truth/normal_force_n"])) * SLICE_US * 1e-6
-        reward = -COST_N_S * force_n_s - COST_MM * moved_mm
+        reward = -COST_N_S * force_n_s - COST_MM * (min(self._moved_mm, LOST_MM) - paid_mm)
         lift_ends = timing.touch_ms + timing.lift_ms
         if before < lift_ends <= self._slices:
             self._lifted = bool(hangs and not fell)
@@ -189,7 +194,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = {
             **self._drawn,
             "normal_force_n": float(rows["truth/normal_force_n"][-1]),
-            "moved_mm": moved_mm,
+            "moved_mm": self._moved_mm,
             "lifted": self._lifted,
             "balanced": balanced,
         }
