@@ -10,7 +10,6 @@ cma) finds A to D on objects 1 to 9 with seeds below 10,000; the mean of its las
 
 import argparse
 import json
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cma
 import gymnasium
 import numpy as np
 
@@ -90,17 +90,15 @@ def judge(pool: Executor, objects: str, seeds: Sequence[int], theta: tuple[float
 
 def search(pool: Executor, run: int, generations: int, candidates: int, episodes: int) -> tuple[float, ...]:
     """The numbers that one run of CMA-ES ends with; its seeds are run * 1000 on."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the library's own, about what else could be installed
-        import cma
     options = {"seed": run + 1, "popsize": candidates, "verbose": -9, "maxiter": generations}
     strategy = cma.CMAEvolutionStrategy(4 * [0.0], 0.5, options)
     for generation in range(generations):
-        thetas = [tuple(map(float, theta)) for theta in strategy.ask()]
+        asked = strategy.ask()
+        thetas = [tuple(map(float, theta)) for theta in asked]
         seeds = [1000 * run + episodes * generation + number for number in range(episodes)]
         tasks = [(TRAINED_ON, seed, theta) for theta in thetas for seed in seeds]
         returns = np.array([row["return"] for row in pool.map(episode, tasks)]).reshape(len(thetas), episodes)
-        strategy.tell(thetas, (-returns.mean(axis=1)).tolist())
+        strategy.tell(asked, (-returns.mean(axis=1)).tolist())
         print(f"run {run}, generation {generation}: mean return {returns.mean():.2f}", flush=True)
     return tuple(map(float, strategy.mean))
 

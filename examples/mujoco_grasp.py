@@ -149,10 +149,10 @@ class Gripper:
         on_pad, wrench = np.zeros(3), np.zeros(6)
         for number in range(self.data.ncon):
             contact = self.data.contact[number]
-            if {int(contact.geom1), int(contact.geom2)} == {self._pad, self._object}:
+            if set(contact.geom.tolist()) == {self._pad, self._object}:
                 mujoco.mj_contactForce(self.model, self.data, number, wrench)
-                force = contact.frame.reshape(3, 3).T @ wrench[:3]  # on geom2
-                on_pad += force if contact.geom2 == self._pad else -force
+                force = contact.frame.reshape(3, 3).T @ wrench[:3]  # on the second of the two
+                on_pad += force if contact.geom[1] == self._pad else -force
         return max(float(on_pad[0]), 0.0), (-float(on_pad[2]), -float(on_pad[1]))
 
 

@@ -23,7 +23,7 @@ import evetac_cli as evetac
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "robot-simulators.md"
-BOX = {"shape": "flat", "width_mm": 40, "static_friction": 0.8}
+BOX = {"shape": "flat", "static_friction": 0.8}
 BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
 MADE_MS = 500
 ROUNDS = 5

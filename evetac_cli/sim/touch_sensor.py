@@ -101,19 +101,32 @@ class _Goal(NamedTuple):
         return tuple(a + share * (b - a) for a, b in zip(self.values, end.values, strict=True))
 
 
+class _Surface(NamedTuple):
+    """An object's surface at a place (x, y, turned): its gap to each node, and `contact.indentation_curve` there."""
+
+    place: tuple[float, ...]
+    gap_m: Floats
+    table: tuple[Floats, Floats]
+
+    def is_near(self, place: tuple[float, ...]) -> bool:
+        """Whether the surface presses as it would at another place."""
+        x_m, y_m, turn = (abs(to - since) for to, since in zip(place, self.place, strict=True))
+        return max(x_m, y_m, turn * PUSHER_ARM_M) <= SURFACE_STEP_M
+
+
 class TouchSensor:
     """A simulated sensor on one finger, for use in MuJoCo, PyBullet or a loop of one's own; see `step`.
 
     sensor: of `evetac.sensors()`, or a TOML file; `randomized` draws one. object: a number of the paper's table, or
-    `shape` (flat, cylinder along x, sphere), `width_mm` (its diameter), `static_friction`, and if wanted
-    `kinetic_share` and `tilt_deg`. rng: noise, and all else that is drawn, comes from it alone. gel: cut or closed.
+    `static_friction` and `shape`: flat, which covers the pad, or a cylinder along x or a sphere of `width_mm`; and if
+    wanted `kinetic_share` and `tilt_deg`. rng: noise, and all else that is drawn, comes from it alone. gel: cut or closed.
     readout, solver: as of `evetac.simulate`. at_m: where on the gel the object's middle is at first, x and y in m from
     the middle of the view. InputError for anything else.
 
     A sensor is a gel that `evetac.DotTracker` and `evetac.SlipDetector` take.
 
     >>> import numpy as np
-    >>> box = {"shape": "flat", "width_mm": 40, "static_friction": 0.8}
+    >>> box = {"shape": "flat", "static_friction": 0.8}
     >>> sensor = evetac.TouchSensor(object=box, rng=np.random.default_rng(0))
     >>> detector = evetac.SlipDetector(sensor)
     >>> for shear_n in (0.0, 0.5, 1.0):
@@ -167,7 +180,7 @@ class TouchSensor:
     ) -> None:
         nodes = pad(parts, row)
         self._material = material(row)
-        self._surface = (described["shape"], float(described["width_mm"]) * 0.5e-3, self.sampled.tilt_rad)
+        self._shape = (described["shape"], float(described["width_mm"]) * 0.5e-3, self.sampled.tilt_rad)
         self._node_stiffness_n_m = float(row["normal_modulus_pa"]) / self._material.height_m * contact.cell_area(nodes)
         mass_kg = PUSHER_N_S_M * STEP_S
         start = (mass_kg, mass_kg * PUSHER_ARM_M**2, 1)
@@ -185,8 +198,13 @@ class TouchSensor:
         self._cut_m = np.zeros_like(self._camera.cut_rest_m)
         self._now_ns = self._slices = 0
         place = (at_m[0], at_m[1], 0.0)
-        self._touch_m = float(self._height_of_surface(place).min())
-        self._put_surface(place)
+        height_m = self._height_of_surface(place)
+        self._touch_m = float(height_m.min())
+        gap_m = height_m - self._touch_m
+        table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
+        self._surface = self._next = _Surface(place, gap_m, table)
+        self._looks_same = described["shape"] == "flat" and self.sampled.tilt_rad == 0.0  # wherever it is
+        self._pressed_m = math.nan  # how deep the shares of the nodes are meant
         self._moved_to: tuple[float, ...] | None = place  # where the last slice was told to put the object
         self._normal_n = self._indentation_m = 0.0
         self._shear_n: tuple[float, float] = (0.0, 0.0)
@@ -270,18 +288,18 @@ class TouchSensor:
     def _wanted_pressure(self, normal_n: float | None, indentation_m: float | None, moving: _Goal) -> _Goal:
         if normal_n is not None and indentation_m is not None:
             raise _refused("normal_n beside indentation_m", "one of the two: the other follows from it", "both")
-        force_n, depth_m = self._table_at(self._end_of(moving))
+        if normal_n is None and indentation_m is None:
+            return self._pressing
+        force_n, depth_m = self._pressed_at(self._end_of(moving)).table
         if normal_n is not None:
             (force,) = _finite("normal_n", (normal_n,), 1, math.inf)
             if not 0.0 <= force <= force_n[-1]:
                 raise _refused("normal_n: cannot be", f"0 to {force_n[-1]:.4g} N, which press the gel flat", f"{force}")
             return _Goal("normal_n", (force,))
-        if indentation_m is not None:
-            (depth,) = _finite("indentation_m", (indentation_m,), 1, FARTHEST_M)
-            if depth > depth_m[-1]:
-                raise _refused("indentation_m: presses the gel flat", f"up to {depth_m[-1]:.4g} m", f"{depth}")
-            return _Goal("indentation_m", (depth,))
-        return self._pressing
+        (depth,) = _finite("indentation_m", (indentation_m,), 1, FARTHEST_M)
+        if depth > depth_m[-1]:
+            raise _refused("indentation_m: presses the gel flat", f"up to {depth_m[-1]:.4g} m", f"{depth}")
+        return _Goal("indentation_m", (depth,))
 
     def _end_of(self, moving: _Goal) -> tuple[float, ...]:
         """Where the surface is at the end of a step, as far as that is known before it."""
@@ -291,7 +309,7 @@ class TouchSensor:
         """Normal force at the end of a step."""
         if pressing.by == "normal_n":
             return pressing.values[0]
-        force_n, depth_m = self._table_at(self._end_of(moving))
+        force_n, depth_m = self._pressed_at(self._end_of(moving)).table
         return float(np.interp(pressing.values[0], depth_m, force_n))
 
     def _height_of_surface(self, place: tuple[float, ...]) -> Floats:
@@ -301,28 +319,17 @@ class TouchSensor:
         if turn:
             cosine, sine = math.cos(turn), math.sin(turn)
             from_middle = from_middle @ np.array([[cosine, -sine], [sine, cosine]])
-        return contact.surface(from_middle, *self._surface)
+        return contact.surface(from_middle, *self._shape)
 
-    def _is_surface_at(self, place: tuple[float, ...]) -> bool:
-        """Whether the surface is near enough to a place, or looks the same everywhere."""
-        if self._surface[0] == "flat" and self._surface[2] == 0.0:
-            return True
-        x_m, y_m, turn = (abs(to - since) for to, since in zip(place, self._surface_at, strict=True))
-        return x_m <= SURFACE_STEP_M and y_m <= SURFACE_STEP_M and turn * PUSHER_ARM_M <= SURFACE_STEP_M
-
-    def _table_at(self, place: tuple[float, ...]) -> tuple[Floats, Floats]:
-        """Normal force and indentation of the gel for an object at a place, as of `contact.indentation_curve`."""
-        if self._is_surface_at(place):
-            return self._table
+    def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
+        """The surface of an object at a place: the present one, or that asked for last, where it is near enough."""
+        for known in (self._surface, self._next):
+            if self._looks_same or known.is_near(place):
+                return known
         gap_m = self._height_of_surface(place) - self._touch_m
-        return contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
-
-    def _put_surface(self, place: tuple[float, ...]) -> None:
-        """Put the object's surface to a place."""
-        self._surface_at = place
-        self._gap_m = self._height_of_surface(place) - self._touch_m
-        self._table = contact.indentation_curve(self._gap_m, self._node_stiffness_n_m, self._material.height_m)
-        self._pressed_m = math.nan  # how deep the shares of the nodes are meant
+        table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
+        self._next = _Surface(place, gap_m, table)
+        return self._next
 
     def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
         """One slice, at the end of which the contact is as given."""
@@ -341,20 +348,18 @@ class TouchSensor:
                 -PUSHER_N_S_M * PUSHER_ARM_M**2 * speed[2],
             )
             self._moved_to = None
-        place = self._end_of(moved)
-        if not self._is_surface_at(place):
-            self._put_surface(place)
-        force_n, depth_m = self._table
+        surface = self._pressed_at(self._end_of(moved))
+        force_n, depth_m = surface.table
         if pressed.by == "normal_n":
             self._normal_n = pressed.values[0]
             self._indentation_m = float(np.interp(self._normal_n, force_n, depth_m))
         else:
             self._indentation_m = pressed.values[0]
             self._normal_n = float(np.interp(self._indentation_m, depth_m, force_n))
-        pressed_as_before = self._indentation_m == self._pressed_m
+        pressed_as_before = surface is self._surface and self._indentation_m == self._pressed_m
         if not pressed_as_before:
-            self._pressed_m = self._indentation_m
-            self._shares = contact.pressure(self._indentation_m, self._gap_m, 1.0)
+            self._surface, self._pressed_m = surface, self._indentation_m
+            self._shares = contact.pressure(self._indentation_m, surface.gap_m, 1.0)
         each = None
         if self._path is not None:
             self._path.begin()
@@ -378,7 +383,7 @@ class TouchSensor:
 
     def _dilated(self) -> Floats:
         """Shift of the dots by pressure alone."""
-        depth = np.maximum(self._indentation_m - self._gap_m, 0.0)
+        depth = np.maximum(self._indentation_m - self._surface.gap_m, 0.0)
         at_dots = gel.field_at(depth[..., None], *self._at_dots)[:, 0]
         return dilation(self._camera.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
 
@@ -410,12 +415,14 @@ def _object_row(given: int | Mapping[str, Any]) -> dict[str, Any]:
         near = get_close_matches(unknown[0], known, n=1)
         hint = f"did you mean {near[0]}?" if near else ""
         raise _refused("object: unknown key", ", ".join(known), unknown[0], hint)
-    lacking = [key for key in ("shape", "width_mm", "static_friction") if key not in given]
+    shape = given.get("shape")
+    if shape not in SHAPES:
+        raise _refused("object: unknown shape", ", ".join(SHAPES), shape)
+    needed = ["static_friction"] + ["width_mm"] * (shape != "flat")
+    lacking = [key for key in needed if key not in given]
     if lacking:
-        raise _refused(f"object: {lacking[0]} is missing", "shape, width_mm and static_friction", ", ".join(given))
-    if given["shape"] not in SHAPES:
-        raise _refused("object: unknown shape", ", ".join(SHAPES), given["shape"])
-    row = {"shape": given["shape"], "mass_g": 1.0}
+        raise _refused(f"object: {lacking[0]} is missing", ", ".join(needed), ", ".join(map(str, given)))
+    row = {"shape": shape, "mass_g": 1.0, "width_mm": OBJECT_RANGES["width_mm"][1]}
     for key, (low, high) in OBJECT_RANGES.items():
         if key in given:
             (row[key],) = _finite(f"object: {key}", (given[key],), 1, math.inf)

@@ -14,7 +14,7 @@ from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.touch_sensor import PUSHER_N_S_M, Touch, TouchSensor
 
-BOX = {"shape": "flat", "width_mm": 40.0, "static_friction": 1.0}
+BOX = {"shape": "flat", "static_friction": 1.0}
 BALL = {"shape": "sphere", "width_mm": 40.0, "static_friction": 1.0}
 COARSE = {"node_pitch_mm": 1.667}
 
@@ -256,7 +256,8 @@ def test_extreme_steps_are_refused(asked: dict[str, Any], said: str, unchanged: 
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"sensor": "evetack"}, "did you mean evetac"),
     ({"object": 21}, "no such object"),
-    ({"object": {"shape": "flat"}}, "is missing"),
+    ({"object": {"shape": "flat"}}, "static_friction is missing"),
+    ({"object": {"shape": "sphere", "static_friction": 1.0}}, "width_mm is missing"),
     ({"object": {**BOX, "widht_mm": 3}}, "did you mean width_mm"),
     ({"object": {**BOX, "shape": "torus"}}, "flat, cylinder, sphere"),
     ({"object": {**BOX, "static_friction": math.nan}}, "static_friction"),
