@@ -10,7 +10,7 @@ cma) finds A to D on objects 1 to 9 with seeds below 10,000; the mean of its las
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -26,8 +26,6 @@ from evetac_cli.gym import MOST_TICKS, LiftEnv
 TRAINED_ON, JUDGED_ON = "1-9", "10-18"
 JUDGED_FROM = 22_000
 GRIPS = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
-
-Policy = Callable[[dict[str, Any]], float]
 
 
 @dataclass

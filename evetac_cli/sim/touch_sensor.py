@@ -119,9 +119,9 @@ class TouchSensor:
 
     sensor: of `evetac.sensors()`, or a TOML file; `randomized` draws one. object: a number of the paper's table, or
     `static_friction` and `shape`: flat, which covers the pad, or a cylinder along x or a sphere of `width_mm`; and if
-    wanted `kinetic_share` and `tilt_deg`. rng: noise, and all else that is drawn, comes from it alone. gel: cut or closed.
-    readout, solver: as of `evetac.simulate`. at_m: where on the gel the object's middle is at first, x and y in m from
-    the middle of the view. InputError for anything else.
+    wanted `kinetic_share` and `tilt_deg`. rng: noise, and all else that is drawn, comes from it alone. gel: cut or
+    closed. readout, solver: as of `evetac.simulate`. at_m: where on the gel the object's middle is at first, x and y in
+    m from the middle of the view. InputError for anything else.
 
     A sensor is a gel that `evetac.DotTracker` and `evetac.SlipDetector` take.
 
@@ -322,10 +322,14 @@ class TouchSensor:
         return contact.surface(from_middle, *self._shape)
 
     def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
-        """The surface of an object at a place: the present one, or that asked for last, where it is near enough."""
-        for known in (self._surface, self._next):
-            if self._looks_same or known.is_near(place):
-                return known
+        """The surface of an object at a place: the present one where it is near enough.
+
+        One that was asked for already counts only for that very place: what is felt must not hang on what was asked.
+        """
+        if self._looks_same or self._surface.is_near(place):
+            return self._surface
+        if self._next.place == place:
+            return self._next
         gap_m = self._height_of_surface(place) - self._touch_m
         table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
         self._next = _Surface(place, gap_m, table)
