@@ -109,10 +109,11 @@ def main() -> None:
     parser.add_argument("--candidates", type=int, default=8)
     parser.add_argument("--episodes", type=int, default=4, help="of each candidate")
     parser.add_argument("--judged", type=int, default=20, help="episodes that each policy is judged on")
+    parser.add_argument("--judged-from", type=int, default=JUDGED_FROM, help="seed of the first of them")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args()
-    seeds = range(JUDGED_FROM, JUDGED_FROM + chosen.judged)
+    seeds = range(chosen.judged_from, chosen.judged_from + chosen.judged)
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(chosen.jobs) as pool:
         for ticks in GRIPS:

@@ -27,7 +27,7 @@ SHORT = {"hand_mm_s": 400.0, "lift_s": 0.6, "balance_s": 0.1}
 def quick_touch(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The lift scene on a coarse gel, with a short contact phase."""
     changed = tomllib.loads((SCENES / "lift.toml").read_text())
-    changed["time"] |= {"touch_s": 0.2, "before_rise_s": 0.1}
+    changed["time"] |= {"touch_s": 0.6, "before_rise_s": 0.1}
     changed["solver"] = {"node_pitch_mm": 2.5}
     path = tmp_path_factory.mktemp("lift") / "quick.toml"
     path.write_text(as_toml(changed))
@@ -63,8 +63,8 @@ def test_an_episode_is_a_grasp(quick_touch: str) -> None:
     drawn.choice([8])
     seeds = [int(part) for part in drawn.integers(2**31, size=4)]
     devices = rig(scene.for_trial(env._plans[8], seeds), np.random.SeedSequence(seeds), lift_s=0.6, balance_s=0.1)
-    slices = grasp_slices(devices, None, Control(FixedGrip(20), 50.0), Timing(200, 600, 100, 50.0))
-    for _ in range(200):
+    slices = grasp_slices(devices, None, Control(FixedGrip(20), 50.0), Timing(600, 600, 100, 50.0))
+    for _ in range(600):
         next(slices)
     for _ in range(10):
         _, _, _, _, info = env.step(np.array([20 / gym.MOST_TICKS], np.float32))
