@@ -48,8 +48,8 @@ def data_card(
         _origin(simulated, len(outlines)),
         "",
         f"{len(outlines)} episodes, {info['total_frames']} frames at {fps} frames a second, as a LeRobotDataset"
-        f" {info['codebase_version']}. Written by evetac {made()['evetac']}; meta/evetac.json has the recipe of every file"
-        " that an episode comes from: parameters, seeds, ids.",
+        f" {info['codebase_version']}. Written by evetac {made()['evetac']}; meta/evetac.json has the recipe of every"
+        " file that an episode comes from: parameters, seeds, ids.",
         "",
         "## What a frame holds",
         "",
