@@ -166,9 +166,9 @@ def test_the_card_says_what_is_simulated(out: Path, sources: list[Path]) -> None
     assert "**Simulated.** All episodes are from evetac's simulator" in text
     assert "the mean of the frame's slices" in text
     assert "| 8 | evetac | slips | train | 2 |" in text and "| 3 | evetac | slips | test | 1 |" in text
-    told = json.loads((out / "meta" / "evetac.json").read_text())
+    about = json.loads((out / "meta" / "evetac.json").read_text())
     with Recording(sources[1]) as recording:
-        assert told["episodes"]["2"]["headers"]["recording"]["id"] == recording.header["id"]
+        assert about["episodes"]["2"]["headers"]["recording"]["id"] == recording.header["id"]
 
 
 @pytest.mark.parametrize("fps", [7, 30, 50, 60, 250, 999, 1000])

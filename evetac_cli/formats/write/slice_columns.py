@@ -126,14 +126,14 @@ def columns_of(files: TrialFiles) -> list[Columns]:
 
 def read_columns(columns: Sequence[Columns], names: Sequence[str], slices: int) -> Masked:
     """All slices of the columns of these names, (slices, columns), as float32; KeyError for a name that is missing."""
-    found: dict[str, Masked] = {}
+    by_name: dict[str, Masked] = {}
     for group in columns:
         wanted = [name for name in group.names if name in names]
         values = group.read(0, slices) if wanted else None
-        found |= {name: values[:, group.names.index(name)] for name in wanted if values is not None}
+        by_name |= {name: values[:, group.names.index(name)] for name in wanted if values is not None}
     chosen = _none_known(slices, len(names), np.dtype(np.float32))
     for at, name in enumerate(names):
-        chosen[:, at] = found[name]
+        chosen[:, at] = by_name[name]
     return chosen
 
 
