@@ -72,7 +72,7 @@ def data_card(
         "|---|---|---|---|---|",
         *_episodes(outlines, info["splits"]),
         "",
-        "Tasks: " + "; ".join(dict.fromkeys(_plain(one.task) for one in outlines)) + ".",
+        "Tasks: " + "; ".join(dict.fromkeys(_plain(one.task, 300) for one in outlines)) + ".",
         "",
         *([f"Left out: {_plain('; '.join(left_out), 2000)}.", ""] if left_out else []),
         "## Licence",
