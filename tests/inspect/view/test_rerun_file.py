@@ -17,7 +17,7 @@ from evetac_cli.inspect import view
 from evetac_cli.inspect.view import rerun_file
 from evetac_cli.params.inspection import View
 from evetac_cli.store.read import open_recording
-from tests.inspect.view.trials import NASTY, REST, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.inspect.view.trials import NASTY, REST, SENSOR, SLICES, moving, write_labels, write_recording, write_tracks
 from tests.test_readme import PAGES, shown_commands
 
 rerun = pytest.importorskip("rerun")
@@ -143,17 +143,17 @@ def test_a_long_recording_is_thinned_and_says_so(trial: Path, monkeypatch: pytes
         assert said in words
 
 
-def test_dots_that_nobody_knows_are_left_out(tmp_path: Path) -> None:
+def test_dots_that_nobody_knows_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a place that is not a number is not drawn, and a part of a trial begins at its time."""
     path = tmp_path / "a.recording.h5"
     header = write_recording(path, truth=False)
-    dots = moving()
-    dots[30:40, 2] = np.nan
+    dots, grid = moving(), REST.copy()
+    dots[:, 2] = grid[0, 2] = np.nan
+    monkeypatch.setitem(SENSOR, "sensor/dot_xy_px", grid)
     write_tracks(path.with_name("a.tracks.h5"), header, dots)
     rows = rows_of(made(path, start_s=0.02, stop_s=0.05))
-    assert [(at, len(row["Points2D:positions"])) for at, row in rows["/gel/dots"]] == [
-        (1000 * k, 5 if 30 <= k < 40 else 6) for k in range(20, 50)
-    ]
+    for name, column in (("/gel/dots", "Points2D:positions"), ("/gel/displacement", "Arrows2D:vectors")):
+        assert [(at, len(row[column])) for at, row in rows[name]] == [(1000 * k, 5) for k in range(20, 50)]
     assert "/gel/true_dots" not in rows and "Simulated" not in static_text(path.with_name("a.rrd"))
 
 
