@@ -192,9 +192,9 @@ def test_forces_beside_it_are_taken_along(tmp_path: Path) -> None:
     exported(small_files.every_kind(tmp_path)["recording"])
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (tmp_path / "a.mcap").open("rb") as file:
-        found = list(make_reader(file).iter_messages("/evetac/force"))
-    assert len(found) == small_files.SLICES
-    for _, _, message in found:
+        messages = list(make_reader(file).iter_messages("/evetac/force"))
+    assert len(messages) == small_files.SLICES
+    for _, _, message in messages:
         force = store.deserialize_cdr(message.data, "geometry_msgs/msg/WrenchStamped").wrench.force  # type: ignore[attr-defined]
         assert (force.x, force.y) == (0.0, 0.0) and np.isnan(force.z)
 

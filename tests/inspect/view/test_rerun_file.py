@@ -27,7 +27,7 @@ Rows = list[tuple[int, dict[str, Any]]]
 
 def rows_of(path: Path) -> dict[str, Rows]:
     """What rerun reads: under each path the rows with their time in us, in the order of time."""
-    found: dict[str, Rows] = defaultdict(list)
+    parts: dict[str, Rows] = defaultdict(list)
     for chunk in rerun.chunk.RrdReader(path).stream():
         if chunk.is_static:
             continue
@@ -36,8 +36,8 @@ def rows_of(path: Path) -> dict[str, Rows]:
         t_us = batch.column("t").cast("int64").to_numpy() // 1000
         columns = {name: batch.column(name).to_pylist() for name in batch.schema.names if ":" in name}
         for number, at in enumerate(t_us.tolist()):
-            found[chunk.entity_path].append((at, {name: values[number] for name, values in columns.items()}))
-    return {name: sorted(rows, key=lambda row: row[0]) for name, rows in found.items()}
+            parts[chunk.entity_path].append((at, {name: values[number] for name, values in columns.items()}))
+    return {name: sorted(rows, key=lambda row: row[0]) for name, rows in parts.items()}
 
 
 def static_text(path: Path) -> str:
@@ -59,7 +59,7 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
     assert stored.application_id == "evetac" and len(rerun.chunk.RrdReader(path).blueprints()) == 1
     rows = rows_of(path)
     charts = "/series/"
-    assert {name: len(found) for name, found in rows.items()} == {
+    assert {name: len(each) for name, each in rows.items()} == {
         "/gel/events": SLICES,
         "/gel/dots": SLICES,
         "/gel/displacement": SLICES,
