@@ -100,6 +100,7 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
     assert "**Simulated.**" in words and "- truth: 0.200 s" in words and "one in" not in words
 
 
+@pytest.mark.slow
 def test_a_grasp_has_its_phases(tmp_path: Path) -> None:
     """Assert that contact, lift and balance follow each other, and that the blueprint names what is simulated."""
     path = tmp_path / "a.recording.h5"
@@ -179,6 +180,7 @@ def test_strange_names(tmp_path: Path) -> None:
     assert path.name in static_text(tmp_path / "a.rrd")
 
 
+@pytest.mark.slow
 def test_from_the_command_line(trial: Path) -> None:
     """Assert where the file is, that it is replaced on demand alone, and that it ends in .rrd."""
     run = CliRunner().invoke(app, ["view", str(trial), "--rrd", "--json"])
@@ -196,6 +198,7 @@ def test_from_the_command_line(trial: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_complete_is_no_file(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that what the disk did not take leaves words and nothing else; rerun itself says nothing."""
     disconnect = rerun.RecordingStream.disconnect
@@ -218,6 +221,7 @@ def test_rerun_needs_the_extra_view(trial: Path, monkeypatch: pytest.MonkeyPatch
         made(trial)
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_docs_run(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the page on view writes files that rerun reads."""
     monkeypatch.chdir(trial.parent)
