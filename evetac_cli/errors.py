@@ -28,6 +28,8 @@ EXTRAS = {
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "view": ("rerun",),
     "cluster": ("dask", "distributed"),
+    "log": ("tensorboard",),
+    "robot": ("mujoco", "gymnasium", "cma"),
 }
 # What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
 INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}

@@ -46,6 +46,8 @@ SERVES = {
     "plot": "pictures beside reports, pages, films",
     "view": "view --rrd",
     "cluster": "--engine dask",
+    "log": "train --log tensorboard",
+    "robot": "evetac_cli.gym, examples",
 }
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used

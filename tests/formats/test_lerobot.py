@@ -254,8 +254,25 @@ def test_trials_that_make_no_episodes_are_refused(tmp_path: Path) -> None:
     no_gripper = trial(tmp_path / "in", "c", **{f"gripper__{name}": None for name in without})
     assert "there is no gripper" in refusal(tmp_path / "out", [no_gripper])
     assert "too short" in refusal(tmp_path / "out", [whole], fps=50)
+    assert "no trial has such an object" in refusal(tmp_path / "out", [whole], test_objects=[3])
+    controls = ("t_us", "u_ff_ticks", "x_ref_ticks", "goal_ticks", "slip", "phase", "missed", "slices_processed")
+    ramp = trial(tmp_path / "in", "e", **{f"control__{name}": None for name in (*controls, "probability", "outcome")})
+    assert "control_goal_ticks in some of them" in refusal(tmp_path / "out", [whole, ramp])
     larger = trial(tmp_path / "in", "d", sensor__frame_px=np.array([1280, 720], np.int32))
     assert "1280 x 720" in refusal(tmp_path / "out", [whole, larger])
+
+
+def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
+    """Assert that a slip, which has no goal position, has the wanted current one frame later as its action."""
+    controls = ("t_us", "u_ff_ticks", "x_ref_ticks", "goal_ticks", "slip", "phase", "missed", "slices_processed")
+    none = {f"control__{name}": None for name in (*controls, "probability", "outcome")}
+    path = trial(tmp_path / "in", "a", gripper__current_target_ma=np.linspace(60.0, 5.0, SLICES // 2), **none)
+    written(tmp_path / "out", [path])
+    info, frames, _ = read(tmp_path / "out")
+    assert info["features"]["action"]["names"] == ["gripper_current_target_ma", "gripper_current_written_ma"]
+    wanted = np.linspace(60.0, 5.0, SLICES // 2)[np.arange(2, FRAMES + 2) * 4 // 2 - 1]
+    np.testing.assert_allclose(np.stack(frames["action"])[:, 0], wanted, rtol=1e-6)
+    assert "control_probability" not in info["features"]["observation.tactile"]["names"]
 
 
 def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:

@@ -171,7 +171,11 @@ def test_csv_has_the_same_numbers(source: Path, table: Path) -> None:
     ours, text = pd.read_parquet(table), pd.read_csv(target)
     assert list(text) == list(ours)
     for name in ours:
-        np.testing.assert_array_equal(text[name].to_numpy(ours[name].dtype), ours[name].to_numpy(), name)
+        values = ours[name].to_numpy()
+        if values.dtype.kind in "fiub":
+            np.testing.assert_array_equal(text[name].to_numpy(values.dtype), values, name)
+        else:
+            assert text[name].tolist() == values.tolist()
     assert "nan" not in target.read_text()
 
 
@@ -202,7 +206,7 @@ def test_a_folder_becomes_one_data_set(tmp_path: Path) -> None:
     assert rows == [
         (8, "evetac", 1, "slips", SLICES, SLICES, SLICES),
         (8, "evetac", 2, "slips", SLICES, SLICES, SLICES),
-        (3, "evetac", 3, "slips", SLICES, 0, SLICES),
+        (3, "evetac", 3, None, SLICES, 0, SLICES),
     ]
     frame = pd.read_parquet(out)
     assert len(frame) == 3 * SLICES and {"object", "sensor"} <= set(frame)

@@ -27,7 +27,6 @@ MCAP = b"\x89MCAP0\r\n"
 ROS1 = b"#ROSBAG V2.0\n"
 METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
-MOST_LEFT_OUT = 5  # topics without events that are named
 ZSTD = b"\x28\xb5\x2f\xfd"
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # of exports of ours
 NOTE_TYPE = "std_msgs/msg/String"
@@ -62,7 +61,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
         if topic == EVENTS_TOPIC and ros2:
             foreign.note = _note(reader, where)
-        foreign.notes += _left_out(reader.connections)
+        foreign.left_out |= _left_out(reader.connections)
         first = next(_messages(reader, topic, kind, where), None)
         if first is None and foreign.note is not None and not foreign.note.slices:
             foreign.frame_px = choose_frame(foreign.note.frame_px, frame_px, where)
@@ -122,18 +121,13 @@ def _note(reader: Any, where: str) -> Note | None:
     return read_note(text, where)
 
 
-def _left_out(connections: list[Any]) -> Iterator[str]:
-    """How many messages there are of topics without events, in words."""
-    counts: Counter[tuple[str, str]] = Counter()
+def _left_out(connections: list[Any]) -> dict[str, int]:
+    """How many messages there are of each topic without events."""
+    counts: Counter[str] = Counter()
     for one in connections:
-        if one.msgtype not in TYPES and (one.topic, one.msgtype) != (NOTE_TOPIC, NOTE_TYPE):
-            counts[one.topic, one.msgtype] += one.msgcount
-    named = [
-        f"{count} message{'s' * (count > 1)} on {topic} ({kind})" for (topic, kind), count in counts.items() if count
-    ]
-    if named:
-        more = f", and {len(named) - MOST_LEFT_OUT} more topics" if len(named) > MOST_LEFT_OUT else ""
-        yield f"left out: {', '.join(named[:MOST_LEFT_OUT])}{more}"
+        if one.msgtype not in TYPES and (one.topic, one.msgtype) != (NOTE_TOPIC, NOTE_TYPE) and one.msgcount:
+            counts[f"messages on {one.topic} ({one.msgtype})"] += one.msgcount
+    return dict(counts)
 
 
 def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
@@ -175,6 +169,7 @@ def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: st
         try:
             inner = read_prophesee.open_prophesee(raw, None)
             foreign.notes += inner.notes
+            foreign.left_out |= inner.left_out
             yield from inner.batches
         except InputError as error:
             raise InputError(str(error).replace(str(raw), where)) from None

@@ -25,7 +25,10 @@ from evetac_cli.store.read import Recording
 Floats = NDArray[np.float32]
 RATE_HZ = 1_000_000 // SLICE_US
 STATE = ("gripper_position_ticks", "gripper_current_ma")
-ACTIONS = (("control_goal_ticks",), ("gripper_current_target_ma",))  # of a grasp; of any other trial with a gripper
+# Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
+# policies cannot take for an action; so what was written to the goal current stands in both.
+OF_GRASP = ("control_goal_ticks", "gripper_current_written_ma")
+OF_GRIPPER = ("gripper_current_target_ma", "gripper_current_written_ma")
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
 TACTILE = re.compile(
     rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|force_(shear|regression|network)_[xy]_n|force_normal_n"
@@ -72,13 +75,11 @@ def outline(files: TrialFiles, task: str | None) -> Outline:
 def choose_vectors(outlines: Sequence[Outline]) -> tuple[Vectors, list[str]]:
     """The columns that all trials have, and those that only some have, which are left out.
 
-    InputError if a trial has no gripper or no displacements, or the trials have different frames.
+    InputError if a trial has no gripper or no displacements, or the trials have other frames, dots or actions.
     """
     common = set.intersection(*(set(one.names) for one in outlines))
-    action = next((names for names in ACTIONS if common.issuperset(names)), None)
     for one in outlines:
-        has_action = any(set(one.names).issuperset(names) for names in ACTIONS)
-        if not has_action or not set(one.names).issuperset(STATE):
+        if not set(one.names).issuperset((*STATE, *OF_GRIPPER)):
             raise InputError("an episode needs an action, and there is no gripper", where=str(one.path))
         if not any(map(DISPLACEMENT.fullmatch, one.names)):
             raise InputError(
@@ -100,18 +101,19 @@ def choose_vectors(outlines: Sequence[Outline]) -> tuple[Vectors, list[str]]:
             )
     tactile_of = [[name for name in one.names if TACTILE.fullmatch(name)] for one in outlines]
     some = set().union(*tactile_of) - common
+    actions = {OF_GRASP if set(one.names).issuperset(OF_GRASP) else OF_GRIPPER for one in outlines}
     odd = next((name for name in sorted(some) if DISPLACEMENT.fullmatch(name)), None)
-    if action is None or odd is not None:
+    if len(actions) > 1 or odd is not None:
         raise InputError(
             "episodes have the same dots and the same action",
             where=str(outlines[0].path.parent),
             expected="trials of one gel, all grasps or none",
-            found=f"{odd or ACTIONS[0][0]} in some of them",
+            found=f"{odd or OF_GRASP[0]} in some of them",
             hint="export them to folders of their own",
         )
     tactile = tuple(name for name in tactile_of[0] if name in common)
     left_out = [f"not in all trials: {', '.join(sorted(some))}"] if some else []
-    return Vectors(STATE, tactile, action), left_out
+    return Vectors(STATE, tactile, actions.pop()), left_out
 
 
 def _size(one: Outline) -> str:

@@ -70,6 +70,10 @@ def write(
             outlines.append(outline(files, task))
     vectors, said = choose_vectors(outlines)
     outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # stable: test comes last
+    train = sum(one.facts["object"] not in test_objects for one in outlines)
+    if test_objects and train == len(outlines):
+        objects = ", ".join(sorted({str(one.facts["object"]) for one in outlines}))
+        raise InputError("no trial has such an object", where="--test-objects", expected=f"of {objects}")
     stacked = RATE_HZ // fps
     names = vectors._replace(tactile=tuple(names_of(vectors.tactile, per_frame, stacked)))
     features = _features(names, tactile_key, outlines[0].frame_px, fps)
@@ -115,7 +119,6 @@ def write(
             episodes.append(_episode_table(arrow, lies, statistics, {**one.facts, "recording_id": one.id}, types))
             done += one.slices
     _write_tasks(arrow, folder / "meta" / "tasks.parquet", tasks)
-    train = sum(one.facts["object"] not in test_objects for one in outlines)
     splits = {"train": f"0:{train}", "test": f"{train}:{len(outlines)}"}
     splits = {name: part for name, part in splits.items() if part.split(":")[0] != part.split(":")[1]}
     info = {
