@@ -93,7 +93,7 @@ def _write(layout: Layout, recording: Recording, path: Path, progress: Progress)
     """All events in a layout; InputError, before anything is written, where frame or times need more bits."""
     width, height = recording.frame_px
     length_us = len(recording) * SLICE_US
-    for fits, expected, found in (
+    for fits, expected, there_is in (
         (max(width, height) <= layout.most_px, f"at most {layout.most_px}x{layout.most_px} px", f"{width}x{height}"),
         (length_us <= layout.most_us, f"at most {layout.most_us / 6e7:.0f} min", f"{length_us / 6e7:.1f} min"),
     ):
@@ -102,7 +102,7 @@ def _write(layout: Layout, recording: Recording, path: Path, progress: Progress)
                 f"does not fit into {layout.name}",
                 where=str(recording.path),
                 expected=expected,
-                found=found,
+                found=there_is,
                 hint="export it as dsec or text, or a part of it: evetac trim",
             )
     lines = f"% {NAME} {note_for(recording, 0).text()}\n% {OFFSET} {t_offset_us(recording)}\n"

@@ -37,7 +37,8 @@ MOST_DOTS = 1_000_000  # dots times slices
 EVENT_COLOURS = {"darker": BLUE, "brighter": ORANGE}
 DOT_COLOURS = {"dot": "#ffb52e", "lost": PINK}
 TRUE_COLOURS = {"true place (simulated)": GREEN}
-DOT_RADIUS_PX = 3.0
+DOT_RADIUS_PX, TRUE_RADIUS_PX = 3.0, 5.0
+BEHIND = 29.0  # true places, of points that rerun draws at 30
 
 
 def load_rerun() -> Any:
@@ -130,7 +131,8 @@ class _File:
         every = max(1, -(-(stop - start) * dots // MOST_DOTS))
         tracked = rest is not None
         self._classes(f"gel/{name}", DOT_COLOURS if tracked else TRUE_COLOURS)
-        self.static(f"gel/{name}", rr.Points2D.from_fields(radii=[DOT_RADIUS_PX]))
+        shape = {"radii": [DOT_RADIUS_PX]} if tracked else {"radii": [TRUE_RADIUS_PX], "draw_order": BEHIND}
+        self.static(f"gel/{name}", rr.Points2D.from_fields(**shape))
         for begin in range(start, stop, BLOCK_SLICES):
             end = min(begin + BLOCK_SLICES, stop)
             shown = np.arange(-(begin - start) % every, end - begin, every)

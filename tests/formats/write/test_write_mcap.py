@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.imports import read_events
@@ -192,9 +193,9 @@ def test_forces_beside_it_are_taken_along(tmp_path: Path) -> None:
     exported(small_files.every_kind(tmp_path)["recording"])
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (tmp_path / "a.mcap").open("rb") as file:
-        found = list(make_reader(file).iter_messages("/evetac/force"))
-    assert len(found) == small_files.SLICES
-    for _, _, message in found:
+        messages = list(make_reader(file).iter_messages("/evetac/force"))
+    assert len(messages) == small_files.SLICES
+    for _, _, message in messages:
         force = store.deserialize_cdr(message.data, "geometry_msgs/msg/WrenchStamped").wrench.force  # type: ignore[attr-defined]
         assert (force.x, force.y) == (0.0, 0.0) and np.isnan(force.z)
 
@@ -308,3 +309,29 @@ def test_the_commands_of_the_docs_run(tmp_path: Path, monkeypatch: pytest.Monkey
         assert run.exit_code == 0, run.output
     with open_recording("touch.recording.h5") as one, open_recording("back.recording.h5") as other:
         assert same(one.between(0, SLICES), other.between(0, SLICES)) and other.header["simulated"] is True
+
+
+@pytest.mark.slow
+def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
+    """Assert that a file that is cut or damaged anywhere gives events or words, and never anything else."""
+    source = write(tmp_path / "a.recording.h5", drawn(3000), 700, 5_000_000)
+    export(source, "mcap", tmp_path / "a.mcap")
+    whole = (tmp_path / "a.mcap").read_bytes()
+    rng = np.random.default_rng(3)
+    broken = tmp_path / "b.mcap"
+    refused = 0
+    for trial in range(400):
+        data = bytearray(whole)
+        begin = (0, 0, 0, len(data) - 2500)[trial % 4]  # anywhere, at the head, at the index at the end
+        end = (len(data), len(data), 600, len(data))[trial % 4]
+        if trial % 4:
+            for at in rng.integers(begin, end, 6):
+                data[at] = rng.integers(256)
+        else:
+            del data[rng.integers(1, len(data)) :]
+        broken.write_bytes(data)
+        try:
+            assert read_events(broken, sort=True).events.size <= 3000
+        except InputError:
+            refused += 1
+    assert 200 < refused < 400

@@ -17,7 +17,7 @@ from evetac_cli.inspect import view
 from evetac_cli.inspect.view import rerun_file
 from evetac_cli.params.inspection import View
 from evetac_cli.store.read import open_recording
-from tests.inspect.view.trials import NASTY, REST, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.inspect.view.trials import NASTY, REST, SENSOR, SLICES, moving, write_labels, write_recording, write_tracks
 from tests.test_readme import PAGES, shown_commands
 
 rerun = pytest.importorskip("rerun")
@@ -27,7 +27,7 @@ Rows = list[tuple[int, dict[str, Any]]]
 
 def rows_of(path: Path) -> dict[str, Rows]:
     """What rerun reads: under each path the rows with their time in us, in the order of time."""
-    found: dict[str, Rows] = defaultdict(list)
+    parts: dict[str, Rows] = defaultdict(list)
     for chunk in rerun.chunk.RrdReader(path).stream():
         if chunk.is_static:
             continue
@@ -36,8 +36,8 @@ def rows_of(path: Path) -> dict[str, Rows]:
         t_us = batch.column("t").cast("int64").to_numpy() // 1000
         columns = {name: batch.column(name).to_pylist() for name in batch.schema.names if ":" in name}
         for number, at in enumerate(t_us.tolist()):
-            found[chunk.entity_path].append((at, {name: values[number] for name, values in columns.items()}))
-    return {name: sorted(rows, key=lambda row: row[0]) for name, rows in found.items()}
+            parts[chunk.entity_path].append((at, {name: values[number] for name, values in columns.items()}))
+    return {name: sorted(rows, key=lambda row: row[0]) for name, rows in parts.items()}
 
 
 def static_text(path: Path) -> str:
@@ -59,7 +59,7 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
     assert stored.application_id == "evetac" and len(rerun.chunk.RrdReader(path).blueprints()) == 1
     rows = rows_of(path)
     charts = "/series/"
-    assert {name: len(found) for name, found in rows.items()} == {
+    assert {name: len(each) for name, each in rows.items()} == {
         "/gel/events": SLICES,
         "/gel/dots": SLICES,
         "/gel/displacement": SLICES,
@@ -100,6 +100,7 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
     assert "**Simulated.**" in words and "- truth: 0.200 s" in words and "one in" not in words
 
 
+@pytest.mark.slow
 def test_a_grasp_has_its_phases(tmp_path: Path) -> None:
     """Assert that contact, lift and balance follow each other, and that the blueprint names what is simulated."""
     path = tmp_path / "a.recording.h5"
@@ -143,17 +144,17 @@ def test_a_long_recording_is_thinned_and_says_so(trial: Path, monkeypatch: pytes
         assert said in words
 
 
-def test_dots_that_nobody_knows_are_left_out(tmp_path: Path) -> None:
+def test_dots_that_nobody_knows_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a place that is not a number is not drawn, and a part of a trial begins at its time."""
     path = tmp_path / "a.recording.h5"
     header = write_recording(path, truth=False)
-    dots = moving()
-    dots[30:40, 2] = np.nan
+    dots, grid = moving(), REST.copy()
+    dots[:, 2] = grid[0, 2] = np.nan
+    monkeypatch.setitem(SENSOR, "sensor/dot_xy_px", grid)
     write_tracks(path.with_name("a.tracks.h5"), header, dots)
     rows = rows_of(made(path, start_s=0.02, stop_s=0.05))
-    assert [(at, len(row["Points2D:positions"])) for at, row in rows["/gel/dots"]] == [
-        (1000 * k, 5 if 30 <= k < 40 else 6) for k in range(20, 50)
-    ]
+    for name, column in (("/gel/dots", "Points2D:positions"), ("/gel/displacement", "Arrows2D:vectors")):
+        assert [(at, len(row[column])) for at, row in rows[name]] == [(1000 * k, 5) for k in range(20, 50)]
     assert "/gel/true_dots" not in rows and "Simulated" not in static_text(path.with_name("a.rrd"))
 
 
@@ -179,6 +180,7 @@ def test_strange_names(tmp_path: Path) -> None:
     assert path.name in static_text(tmp_path / "a.rrd")
 
 
+@pytest.mark.slow
 def test_from_the_command_line(trial: Path) -> None:
     """Assert where the file is, that it is replaced on demand alone, and that it ends in .rrd."""
     run = CliRunner().invoke(app, ["view", str(trial), "--rrd", "--json"])
@@ -196,6 +198,7 @@ def test_from_the_command_line(trial: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_complete_is_no_file(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that what the disk did not take leaves words and nothing else; rerun itself says nothing."""
     disconnect = rerun.RecordingStream.disconnect
@@ -218,6 +221,7 @@ def test_rerun_needs_the_extra_view(trial: Path, monkeypatch: pytest.MonkeyPatch
         made(trial)
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_docs_run(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the page on view writes files that rerun reads."""
     monkeypatch.chdir(trial.parent)
