@@ -134,7 +134,7 @@ def test_a_cut_file_keeps_whole_events(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("chip", ["DVS128", "DAVIS346"])
 def test_as_tonic_reads_them(tmp_path: Path, chip: str) -> None:
-    """Assert equal events with tonic 1.7, which turns a DAVIS346 round as we do, and leaves a DVS128's words as they are."""
+    """Assert equal events with tonic 1.7, which turns a DAVIS346 round as we do, and a DVS128 not."""
     io = tonic_io()
     events = drawn(2000, CHIPS[chip][1])
     path = write(tmp_path / "a.aedat", words_of(events, chip), chip)
