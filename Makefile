@@ -25,7 +25,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,docs,plot,dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,docs,log,plot,dev]'
 	$(BIN)/evetac doctor --compile
 	@touch $@
 
@@ -93,7 +93,7 @@ test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that p
 $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python scripts/lowest.py > $(LOWEST)/lowest.txt
-	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,plot,dev]'
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,log,plot,dev]'
 	@touch $@
 
 check: $(READY)  ## ruff, mypy --strict and the documentation

@@ -27,6 +27,7 @@ EXTRAS = {
     "convert": ("rosbags", "faery", "hdf5plugin", "pyarrow"),
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "cluster": ("dask", "distributed"),
+    "log": ("tensorboard",),
 }
 # What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
 INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}

@@ -46,6 +46,7 @@ ONLY_IN = {
         "kernels/force/training.py",
         "kernels/force/gel_training.py",
         "stages/train.py",
+        "stages/training_log.py",
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),

@@ -43,6 +43,10 @@ OF_EXPORT = OF_VIEW | {
     "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
     "force": (bool, False, "-f/--force", "Replace a file that exists."),
 }
+OF_SHARE = OF_VIEW | {
+    "out": (Path | None, None, "-o/--out", "Folder; default: NAME-hub beside it."),
+    "force": (bool, False, "-f/--force", "Replace a folder that share made."),
+}
 OF_DOCTOR = {name: OF_STAGES[name] for name in ("as_json", "verbose")} | {
     "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),
 }

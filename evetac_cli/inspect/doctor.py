@@ -42,9 +42,10 @@ OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "o
 # What is missing without the extra of that name.
 SERVES = {
     "camera": "--camera dv",
-    "convert": "AEDAT4, bags, Prophesee's files",
+    "convert": "AEDAT4, bags, Prophesee's files, CSV and Parquet",
     "plot": "pictures beside reports, pages, films",
     "cluster": "--engine dask",
+    "log": "train --log tensorboard",
 }
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used

@@ -40,6 +40,20 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Share:
+    """Lay out a model, or a folder of files, as the Hugging Face Hub wants it, with a card; nothing is uploaded.
+
+    The card says what it is, with data, seeds and figures, and that it is simulated where it is. Reports of `evetac
+    evaluate slip` on the model, named after it, add their figures.
+    """
+
+    title: str | None = parameter(None, "Title of the card; default: the name of the file or folder.", recipe=False)
+    license: str | None = parameter(
+        None, "License by the Hub's name, as in mit or cc-by-4.0; default: none, and the card says so.", recipe=False
+    )
+
+
+@dataclass(frozen=True)
 class Doctor:
     """Find cameras and grippers, and say of each what is wrong and the command that mends it; changes nothing.
 

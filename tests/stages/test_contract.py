@@ -30,8 +30,8 @@ from evetac_cli.params.evaluation import (
 )
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.learning import Featurize, Label, PredictForce, Track, TrackRgb, Train, TrainForce
-from evetac_cli.params.recording import Record, Trim
-from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, train, trim
+from evetac_cli.params.recording import Attach, Record, Trim
+from evetac_cli.stages import attach, featurize, grasp, label, record, track, track_rgb, train, trim
 from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
@@ -100,6 +100,13 @@ def force_model(folder: Path) -> Path:
     return folder / "dots.force-model.h5"
 
 
+POSE = "t_s,z_m\n" + "".join(f"{at / 100},{at}\n" for at in range(10))  # of an arm, for the first tenth of a second
+
+
+def an_arm(folder: Path) -> list[str]:
+    return [f"arm={folder / 'pose.csv'}"]
+
+
 def force_models(folder: Path) -> str:
     return str(force_model(folder))
 
@@ -118,6 +125,10 @@ FORCE = {"samples": 10, "epochs": 2}
 STAGES = [
     Stage("record", record, some(Record, scene=scene), some(Record, scene=scene, seed=1), nothing),
     Stage("trim", trim, some(Trim, to_ms=200), some(Trim, to_ms=190), of("recording")),
+    Stage(
+        "attach", attach, some(Attach, stream=an_arm), some(Attach, stream=an_arm, offset=["arm=0.01"]),
+        of("recording"),
+    ),
     Stage(
         "label", label, some(Label, after_ms=15), some(Label, after_ms=15, slip_distance_px=0.4),
         of("recording"),
@@ -183,6 +194,7 @@ def folder(made: Made, tmp_path: Path) -> Path:
     work = tmp_path / "work"
     shutil.copytree(made.folder, work)
     shutil.copy(made.scene, work / "short.toml")
+    (work / "pose.csv").write_text(POSE)
     return work
 
 
