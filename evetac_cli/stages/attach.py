@@ -90,7 +90,7 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts: what has no rows."""
     there = {path: recording.read(path) for path, (_, shape) in recording.contents().items() if not shape}
-    return there | {path: text for one in added for path, text in one.texts().items()}
+    return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
 
 
 def _blocks(
