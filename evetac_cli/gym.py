@@ -41,7 +41,7 @@ Observation = dict[str, NDArray[np.float32]]
 
 MOST_TICKS = 60.0  # of the goal beyond light contact: about 14 N
 FARTHEST_PX, MOST_EVENTS, MOST_READ = 200.0, 1000.0, 2000.0  # ends of observations, in px, events a ms, ticks and mA
-COST_N_S, COST_MM = 0.02, 0.05
+COST_N_S, COST_MM = 0.04, 0.05
 LOST_MM = 20.0  # an object that moved so far in the hand is lost, and more of it costs no more
 TRUTH = ("truth/table_gap_mm", "truth/normal_force_n", "truth/object_xy_px")
 
@@ -77,7 +77,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     light contact in ticks and motor current in mA; time_s (1,), since the lift began.
 
     Reward: 1 for an object that hangs more than 50 mm above the table at the end of the lift, and 1 if it still does
-    at the end; less 0.02 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
+    at the end; less 0.04 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
     object moved in the hand. Force and motion are the simulation's truth. `info` has them too, and what was drawn.
     """
 
@@ -90,7 +90,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         scene: str = "lift",
         gel: str | None = None,
-        mass_factor: tuple[float, float] = (0.5, 2.0),
+        mass_factor: tuple[float, float] = (0.5, 4.0),
         hand_mm_s: float = 100.0,
         lift_s: float = 2.0,
         balance_s: float = 2.0,
