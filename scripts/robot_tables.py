@@ -43,13 +43,13 @@ CASES: dict[str, tuple[Any, Drive]] = {
 
 def cost_rows() -> Iterator[Row]:
     """Microseconds of CPU a simulated millisecond, median of rounds: the sensor alone, and with the slip detector."""
-    for case, (thing, drive) in CASES.items():
+    for case, (touching, drive) in CASES.items():
         row: Row = {"contact": case}
         for heading, detects in (("CPU_us_a_ms", False), ("with_slip_detector_CPU_us_a_ms", True)):
             took = []
             for number in range(ROUNDS):
                 begin_m = drive(0).get("place_m", (0.0, 0.0))
-                sensor = evetac.TouchSensor(object=thing, rng=np.random.default_rng(number), at_m=begin_m)
+                sensor = evetac.TouchSensor(object=touching, rng=np.random.default_rng(number), at_m=begin_m)
                 detector = evetac.SlipDetector(sensor) if detects else None
                 sensor.step(0.05, normal_n=drive(0)["normal_n"])
                 began = time.process_time()

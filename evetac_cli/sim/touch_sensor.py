@@ -452,10 +452,10 @@ def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]
         numbers = ()
     if len(numbers) != count or not all(math.isfinite(number) and abs(number) <= most for number in numbers):
         size = "finite" if math.isinf(most) else f"within {most:g}"
-        found = given[0] if count == 1 else given
-        raise _refused(f"{name}: not what it should be", f"{count} number{'s' * (count > 1)}, {size}", found)
+        one = given[0] if count == 1 else given
+        raise _refused(f"{name}: not what it should be", f"{count} number{'s' * (count > 1)}, {size}", one)
     return numbers
 
 
-def _refused(message: str, expected: str, found: Any, hint: str = "") -> InputError:
-    return InputError(message, where="TouchSensor", expected=expected, found=str(found)[:100], hint=hint)
+def _refused(message: str, expected: str, given: Any, hint: str = "") -> InputError:
+    return InputError(message, where="TouchSensor", expected=expected, found=str(given)[:100], hint=hint)
