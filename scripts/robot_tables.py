@@ -26,7 +26,7 @@ PAGE = ROOT / "docs" / "robot-simulators.md"
 BOX = {"shape": "flat", "static_friction": 0.8}
 BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
 MADE_MS = 500
-ROUNDS = 5
+ROUNDS = 4
 
 Row = dict[str, Any]
 Drive = Callable[[int], dict[str, Any]]  # what is asked for at the end of a millisecond
