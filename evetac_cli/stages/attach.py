@@ -91,7 +91,7 @@ def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts, which have no rows, and what is known of the sensor: its frame is what events are held to."""
     rows = _with_rows(recording)
     there = {path: recording.read(path) for path in recording.contents() if path not in rows}
-    return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+    return there | {path: text for one in added for path, text in one.texts().items()}
 
 
 def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
