@@ -17,7 +17,7 @@ REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--sm
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table grasp-shipped results film test test-all test-lowest lerobot check docs bench clean
+	data-rate force grasp-table grasp-shipped results film test test-all test-lowest lerobot check lint types docs bench clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -26,7 +26,7 @@ setup: $(READY)  ## make a virtual environment of its own in .venv
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,docs,plot,dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,docs,log,plot,robot,view,dev]'
 	$(BIN)/evetac doctor --compile
 	@touch $@
 
@@ -94,18 +94,22 @@ test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that p
 $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python scripts/lowest.py > $(LOWEST)/lowest.txt
-	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,plot,dev]'
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,log,plot,robot,dev]'
 	@touch $@
 
 lerobot:  ## an environment of its own for LeRobot in .venv-lerobot, gigabytes, which slow tests of its data sets need
 	$(PYTHON) -m venv --clear $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
-check: $(READY)  ## ruff, mypy --strict and the documentation
+check: $(READY)  ## ruff, mypy --strict and the documentation, side by side
+	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs
+
+lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(READY)
 	$(BIN)/mypy
-	@$(MAKE) --no-print-directory docs
 
 docs: $(READY)  ## the documentation: site/index.html, with every page of the reference made from the code
 	$(BIN)/python scripts/docs/pages.py

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from evetac_cli.errors import EvetacError, InputError
     from evetac_cli.events import Events, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
+    from evetac_cli.sim.touch_sensor import Touch, TouchSensor
     from evetac_cli.store.read import Recording, SlipWindows, open_recording
 
 __all__ = [
@@ -51,6 +52,8 @@ __all__ = [
     "Slicer",
     "SlipDetector",
     "SlipWindows",
+    "Touch",
+    "TouchSensor",
     "architectures",
     "objects",
     "open_features",
@@ -71,6 +74,7 @@ _MODULES = {
     **dict.fromkeys(("Events", "Slicer"), "events"),
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError"), "errors"),
+    **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.read"),
 }
 

@@ -24,9 +24,12 @@ MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 # Libraries that only some commands need: the extra that installs each, and what it is imported as.
 EXTRAS = {
     "camera": ("dv_processing",),
-    "convert": ("rosbags", "faery", "hdf5plugin", "pyarrow", "PIL", "av"),
+    "convert": ("rosbags", "mcap", "faery", "hdf5plugin", "pyarrow", "PIL", "av"),
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
+    "view": ("rerun",),
     "cluster": ("dask", "distributed"),
+    "log": ("tensorboard",),
+    "robot": ("mujoco", "gymnasium", "cma"),
 }
 # What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
 INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}

@@ -30,7 +30,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from attack.long_recording import Repeated
@@ -52,12 +52,21 @@ from evetac_cli.store.read import open_recording
 
 Row = dict[str, Any]
 
+
+class Measured(TypedDict):
+    """A part: its rows, and the commit at which they were measured."""
+
+    commit: str
+    rows: list[Row]
+
+
 EVENTS = (0, 50, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
 USUAL_EVENTS = 1_000
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14, 16)
 DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would be hot, and left out
 REPEAT, WARM_UP = 300, 20
 LENGTHS_S = (1, 60, 600, 3600)
+SLOPE = 1.1  # how much more than 1 s a minute has to cost, to say what an hour should
 TRAJECTORIES = (20, 60, 180)
 FILES = (100, 1_000, 10_000)
 MOST_OVER_LINEAR = 0.1
@@ -216,11 +225,14 @@ def _stages(place: Path, repeated: Repeated, length_s: int) -> list[Row]:
 
 
 def with_linear(rows: list[Row]) -> list[Row]:
-    """Rows with `over_linear`: what is more than 1 s, against as much as a minute says."""
+    """Rows with `over_linear`: what is more than 1 s, against as much as a minute says.
+
+    Stages of which a minute costs hardly more than a second have none: it would be the scatter of their start-up.
+    """
     cpu = {(row["stage"], row["length_s"]): row["cpu_s"] for row in rows}
     for row in rows:
         first_s, minute_s = cpu[row["stage"], 1], cpu.get((row["stage"], 60))
-        if row["length_s"] > 60 and minute_s is not None:
+        if row["length_s"] > 60 and minute_s is not None and minute_s > SLOPE * first_s:
             expected_s = (minute_s - first_s) * (row["length_s"] - 1) / 59
             row["over_linear"] = (row["cpu_s"] - first_s) / expected_s - 1
     return rows
@@ -312,6 +324,8 @@ def draw(measured: dict[str, list[Row]], path: Path) -> None:
                 picture.log_axis(axes.xaxis)
             if part != "workers":
                 picture.log_axis(axes.yaxis)
+            else:
+                axes.set_ylim(0, None)
             picture.legend(place, [axes])
         figure.suptitle("How cost grows (simulated)")
         figure.savefig(path, format="svg", metadata={"Date": None})
@@ -339,7 +353,7 @@ def main() -> int:
     """Read the flags, measure the parts that are asked for, keep them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts = {"events": events, "dots": dots, "trajectories": trajectories, "workers": workers, "files": files}
-    parser.add_argument("out", type=Path, help="JSON file: part -> rows")
+    parser.add_argument("out", type=Path, help="JSON file: part -> commit and rows")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"slices, {', '.join(parts)}")
     parser.add_argument("--longest-min", type=float, default=60.0, help="of `slices`; lengths are 1 s to 1 h")
     parser.add_argument("--events-a-slice", type=float, default=50.0, help="of `slices`, at least")
@@ -349,18 +363,20 @@ def main() -> int:
     wrong = [part for part in chosen.parts if part not in (*parts, "slices")]
     if wrong:
         parser.error(f"there is no part {', '.join(wrong)}; choose from slices, {', '.join(parts)}")
-    measured: dict[str, list[Row]] = json.loads(chosen.out.read_text()) if chosen.out.exists() else {}
+    measured: dict[str, Measured] = json.loads(chosen.out.read_text()) if chosen.out.exists() else {}
     for part in chosen.parts:
         rows = slices(round(60 * chosen.longest_min), chosen.events_a_slice) if part == "slices" else parts[part]()
-        measured[part] = rows
+        measured[part] = {"commit": commit()[0], "rows": rows}
         chosen.out.write_text(json.dumps(measured, indent=1) + "\n")
         print_table(part, rows, {}, simulated=True)
     if chosen.draw:
-        draw(measured, chosen.draw)
+        draw({part: of["rows"] for part, of in measured.items()}, chosen.draw)
     if chosen.page:
-        for part, rows in measured.items():
-            put_measured(chosen.page, part, spread(part, rows), f"Simulated, by growth.py at commit {commit()[0]}")
-    over = [row for row in measured.get("slices", []) if abs(row.get("over_linear", 0.0)) > MOST_OVER_LINEAR]
+        for part, of in measured.items():
+            said = f"Simulated, by growth.py at commit {of['commit']}"
+            put_measured(chosen.page, part, spread(part, of["rows"]), said)
+    lengths = measured["slices"]["rows"] if "slices" in measured else []
+    over = [row for row in lengths if abs(row.get("over_linear", 0.0)) > MOST_OVER_LINEAR]
     for row in over:
         print(f"not linear: {row['stage']}, {row['length_s']} s: {row['over_linear']:+.0%}", file=sys.stderr)
     return bool(over)

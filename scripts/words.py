@@ -142,18 +142,18 @@ class Place:
 def python_places(path: Path) -> Iterator[Place]:
     """Names, whole strings and flags of a Python file."""
     name = str(path.relative_to(ROOT))
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     docstrings = {
         id(node.body[0].value)
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
         and node.body
         and isinstance(node.body[0], ast.Expr)
     }
     in_errors = {
-        id(keyword) for node in ast.walk(tree) if isinstance(node, ast.Call) for keyword in node.keywords
+        id(keyword) for node in nodes if isinstance(node, ast.Call) for keyword in node.keywords
     }  # found=, kept= and the like belong to whoever is called
-    for node in ast.walk(tree):
+    for node in nodes:
         line = getattr(node, "lineno", 0)
         if path.name == "errors.py" and isinstance(node, (ast.Name, ast.arg)):
             continue  # the parts of an error are its own

@@ -1,5 +1,6 @@
 """Files of every kind, each made by the real stage from the smallest scene; shared by the tests of a session."""
 
+import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, grasp, label, record, track, train
 from evetac_cli.stages.force import train_force
 from evetac_cli.text_files import as_toml
+from tests.browser import Browser
 
 settings.register_profile("patient", deadline=None)  # no test depends on how fast the machine is
 settings.load_profile("patient")
@@ -120,6 +122,17 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
     return made
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A headless Chromium, for the tests of pages."""
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+    if program is None:
+        pytest.skip("no Chromium is installed here: the page is not tried in a browser")
+    chromium = Browser(program, tmp_path_factory.mktemp("chromium"))
+    yield chromium
+    chromium.close()
 
 
 # A gripper to try the driver on.

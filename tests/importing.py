@@ -33,6 +33,20 @@ def event_rows(imported: Imported) -> list[tuple[int, ...]]:
     return [tuple(int(value) for value in row) for row in zip(*imported.events, strict=True)]
 
 
+def drawn(count: int, frame_px: tuple[int, int] = FRAME, start_us: int = 1000, seed: int = 4) -> Events:
+    """Random events in order of time, in every part of the frame."""
+    rng = np.random.default_rng(seed)
+    t = start_us + np.cumsum(rng.integers(0, 3000, count))
+    x, y, p = (rng.integers(0, most, count) for most in (*frame_px, 2))
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+def assert_equal(imported: Imported, events: Events) -> None:
+    """Assert that these events came in, with their times on the file's clock."""
+    assert imported.t_offset_us == events.t[0]
+    assert same(imported.events, events._replace(t=events.t - events.t[0]))
+
+
 def refusal(path: Path, **options: Any) -> str:
     """The words with which a file is refused; they name the file and hold no trace of the libraries."""
     with pytest.raises(InputError) as caught:

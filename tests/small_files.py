@@ -3,7 +3,9 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import h5py
@@ -196,6 +198,21 @@ def report(path: Path) -> Header:
 
 def every_kind(folder: Path, *, lost_slices: bool = True) -> dict[str, Path]:
     """Kind -> a small valid file of it, all of one trial; the model is the one that evetac comes with."""
+    paths = {}
+    for kind, content in _every_kind(lost_slices).items():
+        paths[kind] = folder / f"a.{kind}.h5"
+        paths[kind].write_bytes(content)
+    return paths
+
+
+@cache
+def _every_kind(lost_slices: bool) -> dict[str, bytes]:
+    """The files' contents, made once for all tests of a process."""
+    with TemporaryDirectory() as folder:
+        return {kind: path.read_bytes() for kind, path in _make_every_kind(Path(folder), lost_slices).items()}
+
+
+def _make_every_kind(folder: Path, lost_slices: bool) -> dict[str, Path]:
     paths = {
         kind: folder / f"a.{kind}.h5"
         for kind in ("recording", "tracks", "labels", "features", "model", "force-model", "forces", "report")

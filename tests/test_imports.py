@@ -17,6 +17,7 @@ GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources"
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
     "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
+    "gym": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
@@ -46,6 +47,7 @@ ONLY_IN = {
         "kernels/force/training.py",
         "kernels/force/gel_training.py",
         "stages/train.py",
+        "stages/training_log.py",
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
@@ -54,6 +56,9 @@ ONLY_IN = {
     "tornado": ("realtime/live_page/*",),
     "pyarrow": ("formats/read/*", "formats/write/*"),
     "av": ("formats/write/write_lerobot.py",),
+    "mcap": ("formats/write/write_mcap.py",),
+    "rerun": ("inspect/view/rerun_file.py",),
+    "gymnasium": ("gym.py",),
 }
 
 

@@ -28,7 +28,12 @@ PAGES = {
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 }
 README = PAGES["README.md"]
-OF_SCRIPTS = ("blind-identification",)  # results of scripts, which docs quote: no tables of experiments
+OF_SCRIPTS = (
+    "blind-identification",
+    "touch-cost",
+    "mujoco-grasps",
+    "lift-baseline",
+)  # results of scripts, which docs quote: no tables of experiments
 RESULTS = sorted(
     (path for path in (ROOT / "docs" / "results").glob("*.json") if path.stem not in OF_SCRIPTS),
     key=lambda path: path.stem,

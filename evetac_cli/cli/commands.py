@@ -262,6 +262,17 @@ DOCTOR = Command(
     "",
     examples=("evetac doctor", "evetac doctor --speed", "evetac doctor --hardware --camera virtual --gripper virtual"),
 )
+SHARE = Command(
+    "share",
+    inspection.Share,
+    "inspect.share",
+    "A model and reports on it; or a folder.",
+    unit="files",
+    examples=(
+        "evetac share own.model.h5 unseen.slip.report.h5 --license mit -o own-hub",
+        'evetac share data --title "Slips of 20 objects" -o data-hub',
+    ),
+)
 REPORT = Command(
     "report",
     inspection.Report,

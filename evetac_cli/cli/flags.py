@@ -36,12 +36,21 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
 }
 # view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
 OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")} | {
-    "out": (Path | None, None, "-o/--out", "Page (ends in .html) or folder; default: beside the file."),
+    "out": (
+        Path | None,
+        None,
+        "-o/--out",
+        "Output file or folder; default: beside the file.",
+    ),
     "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
 }
 OF_EXPORT = OF_VIEW | {
     "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
     "force": (bool, False, "-f/--force", "Replace a file that exists."),
+}
+OF_SHARE = OF_VIEW | {
+    "out": (Path | None, None, "-o/--out", "Folder; default: NAME-hub beside it."),
+    "force": (bool, False, "-f/--force", "Replace a folder that share made."),
 }
 OF_DOCTOR = {name: OF_STAGES[name] for name in ("as_json", "verbose")} | {
     "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),

@@ -13,12 +13,12 @@ import typer
 
 from evetac_cli import __version__, console, resources
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, VIEW, Command
+from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("index", "repair", "report", "view")  # commands that see to folders themselves
+OF_FOLDERS = ("index", "repair", "report", "share", "view")  # commands that see to folders themselves
 
 app = typer.Typer(
     cls=Commands,
@@ -212,6 +212,7 @@ app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
 _add(app, REPORT, REPORT.name, "Inspect", _write_for_others, flags.OF_VIEW)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
+_add(app, SHARE, SHARE.name, "Inspect", _write_for_others, flags.OF_SHARE)
 app.command("validate", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
 )

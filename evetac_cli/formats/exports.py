@@ -1,9 +1,9 @@
 """Recordings -> what other programs read: files, or a folder of many trials, and one table of the formats.
 
 Of a recording, the formats of events hold the events and, in a note (formats/note.py), where it begins and ends, its
-frame and whether it was simulated; so it comes back from them event for event and slice for slice. Gripper, truth,
-control and dots are left out, and that is said. Tables and data sets for policies hold a trial: the recording and what
-was computed from it, with a row a slice or a frame, and no single events.
+frame and whether it was simulated; so it comes back from them event for event and slice for slice. What a format does
+not hold of gripper, truth, control and dots is left out, and that is said. Tables and data sets for policies hold a
+trial: the recording and what was computed from it, with a row a slice or a frame, and no single events.
 """
 
 import os
@@ -12,11 +12,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write import write_aedat4, write_calibration, write_dsec, write_lerobot, write_table, write_text
+from evetac_cli.formats.write import (
+    write_aedat4,
+    write_calibration,
+    write_dsec,
+    write_lerobot,
+    write_mcap,
+    write_prophesee,
+    write_table,
+    write_text,
+)
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
 from evetac_cli.store.disk import folder_taking_the_place_of, taking_the_place_of
 from evetac_cli.store.files import stem
+from evetac_cli.store.read import Recording
 
 
 class Format(NamedTuple):
@@ -24,6 +34,7 @@ class Format(NamedTuple):
 
     of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
     who writes a data set of many trials.
+    holds: groups and datasets of a recording that they hold beside its events.
     """
 
     suffixes: tuple[str, ...]
@@ -31,6 +42,7 @@ class Format(NamedTuple):
     events: bool = True
     of_trial: bool = False
     write_folder: Callable[..., WrittenFolder] | None = None
+    holds: tuple[str, ...] = ()
 
 
 TABLE: dict[str, Any] = {"events": False, "of_trial": True}
@@ -38,6 +50,10 @@ FORMATS = {
     "aedat4": Format((".aedat4",), write_aedat4.write),
     "dsec": Format((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
     "text": Format((".txt",), write_text.write),
+    "raw": Format((".raw",), write_prophesee.write_evt3),
+    "raw-evt2": Format((".raw",), write_prophesee.write_evt2),
+    "dat": Format((".dat",), write_prophesee.write_dat),
+    "mcap": Format((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
     "calibration": Format((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
     "parquet": Format((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
     "csv": Format((".csv",), write_table.write_csv, **TABLE),
@@ -101,7 +117,7 @@ def export(
             left_out = row.write(files if row.of_trial else recording, temporary, progress) or []
             size = temporary.stat().st_size
         if row.events:
-            left_out = [name for name in LEFT_OUT if recording.has(name)]
+            left_out += _left_out(recording, row.holds)
         return {
             "recording": str(source),
             "output": str(target),
@@ -112,6 +128,16 @@ def export(
             "left_out": ("; " if row.of_trial else " ").join(left_out) or None,
             "simulated": files.simulated,
         }
+
+
+def _left_out(recording: Recording, holds: tuple[str, ...]) -> list[str]:
+    """What a file of events does not hold of a recording: whole groups, and datasets of those that it holds in part."""
+    names: list[str] = []
+    for group in LEFT_OUT:
+        paths = [path for path in recording.contents() if path == group or path.startswith(f"{group}/")]
+        left = [path for path in paths if path not in holds and group not in holds]
+        names += [group] if left and left == paths else left
+    return names
 
 
 def export_folder(

@@ -3,8 +3,9 @@
 The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
 """
 
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,23 +13,27 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.formats.read import read_prophesee, read_rosbag
+from evetac_cli.formats.read import read_aedat2, read_aedat3, read_numpy, read_prophesee, read_rosbag
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.read_aedat4 import open_aedat4
-from evetac_cli.formats.read.read_dsec import open_hdf5
+from evetac_cli.formats.read.read_hdf5 import open_hdf5
+from evetac_cli.formats.read.read_other_streams import aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.jobs import Progress, silent
+from evetac_cli.store.streams import Stream
 
-EXPECTED = "AEDAT4, HDF5 with events/{t,x,y,p}, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
+EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
+BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat")
 # Frames of event cameras that are sold or in data sets, smallest first; and one that holds them all.
 FRAMES_PX = ((128, 128), (240, 180), (304, 240), (320, 240), (346, 260), (320, 320), (640, 480), (1280, 720))
 ANY_FRAME_PX = (2048, 2048)
+MOST_NAMED = 12  # of what was left out
 LARGE_LOSS = 0.02  # share of events dropped for one reason, above which a note says so
 
 
@@ -45,20 +50,21 @@ TEXT = Format((), open_text)  # begins with anything, so it is tried last
 BAG = Format((read_rosbag.ROS1, read_rosbag.SQLITE, read_rosbag.MCAP), open_rosbag, many_streams=True)
 FORMATS = (
     Format((b"#!AER-DAT4",), open_aedat4, many_streams=True),
-    Format((HDF5_SIGNATURE,), open_hdf5, at=HDF5_SIGNATURE_AT),
+    Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
+    Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
+    Format((HDF5_SIGNATURE,), open_hdf5, many_streams=True, at=HDF5_SIGNATURE_AT),
+    Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, many_streams=True),
     Format(read_prophesee.SIGNS, open_prophesee),
     BAG,
 )
 
-TO_AEDAT4 = "convert it to AEDAT4 with the maker's DV, or to text"
+OTHER_STREAMS = {"aedat4": aedat4_streams, "rosbag": bag_streams}  # who reads what is kept beside the events
 # Files that people keep beside their event files: how they begin, what they are, and how to convert them.
 OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
-    ((b"#!AER-DAT2",), "AEDAT2", TO_AEDAT4),
-    ((b"#!AER-DAT3",), "AEDAT3", TO_AEDAT4),
+    ((b"#!AER-DAT",), "AEDAT of another version", "convert it to AEDAT4 with the maker's DV, or to text"),
     ((b"#ROSBAG",), "a ROS bag older than 2.0", "rosbag migrate"),
-    ((b"PK\x03\x04",), "a zip or npz archive", "unpack it"),
+    ((b"PK\x05\x06",), "an empty archive", "pack it again"),
     ((b"\x1f\x8b",), "gzip", "unpack it with gunzip"),
-    ((b"\x93NUMPY",), "a numpy array", "write it as text with numpy.savetxt, or as HDF5"),
     (
         (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
         "a Python pickle",
@@ -75,10 +81,12 @@ class Imported:
     frame_px: tuple[int, int]  # width, height
     t_offset_us: int  # where t = 0 is in the file's own clock
     slices: int  # up to and with the slice of the last event; 0 without events; more where an export of ours had more
-    format: str  # aedat4, hdf5, prophesee, rosbag or text
+    format: str  # aedat2, aedat3, aedat4, hdf5, numpy, prophesee, rosbag or text
     counts: dict[str, int]  # events dropped, by reason: not_a_number, out_of_frame
     sorted: int  # events put back in order
-    notes: list[str]  # what the user should know: other streams, losses, ...
+    notes: list[str]  # what the user should know: other streams, losses, what was assumed and what was left out
+    streams: list[Stream]  # IMU samples, triggers, frames: in the recording's clock
+    left_out: dict[str, int]  # what the file holds beside these events, and how much of it: frames, IMU samples, ...
     simulated: bool = False  # an export of ours says that its events come from a simulation
 
     @property
@@ -93,6 +101,7 @@ def read_events(
     frame_px: tuple[int, int] | None = None,
     sort: bool = False,
     stream: str | None = None,
+    frames: bool = False,
     folder: Path | None = None,
     progress: Progress = silent,
 ) -> Imported:
@@ -101,10 +110,12 @@ def read_events(
     folder: on whose disk the events wait; the one for temporary files otherwise.
     frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
     HDF5), that of the smallest known sensor that holds all events, and a note says so.
+    frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
     path: a file, or the folder of a ROS 2 bag.
     progress: of the events that were read; how many there will be, no format says.
     sort: put events whose time goes backwards in order (stable) instead of refusing them.
-    stream: the event stream of an AEDAT4 file, or the topic of a bag, that has several; the first by name otherwise.
+    stream: the event stream of an AEDAT4 file, the topic of a bag, the camera of an HDF5 file, or the array of an npz,
+    that has several; the first by name otherwise.
 
     The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms lies in
     the third slice. A file without any event is a recording without any where the format says that it is whole
@@ -144,17 +155,60 @@ def read_events(
     slices = (events.last_us - normal.first_us) // SLICE_US + 1 if events.size else 0
     if note and not foreign.cut_short and not _lacks_events(foreign, normal):
         slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
+    t_offset_us = normal.first_us + foreign.clock_us if events.size or note else 0
+    streams = _kept(path, foreign, t_offset_us, slices, frames=frames, folder=folder)
+    notes += _unsaid(foreign, streams)
     return Imported(
         stored=events,
         frame_px=foreign.frame_px,
-        t_offset_us=normal.first_us + foreign.clock_us if events.size or note else 0,
+        t_offset_us=t_offset_us,
         slices=slices,
         format=foreign.format,
         counts=normal.dropped,
         sorted=normal.sorted,
         notes=notes,
+        streams=streams,
+        left_out=foreign.left_out,
         simulated=note is not None and note.simulated,
     )
+
+
+def _kept(
+    path: Path, foreign: Foreign, t_offset_us: int, slices: int, *, frames: bool, folder: Path | None
+) -> list[Stream]:
+    """The other streams of the file that are kept, in the recording's clock; what came is no longer left out."""
+    read = OTHER_STREAMS.get(foreign.format)
+    if read is None or not foreign.left_out:
+        return []
+    streams = []
+    counts: Counter[str] = Counter()
+    for stream, name, unreadable in read(path, frames=frames, folder=folder):
+        for counted in (name, f"packets of {name}"):
+            foreign.left_out.pop(counted, None)
+        within = replace(stream, t_us=stream.t_us - t_offset_us).within(slices)
+        counts[f"{name} outside the recording"] += within.left_out
+        counts[f"unreadable packets of {name}"] += unreadable
+        if len(within.t_us):
+            streams.append(within)
+    foreign.left_out |= +counts
+    return streams
+
+
+def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
+    """What was kept beside the events, what was left out, counted, and what was assumed, in words."""
+    if streams:
+        yield "kept: " + ", ".join(f"{len(stream.t_us):,} samples of {stream.name}" for stream in streams)
+    if foreign.left_out:
+        yield f"left out: {left_out_text(foreign.left_out)}"
+    if foreign.assumed:
+        yield f"assumed: {foreign.assumed}"
+
+
+def left_out_text(left_out: dict[str, int]) -> str:
+    """Names and counts on one line; of very many the first, and how many there are."""
+    named = [f"{name} {count:,}" for name, count in left_out.items()]
+    more = [f"and {len(named) - MOST_NAMED} more kinds"] if len(named) > MOST_NAMED else []
+    return ", ".join([*named[:MOST_NAMED], *more])
 
 
 def _counted(batches: Iterable[Columns], progress: Progress) -> Iterator[Columns]:
@@ -193,7 +247,10 @@ def _open(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> F
         return format_.read(path, frame_px, stream)
     if stream is not None:  # an option that would do nothing is an error
         raise InputError(
-            "--stream only applies to AEDAT4 files and ROS bags", where=str(path), found=stream, hint="leave it out"
+            "--stream only applies to files that hold several streams of events",
+            where=str(path),
+            found=stream,
+            hint="leave it out",
         )
     return format_.read(path, frame_px)
 
@@ -237,7 +294,7 @@ def _format(path: Path) -> Format:
             )
     first_line = head.partition(b"\n")[0]
     binary = any(byte < 32 and byte not in b"\t\f\r" for byte in first_line)
-    if binary or path.suffix.lower() in (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw"):
+    if binary or path.suffix.lower() in BINARY_SUFFIXES:
         raise InputError(
             "not a file of events that can be read",
             where=where,

@@ -44,7 +44,10 @@ SERVES = {
     "camera": "--camera dv",
     "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
     "plot": "pictures beside reports, pages, films",
+    "view": "view --rrd",
     "cluster": "--engine dask",
+    "log": "train --log tensorboard",
+    "robot": "evetac_cli.gym, examples",
 }
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used

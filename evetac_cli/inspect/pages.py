@@ -41,7 +41,7 @@ def page_path(folder: Path, name: str, out: Path | None) -> Path:
         return folder / name
     if out.is_dir() or not out.suffix:
         return out / name
-    return with_suffix(out, ".html", "--out")
+    return with_suffix(out, Path(name).suffix, "--out")
 
 
 def with_suffix(path: Path, suffix: str, flag: str) -> Path:

@@ -139,6 +139,22 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
     return picture.beside(outcome, job.output, draw, part.size_in(outcome.rows))
 
 
+def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
+    """All rows, and of each error the setting that has least of it, and the fastest."""
+    lines = []
+    for error in PARTS[params.part].errors:
+        known = [row for row in rows if row.get(error) is not None and row.get("time_us_median") is not None]
+        known = [row for row in known if not row["setting"].startswith("reference")]
+        if known:
+            least = min(known, key=lambda row: (row[error], row["time_us_median"]))
+            fastest = min(known, key=lambda row: (row["time_us_median"], row[error]))
+            words = [
+                f"{row['setting']}, {row[error]:.3g} in {row['time_us_median']:.4g} us" for row in (least, fastest)
+            ]
+            lines.append(f"{error}: least with {words[0]}; fastest with {words[1]}.")
+    return rows, lines
+
+
 def _header(path: Path) -> Header:
     """The header of an input, whatever its kind: `measure` checks that it is what it needs."""
     with StageFile(path) as file:

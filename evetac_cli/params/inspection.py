@@ -17,6 +17,9 @@ class View:
         500, "Images in the page at most, dense near slip and where it is busiest.", low=1, high=3000, recipe=False
     )
     film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
+    rrd: bool = parameter(
+        False, "Write a file for the viewer rerun instead, NAME.rrd, with every event as far as it fits.", recipe=False
+    )
 
 
 @dataclass(frozen=True)
@@ -33,17 +36,32 @@ LEROBOT = "LeRobot"  # the panel of --help of what only this format takes
 class Export:
     """Write recordings, and what was computed from them, in a format that other programs read.
 
-    Formats of events hold the events alone. Tables have a row a slice, with all that tracks, labels, features and
-    forces beside the recording say of it. A data set for LeRobot has a frame for several slices.
+    Formats of events hold the events alone; mcap has dots, forces, labels, gripper and control too. Tables have a row
+    a slice, with all that tracks, labels, features and forces beside the recording say of it. A data set for LeRobot
+    has a frame for several slices.
     """
 
     format: str = parameter(
         "aedat4",
         "aedat4: for DV and dv-processing; dsec: HDF5 as in the DSEC data set; text: `t_us x y p` a line;"
+        " raw: Prophesee's RAW, EVT3; raw-evt2: the same, EVT2; dat: Prophesee's DAT;"
+        " mcap: ROS 2 messages, with dots, forces, labels, gripper and control;"
         " calibration: the dot grid as JSON, or with -o NAME.pkl as the official software's pickle;"
         " parquet: a table a recording, or with -o FOLDER one data set of all; csv: the same as text;"
         " lerobot: a LeRobotDataset v3.0 in the folder -o.",
-        choices=("aedat4", "dsec", "text", "calibration", "parquet", "csv", "lerobot"),
+        choices=(
+            "aedat4",
+            "dsec",
+            "text",
+            "raw",
+            "raw-evt2",
+            "dat",
+            "mcap",
+            "calibration",
+            "parquet",
+            "csv",
+            "lerobot",
+        ),
         recipe=False,
     )
     model: str | None = parameter(
@@ -75,6 +93,20 @@ class Export:
         choices=("observation.tactile", "observation.environment_state"),
         recipe=False,
         panel=LEROBOT,
+    )
+
+
+@dataclass(frozen=True)
+class Share:
+    """Lay out a model, or a folder of files, as the Hugging Face Hub wants it, with a card; nothing is uploaded.
+
+    The card says what it is, with data, seeds and figures, and that it is simulated where it is. Reports of `evetac
+    evaluate slip` on the model, named after it, add their figures.
+    """
+
+    title: str | None = parameter(None, "Title of the card; default: the name of the file or folder.", recipe=False)
+    license: str | None = parameter(
+        None, "License by the Hub's name, as in mit or cc-by-4.0; default: none, and the card says so.", recipe=False
     )
 
 

@@ -160,6 +160,13 @@ class Train:
     seeds: int = parameter(
         1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False
     )
+    log: str | None = parameter(
+        None,
+        "tensorboard: write the losses while they fall to NAME.model.log. A CSV of them lies beside every model.",
+        choices=("tensorboard",),
+        panel=TRAINING,
+        recipe=False,
+    )
     device: str = parameter(
         "cpu", "Where it is computed; numbers depend on it.", choices=("cpu", "cuda"), panel=TRAINING
     )

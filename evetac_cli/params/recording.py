@@ -33,8 +33,8 @@ class Record(Trials):
     )
     source: Path | None = parameter(
         None,
-        "Import this event file instead: AEDAT4, DSEC HDF5, text `t x y p`, Prophesee RAW or DAT, or a bag of ROS 1 or"
-        " ROS 2 (its folder).",
+        "Import this event file instead: AEDAT 2, 3.1 or 4, HDF5 (DSEC, MVSEC, v2e, rpg, Prophesee), npz or npy, text"
+        " or CSV, Prophesee RAW or DAT, or a bag of ROS 1 or ROS 2 (its folder).",
         flag="--from",
         recipe=False,
     )
@@ -49,7 +49,12 @@ class Record(Trials):
         False, "Sort imported events whose time goes backwards, instead of refusing them.", panel=IMPORT
     )
     stream: str | None = parameter(
-        None, "Which event stream, or topic, of the imported file, where it has several.", panel=IMPORT
+        None, "Which event stream, topic, camera or array of the imported file, where it has several.", panel=IMPORT
+    )
+    frames: bool = parameter(
+        False,
+        "Keep the frames of the imported file, AEDAT4 or a bag, too; IMU samples and triggers are always kept.",
+        panel=IMPORT,
     )
     calibration: Path | None = parameter(
         None,

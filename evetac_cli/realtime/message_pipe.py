@@ -37,6 +37,10 @@ class MessageWriter:
 
             fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
+    def fileno(self) -> int:
+        """For select: writable when there is room in the pipe."""
+        return self._pipe.fileno()
+
     def put(self, message: Any) -> bool:
         """Take a message, to be sent later; False, and it is not taken, if too much is waiting."""
         data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)

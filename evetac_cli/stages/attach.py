@@ -6,7 +6,9 @@ the one that they were made from. The hash of all arrays is part of the recipe, 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -59,19 +61,21 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
             notes += [f"{name}: {note}" for note in (f"times by {stream.clock}", *said)]
             added.append(stream)
         digest = ContentDigest()
-        for block in (_whole(recording, added), *_blocks(recording, added)):
+        for path, values in _whole(recording, added).items():
+            digest.update(path, values)
+        for block in _blocks(recording, added, partial(progress, doing="slices checked")):
             for path, values in block.items():
                 digest.update(path, values)
         header = recording.header
         about = {one.name: {"source": one.source, "offset_s": one.offset_s} for one in added}
-        parameters = {**header["parameters"], "streams": {**header["parameters"].get("streams", {}), **about}}
+        parameters = {**header["parameters"], "attached": {**header["parameters"].get("attached", {}), **about}}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,), content=digest.hexdigest())
         made = not up_to_date(job.output, recipe, force=force)
         if made:
             lengths = {path: shape[0] for path, (_, shape) in recording.contents().items() if shape}
-            columns = (item for one in added for item in one.datasets().items())
-            lengths |= {path: len(values) for path, values in columns if not isinstance(values, str)}
-            write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added), lengths)
+            for one in added:
+                lengths |= one.lengths()
+            write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added, progress), lengths)
     return outcome(
         job,
         made=made,
@@ -86,20 +90,20 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts: what has no rows."""
     there = {path: recording.read(path) for path, (_, shape) in recording.contents().items() if not shape}
-    return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+    return there | {path: text for one in added for path, text in one.texts().items()}
 
 
-def _blocks(recording: Recording, added: Sequence[Stream]) -> Iterator[dict[str, Any]]:
-    """Everything that has rows, one dataset after the other, in pieces that memory holds."""
-    for path, (_, shape) in recording.contents().items():
-        if shape:
-            yield from ({path: rows} for rows in contents.blocks(recording, path, shape))
-    for one in added:
-        for path, values in one.datasets().items():
-            if not isinstance(values, str):
-                at_once = max(1, contents.BLOCK_VALUES // max(1, math.prod(values.shape[1:])))
-                for first in range(0, len(values), at_once):
-                    yield {path: values[first : first + at_once]}
+def _blocks(
+    recording: Recording, added: Sequence[Stream], progress: Callable[[float, float], None]
+) -> Iterator[dict[str, Any]]:
+    """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
+    there = {path: shape for path, (_, shape) in recording.contents().items() if shape}
+    done, total = 0, sum(shape[0] for shape in there.values()) + sum(sum(one.lengths().values()) for one in added)
+    kept = ({path: rows} for path, shape in there.items() for rows in contents.blocks(recording, path, shape))
+    for block in chain(kept, *(one.blocks() for one in added)):
+        yield block
+        done += sum(map(len, block.values()))
+        progress(done * len(recording) // max(1, total), len(recording))
 
 
 def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:

@@ -4,6 +4,9 @@ Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluati
 never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
 network has not seen, by networks that are trained for this alone. --adapt goes on from a trained model.
 
+Beside the model lies the course of its training, NAME.model.csv; with --log tensorboard NAME.model.log, which can be
+watched while it goes on.
+
 An interrupted run leaves `NAME.model.part` for each network, from which the same command goes on to the same result.
 """
 
@@ -39,6 +42,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import predict, read_trajectory, read_weights
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train_networks import Networks, state_file
+from evetac_cli.stages.training_log import add_checkpoints, log_folder, require_tensorboard, write_course
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
@@ -216,10 +220,16 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     simulated = any(header["simulated"] for header in parents)
     output = job.model if isinstance(job, NetworkJob) else job.output
     if up_to_date(output, recipe, force=force):
+        if not isinstance(job, NetworkJob) and not output.with_suffix(".csv").exists():
+            write_course(output)
         return outcome(job, made=False, simulated=simulated)
 
     progress(0, 0, "loading torch")
     import torch
+
+    log = log_folder(output) if params.log is not None else None
+    if log is not None:
+        require_tensorboard()
 
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
@@ -235,7 +245,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     architecture = ARCHITECTURES[settings.model]
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
-    networks = Networks(output, job.inputs, folds, recipe, shape, None if adapted is None else adapted.weights)
+    start = None if adapted is None else adapted.weights
+    networks = Networks(output, job.inputs, folds, recipe, shape, start, log)
     predictions: list[list[Prediction]] = []
     resumed: int | None = None
     try:
@@ -282,6 +293,10 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
     }
     write_stage(job.output, recipe, arrays)
+    write_course(job.output)
+    if log is not None:
+        about = {**parameters, "recipe id": recipe.id, "simulated": "yes" if simulated else "no"}
+        add_checkpoints(log, arrays, about, simulated=simulated)
     networks.remove_states()
     return outcome(
         job,

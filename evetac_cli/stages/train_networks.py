@@ -22,6 +22,7 @@ from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
 from evetac_cli.stages.splits import Fold
+from evetac_cli.stages.training_log import for_tensorboard
 from evetac_cli.store.disk import existing_folder, taking_the_place_of
 from evetac_cli.store.provenance import Recipe
 
@@ -41,6 +42,7 @@ class Networks:
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
     start: Sequence[dict[str, NDArray[np.float32]]] | None  # weights to go on from, of each network of a fold
+    log: Path | None = None  # folder of what TensorBoard shows
     _gathered: dict[int, Samples] = field(default_factory=dict, init=False)  # of the fold that was asked for last
 
     @property
@@ -70,21 +72,24 @@ class Networks:
                 written = time.monotonic()
 
         seed = chosen["seed"]
-        result = training.train(
-            self._samples_of(number // chosen["networks"], progress),
-            preset,
-            # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
-            np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
-            epochs=chosen["epochs"],
-            max_steps=chosen["max_steps"],
-            on_progress=lambda step, steps: progress(number * steps + step, self.count * steps),
-            device=chosen["device"],
-            resume_from=saved,
-            on_save=save,
-            start=start,
-            validation=self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
-            patience=chosen.get("patience"),
-        )
+        log = None if self.log is None else self.log / f"network{number + 1}"
+        with for_tensorboard(log, simulated=self.recipe.simulated) as on_point:
+            result = training.train(
+                self._samples_of(number // chosen["networks"], progress),
+                preset,
+                # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
+                np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
+                epochs=chosen["epochs"],
+                max_steps=chosen["max_steps"],
+                on_progress=lambda step, steps: progress(number * steps + step, self.count * steps),
+                device=chosen["device"],
+                resume_from=saved,
+                on_save=save,
+                start=start,
+                validation=self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
+                patience=chosen.get("patience"),
+                on_point=on_point,
+            )
         if self.count > 1:
             _write(place, self.recipe, result.state)
         return result, None if saved is None else int(saved["step"])

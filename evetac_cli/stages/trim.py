@@ -19,7 +19,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params.recording import Trim
-from evetac_cli.stages import BLOCK_ROWS, one_file, row_blocks
+from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.store import schema
 from evetac_cli.store.contents import BLOCK_VALUES
 from evetac_cli.store.files import stem, up_to_date, write_stage
@@ -29,6 +29,7 @@ from evetac_cli.store.read import Recording, open_recording
 OUTPUT = "recording"
 METHOD = 1
 PIECE_ROWS = 1 << 18  # events that are in memory together
+MANY_VALUES = 1 << 12  # of a row: of images fewer rows are in memory together
 # Dims whose rows have times of their own, and where these are; in the stream itself for `samples`.
 CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "samples": "t_us"}
 
@@ -123,12 +124,12 @@ class _Piece:
                 done += last - first
                 progress(done * slices // max(total, 1), slices)
 
-    def _at_once(self, name: str) -> int:
-        """How many rows of a dataset are read together: fewer of images."""
+    def _at_once(self, name: str) -> int | None:
+        """How many rows of a dataset are read together; None for the usual number."""
         if name.startswith("events/"):
             return PIECE_ROWS
-        _, shape = self._recording.contents()[name]
-        return max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, int(np.prod(shape[1:])))))
+        row_values = int(np.prod(self._recording.contents()[name][1][1:]))
+        return max(1, BLOCK_VALUES // row_values) if row_values > MANY_VALUES else None
 
     def _within(self, clock: str) -> int:
         """How many rows have a time within the slices."""

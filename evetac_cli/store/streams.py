@@ -5,8 +5,9 @@ to compare it with events, gripper or truth.
 """
 
 import json
+import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,63}")  # of a stream, and of a colu
 TAKEN = ("t_us", "about", "frames", "samples", "frame_rows", "frame_columns", "channels")
 LARGEST_FRAME_PX = 16384  # of either side
 MOST_OFFSET_S = 1e11  # 3,000 years
+BLOCK_VALUES = 1 << 20  # numbers that are written at once
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,22 @@ class Stream:
         if self.frames is not None:
             whole["frames"] = self.frames
         return {f"{GROUP}/{self.name}/{name}": values for name, values in whole.items()}
+
+    def lengths(self) -> dict[str, int]:
+        """How many rows each of its datasets has, by its path."""
+        return {path: len(values) for path, values in self.datasets().items() if not isinstance(values, str)}
+
+    def blocks(self) -> Iterator[dict[str, Any]]:
+        """Its rows, one dataset after the other, in pieces that memory holds."""
+        for path, values in self.datasets().items():
+            if not isinstance(values, str):
+                at_once = max(1, BLOCK_VALUES // max(1, math.prod(values.shape[1:])))
+                for first in range(0, len(values), at_once):
+                    yield {path: values[first : first + at_once]}
+
+    def texts(self) -> dict[str, str]:
+        """Its datasets that have no rows."""
+        return {path: values for path, values in self.datasets().items() if isinstance(values, str)}
 
     def within(self, slices: int) -> "Stream":
         """The samples within a recording of so many slices; the others are counted in `left_out`."""

@@ -63,7 +63,8 @@ def _part_of(name: str) -> str:
         return OPENING
     if inspect.isclass(item) and issubclass(item, Exception):
         return ERRORS
-    return SIMULATING if inspect.isfunction(item) or name == "Simulation" else EVENTS
+    simulates = inspect.isfunction(item) or name in ("Simulation", "Touch", "TouchSensor")
+    return SIMULATING if simulates else EVENTS
 
 
 def for_the_site(text: str) -> str:

@@ -35,7 +35,11 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-OUTPUTS = [["info"], ["info", "--json"], ["validate"], ["--help"], ["--version"]]
+OUTPUTS = [
+    ["info"],
+    ["info", "--json"],
+    *(pytest.param(arguments, marks=pytest.mark.slow) for arguments in (["validate"], ["--help"], ["--version"])),
+]
 
 
 def on(arguments: list[str], report: Path) -> list[str | Path]:

@@ -4,6 +4,7 @@ import functools
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -194,16 +195,71 @@ def test_every_way_to_write_text_reads_the_same(text: Callable[..., Path], conte
     """Assert that separators, comments, line ends, units, polarity codes and column orders do not change the events."""
     imported = read_events(text(content), frame_px=FRAME)
     assert event_rows(imported) == ROWS
-    assert (imported.format, imported.slices, imported.frame_px, imported.notes) == ("text", 3, FRAME, [])
+    assert (imported.format, imported.slices, imported.frame_px, imported.left_out) == ("text", 3, FRAME, {})
+    assert all(note.startswith("assumed: ") for note in imported.notes)
     assert imported.t_offset_us in (1000, 1_000_000)
 
 
 def test_a_line_of_names_says_order_and_unit(text: Callable[..., Path]) -> None:
     """Assert that a file can name its columns and its unit, and that other names are no names."""
     path = text("x,y,p,t_s\n1,2,1,0\n3,4,0,0.0015\n5,6,1,0.002\n")
-    assert event_rows(read_events(path, frame_px=FRAME)) == ROWS
-    assert "line 1: 't_ms x y p'" in refusal(text("t_ms x y p\n0 1 2 1\n"), frame_px=FRAME)
+    imported = read_events(path, frame_px=FRAME)
+    assert (event_rows(imported), imported.notes) == (ROWS, [])
+    assert event_rows(read_events(text("t_ms x y p\n0 1 2 1\n1.5 3 4 0\n2 5 6 1\n"), frame_px=FRAME)) == ROWS
+    assert "line 1: 't_min x y p'" in refusal(text("t_min x y p\n0 1 2 1\n"), frame_px=FRAME)
     assert "line 2: 't_us x y p'" in refusal(text("t x y p\nt_us x y p\n0 1 2 1\n"), frame_px=FRAME)
+
+
+CSV = {
+    "pandas with its index": ",t,x,y,p\n0,1000,1,2,1\n1,2500,3,4,0\n2,3000,5,6,1\n",
+    "names of data sets": "timestamp,x,y,polarity\n1000,1,2,1\n2500,3,4,-1\n3000,5,6,1\n",
+    "quoted": '"x","y","pol","ts"\n1,2,1,0.001\n3,4,0,0.0025\n5,6,1,0.003\n',
+    "a text between": "t,x,y,p,label\n1000,1,2,1,no slip\n2500,3,4,0,\n3000,5,6,1,slip\n",
+    "named by a comment": "# x y p t\n1 2 1 1000\n3 4 0 2500\n5 6 1 3000\n",
+    "Prophesee": "%geometry:640,480\n1,2,1,1000\n3,4,0,2500\n5,6,1,3000\n",
+    "Prophesee, named": "%geometry:640,480\n%x,y,p,t\n1,2,1,1000\n3,4,0,2500\n5,6,1,3000\n",
+    "rpg": "640 480\n0.001 1 2 1\n0.0025 3 4 0\n0.003 5 6 1\n",
+    "x y t p": "1,2,0.001,1\n3,4,0.0025,0\n5,6,0.003,1\n",
+    "x y t p in us": "1,2,1000,1\n3,4,2500,-1\n5,6,3000,1\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "block"), [(name, block) for name in CSV for block in (8, 1 << 22) if name != "x y t p in us" or block > 8]
+)
+def test_csv_of_other_programs(
+    text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, name: str, block: int
+) -> None:
+    """Assert that CSV with and without a header, in other orders and with other columns, reads the same."""
+    monkeypatch.setattr(read_text, "BLOCK_CHARS", block)
+    imported = read_events(text(CSV[name], "a.csv"), frame_px=FRAME)
+    assert (event_rows(imported), imported.t_offset_us) == (ROWS, 1000)
+
+
+def test_what_text_leaves_unsaid_is_said(text: Callable[..., Path]) -> None:
+    """Assert that order and unit are in the notes where they were assumed, and columns that were not read."""
+    polarity = "polarity 1 brighter, 0 or -1 darker"
+    for name, note in (
+        ("x y t p", f"assumed: columns x y t p, time in seconds, {polarity}"),
+        ("Prophesee", f"assumed: columns x y p t, time in microseconds, {polarity}"),
+        ("names of data sets", f"assumed: time in microseconds, {polarity}"),
+    ):
+        assert read_events(text(CSV[name]), frame_px=FRAME).notes == [note]
+    imported = read_events(text(CSV["a text between"]), frame_px=FRAME)
+    assert imported.left_out == {"values of label": 3}
+    assert read_events(text(CSV["pandas with its index"]), frame_px=FRAME).left_out == {"values of 1": 3}
+
+
+def test_text_may_say_its_frame(text: Callable[..., Path]) -> None:
+    """Assert that rpg's first line and Prophesee's comment are the frame, and no other is taken."""
+    for name in ("rpg", "Prophesee", "Prophesee, named"):
+        assert read_events(text(CSV[name])).frame_px == FRAME
+        assert "leave out --frame-size" in refusal(text(CSV[name]), frame_px=(346, 260))
+
+
+def test_a_few_events_in_disorder_are_no_other_order(text: Callable[..., Path]) -> None:
+    """Assert that a column which rises by chance is not taken for the time."""
+    assert "time goes backwards" in refusal(text("9000 1 1 1\n8000 2 2 1\n7000 3 3 1\n"), frame_px=FRAME)
 
 
 @settings(max_examples=50)
@@ -329,6 +385,22 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     assert imported.notes == ["time went backwards: 1 events were put back in order"]
 
 
+def test_what_the_docs_tell_to_write_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the page's lines of Python and its command, and its text, give the two events that they show."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "recordings.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    blocks = [re.sub("(?m)^    ", "", block) for block in re.findall(r"(?m)(?:^    .+\n)+", page)]
+    exec(next(block for block in blocks if block.startswith("import numpy")))
+    command = next(block for block in blocks if "touch.npz" in block and block.startswith("evetac")).split()
+    params = Record(source=Path(command[command.index("--from") + 1]), frame_size="640x480")
+    (job,) = record.jobs([], params, Path(command[command.index("--out") + 1]))
+    (row,) = record.run(job, params).rows
+    assert (row["events"], row["notes"]) == (2, None)
+    (tmp_path / "a.txt").write_text(next(block for block in blocks if block.startswith("t_us x y p")))
+    written = [(0, 312, 77, 1), (7, 313, 77, 0)]
+    assert event_rows(read_events(tmp_path / "a.txt")) == event_rows(read_events(tmp_path / "touch.npz")) == written
+
+
 # --- files that are something else --------------------------------------------------------------------------------
 
 
@@ -342,14 +414,15 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
         ("a.aedat4", b"0 1 2 1\n", "begins with b'0 1 2 1"),
         ("a.txt", b"0 1 \x00\x00 2 1\n", "begins with b'0 1 "),
         ("a.txt", "0 1 2 1\n".encode("utf-16"), "begins with"),
-        ("a.aedat", b"#!AER-DAT2.0\r\n# x\r\n", "AEDAT2"),
-        ("a.aedat", b"#!AER-DAT3.1\r\n", "AEDAT3"),
-        ("a.raw", b"% evt 2.1\n% end\n\x00\x01", "with the maker's tools"),
+        ("a.aedat", b"#!AER-DAT1.0\r\n# x\r\n", "AEDAT of another version"),
+        ("a.aedat", b"#!AER-DAT3.1\r\n", "the head of the file does not end"),
+        ("a.raw", b"% evt 4.1\n% end\n\x00\x01", "with the maker's tools"),
         ("a.raw", b"0 1 2 1\n", "begins with b'0 1 2 1"),
         ("a.db3", b"0 1 2 1\n", "begins with b'0 1 2 1"),
-        ("a.npz", b"PK\x03\x04rest", "archive"),
+        ("a.npz", b"PK\x03\x04rest", "cannot be read as numpy's"),
+        ("a.npz", b"PK\x05\x06rest", "an empty archive"),
         ("a.txt.gz", b"\x1f\x8b\x08rest", "gunzip"),
-        ("a.npy", b"\x93NUMPY\x01\x00", "numpy"),
+        ("a.npy", b"\x93NUMPY\x01\x00", "cannot be read as numpy's"),
         ("a.bag", b"#ROSBAG V1.2\n", "rosbag migrate"),
     ],
 )
@@ -368,10 +441,10 @@ def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
 
 def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
     """Assert that an option of another format is an error."""
-    assert "--stream only applies to AEDAT4 files and ROS bags" in refusal(
+    assert "--stream only applies to files that hold several" in refusal(
         text("0 1 2 1\n"), frame_px=FRAME, stream="events"
     )
-    assert "--stream only applies" in refusal(dsec(), frame_px=FRAME, stream="events")
+    assert "no --stream: the file holds one stream" in refusal(dsec(), frame_px=FRAME, stream="events")
 
 
 # --- HDF5 ---------------------------------------------------------------------------------------------------------
@@ -422,7 +495,7 @@ def test_polarity_of_other_types_is_read(dsec: Callable[..., Path], p: Any) -> N
 
 def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that batches join without loss, and places are counted through them."""
-    monkeypatch.setattr("evetac_cli.formats.read.read_dsec.BATCH_ROWS", 2)
+    monkeypatch.setattr("evetac_cli.formats.read.read_hdf5.BATCH_ROWS", 2)
     assert event_rows(read_events(dsec(), frame_px=FRAME)) == ROWS
     assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
 
@@ -456,14 +529,10 @@ def test_columns_that_do_not_fit_are_refused(dsec: Callable[..., Path], given: d
 def test_other_layouts_are_refused_with_what_they_hold(tmp_path: Path) -> None:
     """Assert that HDF5 in the layout of other tools is told apart."""
     path = tmp_path / "a.h5"
-    for name, words in (
-        ("images", "found:    images"),
-        ("events", "one table of shape (3, 4)"),
-        ("CD/events", "Prophesee"),
-    ):
+    for name in ("images", "frames/left"):
         with h5py.File(path, "w") as file:
             file[name] = np.zeros((3, 4), np.uint32)
-        assert words in refusal(path, frame_px=FRAME)
+        assert f"found:    {name.split('/')[0]}" in refusal(path, frame_px=FRAME)
     with h5py.File(path, "w") as file:
         file.create_group(b"\xff")
         file.create_group("images")

@@ -165,7 +165,7 @@ def test_command(tmp_path: Path) -> None:
     assert "not repaired" in done.stdout
 
 
-@pytest.mark.parametrize("after_s", [0.05, 0.35])
+@pytest.mark.parametrize("after_s", [0.05, pytest.param(0.35, marks=pytest.mark.slow)])
 def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path) -> None:
     """Assert that a device-like recording that was killed is repaired, and holds the first slices of what was played.
 

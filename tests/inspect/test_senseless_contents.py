@@ -287,6 +287,11 @@ CHANGES = [
     # report
     Change("report", "rows", (), "no JSON", "a JSON list of flat objects"),
     Change("report", "rows", (), '{"a": 1}', "a JSON list of flat objects"),
+    recording("streams/arm/t_us", 2, 0, "never decreasing"),
+    recording("streams/arm/t_us", 4, 2**63 - 1, "4611686018427387904"),
+    recording("streams/arm/x_m", 1, INF, "finite"),
+    recording("streams/arm/about", (), "no JSON", "a JSON object"),
+    recording("streams/arm/about", (), '{"units": {"x_m": 3}}', "`units` that are texts"),
     Change("report", "rows", (), "[1, 2]", "a JSON list of flat objects"),
     Change("report", "rows", (), '[{"a": {"b": 1}}]', "a JSON list of flat objects"),
     Change("report", "rows", (), '[{"a": NaN}]', "a JSON list of flat objects"),

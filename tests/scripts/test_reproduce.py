@@ -24,6 +24,7 @@ from reproduce import Refusal
 
 Row = dict[str, Any]
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
+COMMAND_LINE = typer.main.get_command(app)
 SMALLNESS = pytest.mark.parametrize("small", [False, True])
 
 
@@ -190,7 +191,7 @@ def test_commands_exist(name: str, *, small: bool) -> None:
         if program == "python":
             assert (reproduce.ROOT / words[0]).exists()
             continue
-        command = typer.main.get_command(app)
+        command: Any = COMMAND_LINE
         while hasattr(command, "commands"):
             command = command.commands[words.pop(0)]
         command.make_context(name, words)

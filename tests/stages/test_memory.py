@@ -10,7 +10,7 @@ import pytest
 from evetac_cli import stages
 from evetac_cli.devices import replay
 from evetac_cli.formats.exports import export
-from evetac_cli.formats.read import events_on_disk, read_dsec
+from evetac_cli.formats.read import events_on_disk, read_hdf5
 from evetac_cli.formats.write import pieces, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
@@ -73,7 +73,7 @@ BLOCKS = (
     (pieces, "PIECE_EVENTS", 1 << 13),
     (trim, "PIECE_ROWS", 1 << 13),
     (events_on_disk, "BLOCK_EVENTS", 1 << 13),
-    (read_dsec, "BATCH_ROWS", 1 << 13),
+    (read_hdf5, "BATCH_ROWS", 1 << 13),
     (contents, "BLOCK_VALUES", 1 << 13),
     (replay, "BLOCK_SLICES", 100),
     (replay, "PACKET_EVENTS", 1 << 10),

@@ -304,9 +304,12 @@ class _RunningWorld:
         return max(left_s, STANDING_S) if self._patient and left_s > 0.0 else max(left_s, 0.0)
 
     @property
-    def waiting_for(self) -> list[Connection]:
-        """The pipe of the words, if some wait for room in it; for select."""
-        return [self._words] if self._backlog else []
+    def waiting_for(self) -> list[Connection | MessageWriter]:
+        """The pipes of the words and of the truth, where some of it waits for room; for select."""
+        pipes: list[Connection | MessageWriter] = [self._words] if self._backlog else []
+        if self._truths is not None and self._truths.waiting_bytes:
+            pipes.append(self._truths)
+        return pipes
 
     def tick(self) -> None:
         """Make one slice if its time has come, and send what there is to send."""
@@ -330,6 +333,8 @@ class _RunningWorld:
                 self._backlog = self._backlog[os.write(self._fd, self._backlog) :]
             except BlockingIOError:
                 break
+        if self._truths is not None:
+            self._truths.send()
         if self._world.finished:
             self._counters[_BEGAN_NS] = 0
         self._counters[_MADE] = self._world.slices
@@ -353,12 +358,10 @@ class _RunningWorld:
             self._send_pending()
         if self._world.finished:
             self._truths.put(None)
-        self._truths.send()
 
     def _send_pending(self) -> None:
         if self._truths is not None and self._pending:
             self._truths.put({name: np.asarray([row[name] for row in self._pending]) for name in self._pending[0]})
-            self._truths.send()
             self._pending = []
 
     def _queue(self, data: bytes) -> None:

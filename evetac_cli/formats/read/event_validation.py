@@ -43,6 +43,8 @@ class Foreign:
     batches: Iterable[Columns]
     clock_us: int = 0  # to be added to every t, where a file keeps it apart
     notes: list[str] = field(default_factory=list)
+    left_out: dict[str, int] = field(default_factory=dict)  # what the file holds beside the events, and how much of it
+    assumed: str = ""  # what the file does not say of its columns
     note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
     cut_short: bool = False  # its end is known to be missing
     may_be_empty: bool = False  # the file is whole, also where it holds no event

@@ -8,7 +8,7 @@ Images and numbers wait on disk, so a bag of hours takes no more memory than a s
 import io
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +173,7 @@ class _Numbers(_Reader):
         for at, (wanted, unit) in enumerate(zip(self._names, self._units, strict=True)):
             name = free_name(wanted, columns)
             columns[name], units[name] = values[0][:, at], unit
-        return Stream(**{**vars(stream), "columns": columns, "units": units})
+        return replace(stream, columns=columns, units=units)
 
 
 def _numbers(value: Any, name: str, unit: str, found: dict[str, tuple[float, str]]) -> None:
@@ -214,7 +214,7 @@ class _Images(_Reader):
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
         """The stream with what was read."""
-        return Stream(**{**vars(stream), "frames": values[0]})
+        return replace(stream, frames=values[0])
 
     def _check_size(self, width: int, height: int) -> None:
         if not (0 < width <= LARGEST_FRAME_PX and 0 < height <= LARGEST_FRAME_PX):
@@ -237,7 +237,7 @@ class _Images(_Reader):
         try:
             from PIL import Image
         except ImportError as error:
-            hint = install_hint("convert")
+            hint = install_hint("plot")
             raise InputError("packed images need pillow", where=self.where, found=str(error), hint=hint) from None
         with bag_in_words(self.where, f"the image of message {self.number}"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))

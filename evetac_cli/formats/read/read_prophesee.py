@@ -1,36 +1,50 @@
-"""Read events from Prophesee's RAW (EVT2, EVT3) and DAT files with faery, the extra `convert`.
+"""Read events from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files, all but EVT2.1 with faery, the extra `convert`.
 
 The text at the head of a file, lines that begin with "% ", is read here: which encoding, which frame. Where it does not
-say the frame, faery would take 1280 x 720; we ask. And faery times events from the first word on, though they have no
-time before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem
-to begin seconds too early. So what comes before that word is left out, as the maker's own software does.
+say the frame, faery would take 1280 x 720; we ask. Exports of ours have two lines more: the note, and where the start
+of the recording is on the source's clock. And faery times events from the first word on, though they have no time
+before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem to
+begin seconds too early. So what comes before that word is left out, as the maker's own software does. Words of
+external triggers are counted.
+
+faery 0.7.1 has no EVT2.1. Its words have 64 bits: four of type, and for events six of time, eleven of column, eleven of
+row, and one for each of 32 columns from there on. Some sensors send the upper half first (`endianness=legacy`).
 """
 
 import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.faery_library import load_faery, refusal_text, scratch_file
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
+OFFSET = "t_offset_us"  # the key of a line of ours
 HEAD_LIMIT_BYTES = 1 << 20
-KINDS = {"2.0": "evt2", "evt2": "evt2", "3.0": "evt3", "evt3": "evt3"}
-WORD_BYTES = {"evt2": 4, "evt3": 2, "dat1": 8, "dat2": 8}
-TIME_HIGH = 0x8  # the upper four bits of a word that holds the high bits of time
+KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
+WORD_BYTES = {"evt2": 4, "evt2.1": 8, "evt3": 2, "dat1": 8, "dat2": 8}
+KINDS_21 = (0x0, 0x1, 0x8, 0xA, 0xE, 0xF)  # darker, brighter, time, trigger, and two that hold no events
+FIELDS_21 = ((54, 0x3F), (43, 0x7FF), (32, 0x7FF))  # shift and mask of the low bits of time, of column and row
+HIGH_21 = 1 << 28  # at which the high bits of time begin anew
+TIME_HIGH, TRIGGER = 0x8, 0xA  # the upper four bits of a word that holds the high bits of time, or a trigger
 
 
 class Head(NamedTuple):
     """What the text says, and where the words begin."""
 
-    kind: str  # evt2, evt3, dat1 or dat2
+    kind: str  # evt2, evt2.1, evt3, dat1 or dat2
     frame_px: tuple[int, int] | None
     size: int
+    note: Note | None = None  # of an export of ours
+    clock_us: int = 0  # to be added to every time
+    swapped: bool = False  # of each word, the upper half comes first
 
 
 def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
@@ -38,14 +52,22 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     where = str(path)
     head = read_head(path)
     frame = choose_frame(head.frame_px, frame_px, where)
-    foreign = Foreign("prophesee", frame, ())
-    skipped = 0 if head.kind.startswith("dat") else untimed_bytes(path, head)
+    foreign = Foreign("prophesee", frame, (), head.clock_us, note=head.note)
+    raw = not head.kind.startswith("dat")
+    skipped = untimed_bytes(path, head) if raw else 0
     rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
     if skipped:
         foreign.notes.append(f"left out {skipped} bytes before the first time stamp")
     if rest:
         foreign.notes.append(f"cut short: the last {rest} bytes are no whole word")
-    foreign.batches = _trimmed(path, head, frame, skipped) if skipped else decode(path, head.kind, frame, where)
+    if raw and (triggers := sum(int(np.count_nonzero(kinds == TRIGGER)) for kinds in _kinds(path, head))):
+        foreign.left_out["triggers"] = triggers
+    if head.kind == "evt2.1":
+        foreign.batches = _evt21(path, head, skipped)
+    elif skipped:
+        foreign.batches = _trimmed(path, head, frame, skipped)
+    else:
+        foreign.batches = decode(path, head.kind, frame, where)
     return foreign
 
 
@@ -63,9 +85,25 @@ def read_head(path: Path) -> Head:
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
         fields[key.lower()] = value.strip()
         size = end + 1
+    kind = _kind(fields, where)
+    legacy = fields.get("endianness") == "legacy" or "endianness=legacy" in fields.get("format", "").split(";")
     return Head(
-        _kind(fields, where), _frame(fields), size + (2 if "evt" not in fields and "format" not in fields else 0)
+        kind,
+        _frame(fields),
+        size + 2 * kind.startswith("dat"),
+        read_note(fields[NAME], where) if NAME in fields else None,
+        _clock_us(fields, where),
+        legacy and kind == "evt2.1",
     )
+
+
+def _clock_us(fields: dict[str, str], where: str) -> int:
+    """Where the times of an export of ours begin on the source's clock; 0 in other files."""
+    text = fields.get(OFFSET, "0")
+    if not re.fullmatch("-?[0-9]{1,16}", text) or abs(int(text)) >= CLOCK_LIMIT_US:
+        expected = "microseconds within 285 years of 0"
+        raise InputError(f"`{OFFSET}` is damaged", where=where, expected=expected, found=text[:40])
+    return int(text)
 
 
 def _kind(fields: dict[str, str], where: str) -> str:
@@ -80,7 +118,7 @@ def _kind(fields: dict[str, str], where: str) -> str:
     raise InputError(
         "a RAW file in an encoding that is not read here",
         where=where,
-        expected="EVT2 or EVT3",
+        expected="EVT2, EVT2.1 or EVT3",
         found=name[:20] or "no name",
         hint="convert it to HDF5 or text with the maker's tools",
     )
@@ -98,27 +136,67 @@ def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
 
 
 def untimed_bytes(path: Path, head: Head) -> int:
-    """Bytes before the first word that holds the high bits of time."""
-    word = WORD_BYTES[head.kind]
+    """Bytes before the first word that holds the high bits of time, as far as the first block of words goes."""
+    kinds = next(_kinds(path, head), None)
+    if kinds is None:
+        return 0
+    high = np.flatnonzero(kinds == TIME_HIGH)
+    whole = len(kinds) * WORD_BYTES[head.kind] == HEAD_LIMIT_BYTES  # there may be more
+    return int(high[0] if len(high) else len(kinds) * whole) * WORD_BYTES[head.kind]
+
+
+def _kinds(path: Path, head: Head) -> Iterator[NDArray[Any]]:
+    """The upper four bits of all words, in blocks."""
+    for block in _words(path, head, 0):
+        word = 8 * block.dtype.itemsize
+        yield block >> (word - 4)
+
+
+def _words(path: Path, head: Head, skipped: int) -> Iterator[NDArray[Any]]:
+    """All whole words after so many bytes, in blocks, the halves of each in order."""
+    size = WORD_BYTES[head.kind]
     with path.open("rb") as file:
-        file.seek(head.size)
-        content = file.read(HEAD_LIMIT_BYTES)
-    words = np.frombuffer(content[: len(content) // word * word], f"<u{word}")
-    high = np.flatnonzero(words >> (8 * word - 4) == TIME_HIGH)
-    if not len(high):
-        return 0 if len(content) < HEAD_LIMIT_BYTES else len(words) * word
-    return int(high[0]) * word
+        file.seek(head.size + skipped)
+        while block := file.read(HEAD_LIMIT_BYTES):
+            words = np.frombuffer(block[: len(block) // size * size], f"<u{size}")
+            yield words << np.uint64(32) | words >> np.uint64(32) if head.swapped else words
 
 
 def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
     """Decode a copy without the words that have no time."""
-    with scratch_file(".raw") as (copy, target), path.open("rb") as source:
+    with scratch_file(".raw") as (copy, target):
         target.write(raw_header(head.kind, frame))
-        source.seek(head.size + skipped)
-        while block := source.read(HEAD_LIMIT_BYTES):
-            target.write(block)
+        for words in _words(path, head, skipped):
+            target.write(words.tobytes())
         target.flush()
         yield from decode(copy, head.kind, frame, str(path))
+
+
+def _evt21(path: Path, head: Head, skipped: int) -> Iterator[Columns]:
+    """The events of EVT2.1; InputError at a word of a type that is none of its own."""
+    high = turns = done = start = 0
+    for words in _words(path, head, skipped):
+        kind = (words >> np.uint64(60)).astype(np.int64)
+        unknown = ~np.isin(kind, KINDS_21)
+        if unknown.any():
+            at = int(np.argmax(unknown))
+            place = head.size + skipped + 8 * (done + at)
+            found = f"type {kind[at]:#x} at byte {place}"
+            raise InputError("a word that EVT2.1 does not have", where=str(path), found=found, hint="copy it again")
+        highs = kind == TIME_HIGH
+        times = ((words[highs] >> np.uint64(32)) & np.uint64(HIGH_21 - 1)).astype(np.int64)
+        wrapped = np.cumsum(np.diff(times, prepend=high) < -(HIGH_21 // 2)) + turns
+        since = np.concatenate([[high + turns * HIGH_21], times + wrapped * HIGH_21])[np.cumsum(highs)]
+        if len(times):
+            high, turns = int(times[-1]), int(wrapped[-1])
+        events = kind <= 1
+        of_pixels, p = words[events], kind[events]
+        word, column = np.nonzero((of_pixels.astype(np.uint32)[:, None] >> np.arange(32, dtype=np.uint32)) & 1)
+        low, x, y = ((of_pixels >> np.uint64(shift)).astype(np.int64) & mask for shift, mask in FIELDS_21)
+        t = (since[events] << 6) + low
+        yield Columns(t[word], x[word] + column, y[word], p[word].astype(np.uint8), partial(at_index, start))
+        start += len(word)
+        done += len(kind)
 
 
 def raw_header(kind: str, frame: tuple[int, int]) -> bytes:

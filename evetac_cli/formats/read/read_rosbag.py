@@ -2,7 +2,8 @@
 
 rosbags finds the messages; what is in them is decoded in ros_messages, from their bytes. So a bag needs no
 definitions of its messages, and those of other topics do not matter. Where a ROS 1 bag says by the checksum of a
-definition that its messages have another layout under the same name, it is refused.
+definition that its messages have another layout under the same name, it is refused. An export of ours has its note on
+a topic.
 """
 
 from collections import Counter
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError, install_hint
+from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
 from evetac_cli.formats.read.faery_library import scratch_file
@@ -25,8 +27,9 @@ MCAP = b"\x89MCAP0\r\n"
 ROS1 = b"#ROSBAG V2.0\n"
 METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
-MOST_LEFT_OUT = 5  # topics without events that are named
 ZSTD = b"\x28\xb5\x2f\xfd"
+EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # of exports of ours
+NOTE_TYPE = "std_msgs/msg/String"
 PROPHESEE = ("evt2", "evt3")
 ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
 
@@ -56,8 +59,13 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         topic, kind, others = _choose(reader.connections, ros2, stream, where)
         if others:
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
-        foreign.notes += _left_out(reader.connections)
+        if topic == EVENTS_TOPIC and ros2:
+            foreign.note = _note(reader, where)
+        foreign.left_out |= _left_out(reader.connections)
         first = next(_messages(reader, topic, kind, where), None)
+        if first is None and foreign.note is not None and not foreign.note.slices:
+            foreign.frame_px = choose_frame(foreign.note.frame_px, frame_px, where)
+            return foreign
         if first is None:
             raise InputError(f"no message on the topic {topic}", where=where, hint="a recorder that saw no camera?")
         frame, content = _read(kind, first, ros2, f"{where}: message 0")
@@ -103,18 +111,23 @@ def _choose(connections: list[Any], ros2: bool, wanted: str | None, where: str) 
     return topic, topics[topic], sorted(set(topics) - {topic})
 
 
-def _left_out(connections: list[Any]) -> Iterator[str]:
-    """How many messages there are of topics without events, in words."""
-    counts: Counter[tuple[str, str]] = Counter()
+def _note(reader: Any, where: str) -> Note | None:
+    """The note of an export of ours; None where there is none."""
+    message = next(_messages(reader, NOTE_TOPIC, NOTE_TYPE, where), None)
+    if message is None:
+        return None
+    with _layout_in_words(f"{where}: {NOTE_TOPIC}"):
+        text = Fields(message, ros2=True).text()
+    return read_note(text, where)
+
+
+def _left_out(connections: list[Any]) -> dict[str, int]:
+    """How many messages there are of each topic without events."""
+    counts: Counter[str] = Counter()
     for one in connections:
-        if one.msgtype not in TYPES:
-            counts[one.topic, one.msgtype] += one.msgcount
-    named = [
-        f"{count} message{'s' * (count > 1)} on {topic} ({kind})" for (topic, kind), count in counts.items() if count
-    ]
-    if named:
-        more = f", and {len(named) - MOST_LEFT_OUT} more topics" if len(named) > MOST_LEFT_OUT else ""
-        yield f"left out: {', '.join(named[:MOST_LEFT_OUT])}{more}"
+        if one.msgtype not in TYPES and (one.topic, one.msgtype) != (NOTE_TOPIC, NOTE_TYPE) and one.msgcount:
+            counts[f"messages on {one.topic} ({one.msgtype})"] += one.msgcount
+    return dict(counts)
 
 
 def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
@@ -156,6 +169,7 @@ def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: st
         try:
             inner = read_prophesee.open_prophesee(raw, None)
             foreign.notes += inner.notes
+            foreign.left_out |= inner.left_out
             yield from inner.batches
         except InputError as error:
             raise InputError(str(error).replace(str(raw), where)) from None
@@ -210,7 +224,7 @@ def _layout_in_words(where: str) -> Iterator[None]:
 def _messages(reader: Any, topic: str, kind: str, where: str) -> Iterator[bytes]:
     """The bytes of all messages of a topic, in the order of their reception."""
     chosen = [one for one in reader.connections if (one.topic, one.msgtype) == (topic, kind)]
-    messages = iter(reader.messages(chosen))
+    messages = iter(reader.messages(chosen) if chosen else ())  # rosbags takes none for all
     number = 0
     while True:
         with bag_in_words(where, f"message {number}"):

@@ -1,8 +1,10 @@
-"""Read events from text: one event a line, `t x y p`, separated by blanks or commas, `#` begins a comment.
+"""Read events from text, also CSV: one event a line, columns separated by blanks or commas, `#` or `%` for comments.
 
-The order of the columns is t x y p unless the first line names another (`x,y,p,t`). The unit of time is what the names
-say (`t_s`, `t_us`), else what the first time looks like: an integer is microseconds, with a point or an exponent it is
-seconds.
+The order of the columns is what the first line, or a comment before it, says (`x,y,polarity,timestamp`; columns with
+other names are left out), else what fits the first lines (column_order). The unit of time is what the names say (`t_s`,
+`t_us`), else what the first time looks like: an integer is microseconds, with a point or an exponent it is seconds.
+The frame is known where the first line has only two numbers (rpg), or a comment says `%geometry:WIDTH,HEIGHT`
+(Prophesee).
 """
 
 import re
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
+from evetac_cli.formats.read.column_order import ORDERS, Order, assumption, by_name, guess_order
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
@@ -24,52 +27,86 @@ LINE_LIMIT_CHARS = 1 << 16
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
 UNIT_HINT = "name the unit in a first line: `t_s x y p` or `t_us x y p`"
+COMMENTS = ("#", "%")
+MOST_COLUMNS = 64
+GEOMETRY = re.compile(r"%\s*geometry:\s*(\d{1,5})\s*[,x]\s*(\d{1,5})\s*$", re.IGNORECASE)
+TWO_NUMBERS = re.compile(r"\s*(\d{1,5})[ \t]+(\d{1,5})\s*$")
 
 
 class Layout(NamedTuple):
-    """How a line is read: the columns of t, x, y, p, us per unit of t, and the separator (None: blanks)."""
+    """How a line is read: the order of its columns, how many it has, and the separator (None: blanks)."""
 
-    order: tuple[int, int, int, int]
-    us_per_unit: float
+    order: Order
+    columns: int
     separator: str | None
+    guessed: str = ""  # the order in words, where no name says it
+    unused: tuple[str, ...] = ()  # names of the other columns
 
 
 def open_text(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of a text file; FrameUnknown without frame_px: text does not say it (an export of ours does)."""
-    note = _note(path)
-    if note is None and frame_px is None:
-        with closing(_batches(path)) as batches:  # what is no text of events has no frame either
+    """Events of a text file; FrameUnknown without frame_px where neither the text nor a note of ours says it."""
+    where = str(path)
+    note, own_px = _note_and_frame(path)
+    foreign = Foreign("text", (1, 1), (), note=note)
+    if note is None and own_px is None and frame_px is None:
+        with closing(_batches(path, foreign)) as batches:  # what is no text of events has no frame either
             if next(batches, None) is None:
-                raise no_events(str(path))
+                raise no_events(where)
     hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
-    frame = choose_frame(note.frame_px if note else None, frame_px, str(path), hint)
-    return Foreign("text", frame, _batches(path), note=note)
+    foreign.frame_px = choose_frame(note.frame_px if note else own_px, frame_px, where, hint)
+    foreign.batches = _batches(path, foreign)
+    return foreign
 
 
-def _note(path: Path) -> Note | None:
-    """The first line, if it is a comment that evetac wrote."""
+def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
+    """What evetac wrote into the first line, and the frame that one of the first lines says."""
+    frame = None
     with path.open(encoding="utf-8-sig", errors="replace") as handle:
-        sign, name, text = [*handle.readline(LINE_LIMIT_CHARS).strip().split(" ", 2), "", ""][:3]
-    return read_note(text, str(path)) if (sign, name) == ("#", NAME) else None
+        line = handle.readline(LINE_LIMIT_CHARS)
+        sign, name, text = [*line.strip().split(" ", 2), "", ""][:3]
+        note = read_note(text, str(path)) if (sign, name) == ("#", NAME) else None
+        while frame is None and line.lstrip().startswith(COMMENTS):
+            if said := GEOMETRY.match(line.strip()):
+                frame = int(said[1]), int(said[2])
+            line = handle.readline(LINE_LIMIT_CHARS)
+    if frame is None and (said := TWO_NUMBERS.match(line)):
+        frame = int(said[1]), int(said[2])
+    return note, frame
 
 
-def _batches(path: Path) -> Generator[Columns, None, None]:
-    """One batch a block of lines; raises InputError with the number of the line that cannot be read."""
-    layout = names = None
+def _batches(path: Path, foreign: Foreign) -> Generator[Columns, None, None]:
+    """One batch a block of lines; raises InputError with the number of the line that cannot be read.
+
+    `foreign` is told what was assumed, and what was left out.
+    """
+    layout: Layout | None = None
+    us_per_unit: float | None = None
+    names: list[str] = []
+    comment = ""
+    begun = False  # a line with content was met
     for number, lines in _blocks(path):
         if layout is None:
-            at = next((i for i, line in enumerate(lines) if _data(line)), None)
-            if at is None:
+            for i, line in enumerate(lines):
+                data = _data(line)
+                if not data:
+                    comment = line.strip().lstrip("#% ") or comment
+                elif not begun and TWO_NUMBERS.match(data):
+                    lines[i] = ""
+                elif not begun and _order(named := _names(data)):
+                    names, lines[i] = named, ""
+                else:
+                    layout = _layout(path, number, lines, data, names or _names(comment))
+                    break
+                begun = begun or bool(data)
+            if layout is None:  # no line with events so far
                 continue
-            if header := _names(_data(lines[at])):
-                names = header
-                lines[at] = ""
-            layout = _layout(lines, names or ["t", "x", "y", "p"])
-            if layout is None:  # only the line of names so far
-                continue
-        table = _table(path, number, lines, layout.separator)
-        t, x, y, p = (table[:, column] for column in layout.order)
-        if layout.us_per_unit == 1:
+        table = _table(path, number, lines, layout)
+        if us_per_unit is None:
+            us_per_unit = layout.order.us_per_unit or _unit(lines, layout)
+            if foreign.note is None and (layout.guessed or layout.order.us_per_unit is None):
+                foreign.assumed = assumption(layout.guessed, us_per_unit if layout.order.us_per_unit is None else None)
+        t, x, y, p = table.T
+        if us_per_unit == 1:
             odd = np.flatnonzero((t != np.rint(t)) & np.isfinite(t))
             if len(odd):
                 odd_line = f"{t[odd[0]]:.9g} {_place(number, lines, int(odd[0]))}"
@@ -77,7 +114,9 @@ def _batches(path: Path) -> Generator[Columns, None, None]:
                 raise InputError(
                     "time changes its unit", where=str(path), expected=expected, found=odd_line, hint=UNIT_HINT
                 )
-        yield Columns(t * layout.us_per_unit, x, y, p, partial(_place, number, lines))
+        yield Columns(t * us_per_unit, x, y, p, partial(_place, number, lines))
+        for name in layout.unused:
+            foreign.left_out[name] = foreign.left_out.get(name, 0) + len(table)
 
 
 def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -100,7 +139,9 @@ def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 def _data(line: str) -> str:
     """The line without its comment."""
-    return line.partition("#")[0].strip()
+    for sign in COMMENTS:
+        line = line.partition(sign)[0]
+    return line.strip()
 
 
 def _fields(line: str, separator: str | None) -> list[str]:
@@ -115,49 +156,60 @@ def _place(number: int, lines: list[str], row: int) -> str:
     return f"in line {number + next(data_lines)}"
 
 
-def _names(text: str) -> list[str] | None:
-    """Names of the columns, or None where the text does not name them."""
-    names = text.lower().replace(",", " ").split()
-    return names if sorted(name[:1] if name in ("t_s", "t_us") else name for name in names) == list("ptxy") else None
+def _names(text: str) -> list[str]:
+    """The words of a line, as names of columns."""
+    return text.split(",") if "," in text else text.split()
 
 
-def _layout(lines: list[str], names: list[str]) -> Layout | None:
-    """Separator from the first line with data, unit of time from the first finite time; None without data."""
-    first = next((line for line in map(_data, lines) if line), None)
-    if first is None:
-        return None
+def _order(names: list[str]) -> Order | None:
+    """The order that names tell; None where they do not, or are numbers."""
+    return by_name(names) if len(names) <= MOST_COLUMNS else None
+
+
+def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str]) -> Layout:
+    """How lines are read, by their names or, without, by what fits the block of the first of them."""
     separator = "," if "," in first else None
-    at = next(i for i, name in enumerate(names) if name[0] == "t")
-    order = (at, names.index("x"), names.index("y"), names.index("p"))
-    if names[at] == "t":
-        times = (fields[at] for line in lines if len(fields := _fields(line, separator)) > at)
-        sample = next(
-            (time for time in times if NUMBER.fullmatch(time) and time.lower().lstrip("+-")[0] not in "ni"), "0"
-        )
-        microseconds = INTEGER.fullmatch(sample) is not None
-    else:
-        microseconds = names[at] == "t_us"
-    return Layout(order, 1.0 if microseconds else 1e6, separator)
+    order = _order(names)
+    if order is not None:
+        unused = [f"values of {name.strip()[:40] or i + 1}" for i, name in enumerate(names) if i not in order.places]
+        return Layout(order, len(names), separator, unused=tuple(unused))
+    plain = Layout(Order(ORDERS["t x y p"], None), 4, separator)
+    guessed = guess_order(_table(path, number, lines, plain))
+    return Layout(Order(ORDERS[guessed], None), 4, separator, guessed)
 
 
-def _table(path: Path, number: int, lines: list[str], separator: str | None) -> NDArray[np.float64]:
-    """The numbers of a block, shape (events, 4)."""
+def _unit(lines: list[str], layout: Layout) -> float:
+    """How many us the unit of time has, by how the first finite time of some lines is written."""
+    at = layout.order.places[0]
+    times = (fields[at] for line in lines if len(fields := _fields(line, layout.separator)) > at)
+    sample = next((time for time in times if NUMBER.fullmatch(time) and time.lower().lstrip("+-")[0] not in "ni"), "0")
+    return 1.0 if INTEGER.fullmatch(sample) else 1e6
+
+
+def _table(path: Path, number: int, lines: list[str], layout: Layout) -> NDArray[np.float64]:
+    """The columns t, x, y, p of a block, shape (events, 4)."""
+    count, separator, places = layout.columns, layout.separator, layout.order.places
     if not any(map(_data, lines)):
         return np.empty((0, 4))
-    reason = "more or fewer than 4 columns"
+    reason = f"more or fewer than {count} columns"
+    plain = [line.partition("%")[0] for line in lines] if any("%" in line for line in lines) else lines
     try:
-        table = np.loadtxt(lines, dtype=np.float64, delimiter=separator, ndmin=2)
+        used = None if count == 4 else places  # other columns may hold anything
+        table = np.loadtxt(plain, dtype=np.float64, delimiter=separator, ndmin=2, usecols=used)
         if table.shape[1] == 4:
-            return table
+            return table if used else table[:, places]
     except ValueError as error:
         reason = str(error)
     # numpy numbers rows without comments and from the block's start: find the line as the user counts it
     for offset, line in enumerate(lines):
         fields = _fields(line, separator)
-        if _data(line) and (len(fields) != 4 or not all(map(NUMBER.fullmatch, fields))):
-            expected = f"4 numbers separated by {'commas' if separator else 'blanks'}: t x y p"
+        numbers = [fields[place] for place in places] if len(fields) == count else []
+        if _data(line) and not (numbers and all(map(NUMBER.fullmatch, numbers))):
+            names = " ".join(name for _, name in sorted(zip(places, "txyp", strict=True)))
+            expected = f"{count} numbers separated by {'commas' if separator else 'blanks'}"
+            expected += f": {names}" if count == 4 else ""
             bad_line = f"line {number + offset}: {_clip(line)}"
-            cut = offset == len(lines) - 1 and len(fields) < 4 and number + offset > 1
+            cut = offset == len(lines) - 1 and len(fields) < count and number + offset > 1
             hint = "if the file was cut short in its last line, remove that line" if cut else ""
             raise InputError("a line cannot be read", where=str(path), expected=expected, found=bad_line, hint=hint)
     raise InputError(f"lines {number} to {number + len(lines) - 1} cannot be read", where=str(path), found=reason)

@@ -1,4 +1,4 @@
-"""view: show a recording and what was computed from it, on one page that needs no network and as an animation."""
+"""view: show a recording and what was computed from it, on one page that needs no network, as animation, in rerun."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import pages
-from evetac_cli.inspect.view import gripper, streams
+from evetac_cli.inspect.view import gripper, rerun_file, streams
 from evetac_cli.inspect.view.event_images import (
     choose_frame_times,
     draw_pictures,
@@ -22,14 +22,21 @@ from evetac_cli.inspect.view.trial_files import Trial, open_trial
 from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params.inspection import View
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 
 
 def run(
     files: list[Path], params: View, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write the page of one trial, and the animation if asked; InputError if either exists, unless `force`."""
-    pages.check_libraries(("bokeh", "PIL"))
+    """Write the page of one trial, or the file for rerun, and the animation if asked.
+
+    InputError if one of them exists, unless `force`.
+    """
+    if params.rrd:
+        rerun_file.load_rerun()
+    else:
+        pages.check_libraries(("bokeh", "PIL"))
     folders = [path for path in files if path.is_dir()]
     if folders:
         raise InputError(
@@ -39,20 +46,24 @@ def run(
             found="a folder",
             hint=f"evetac report {folders[0]} shows all its trials on one page",
         )
-    target = pages.page_path(files[0].parent, f"{stem(files[0])}.html", out)
+    ending = ".rrd" if params.rrd else ".html"
+    target = pages.page_path(files[0].parent, stem(files[0]) + ending, out)
     outputs = [target] if params.film is None else [target, pages.with_suffix(params.film, ".gif", "--film")]
     for path in outputs:
         pages.check_free(path, force)
     with open_trial(files) as trial:
         view = collect_view(trial, params, progress)
-        written = {target: render_page(trial, view)}
+        written = {} if params.rrd else {target: render_page(trial, view)}
         if params.film is not None:
             written[params.film] = _film(trial, view)
+        if params.rrd:
+            with taking_the_place_of(target, ending) as temporary:
+                rerun_file.write_rrd(trial, view, temporary, progress)
     for path, content in written.items():
         pages.write_page(path, content)
     row: dict[str, Any] = {
-        "page": str(target),
-        "size_bytes": len(written[target]),
+        "output" if params.rrd else "page": str(target),
+        "size_bytes": target.stat().st_size,
         "film": None if params.film is None else str(params.film),
         "film_bytes": None if params.film is None else len(written[params.film]),
         "frame_times": len(view.frame_times),

@@ -144,6 +144,8 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
 
             lines = decimated({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
             panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
+    if trial.forces is not None and (trial.forces.has("shear_n") or trial.forces.has("network_n")):
+        panels.append(_forces(trial.forces, span))
     if tracks is not None:
         rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
 
@@ -169,6 +171,21 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
         levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
         panels.append(Panel("Slip probability, detector while grasping", "", lines, levels))
     return [panel for panel in panels if panel.lines]
+
+
+def _forces(forces: StageFile, span: tuple[int, int]) -> Panel:
+    """Forces that a model tells from the dots; the paper's network knows no normal force."""
+    start, both = span[0], forces.has("shear_n") and forces.has("normal_n")
+    shear = "shear_n" if forces.has("shear_n") else "network_n"
+
+    def sizes(first: int, last: int) -> NDArray[Any]:
+        columns = [np.hypot(*forces.read(shear, start + first, start + last).T)]
+        columns += [forces.read("normal_n", start + first, start + last)] if both else []
+        return np.stack(columns, axis=1)
+
+    names = {"shear": ORANGE, "normal": INK} if both else {"shear": ORANGE}
+    lines = decimated(names, start, _length(forces, shear, span), sizes)
+    return Panel("Forces on the gel, estimated", "N", lines)
 
 
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:

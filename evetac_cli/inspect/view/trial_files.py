@@ -113,7 +113,7 @@ def _kind_of(path: Path) -> str:
 
 
 def _recording_id(file: StageFile) -> str | None:
-    """The id of the recording itself, or of the one a file was made from."""
+    """The id of the recording itself, or of the one that a file, or the tracks behind it, was made from."""
     if file.kind == "recording":
         return str(file.header["id"])
     made_from = recording_of(file.header, file.header["history"])

@@ -126,12 +126,14 @@ def train(
     start: Mapping[str, NDArray[np.float32]] | None = None,
     validation: Samples | None = None,
     patience: int | None = None,
+    on_point: Callable[[int, float, float | None], None] | None = None,
 ) -> Training:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
     `epochs` None takes the preset's. Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where
     `max_steps` cuts the run, as many are spread evenly over its steps, and the result's `cut` is True.
-    `on_progress` gets (step, steps) every 10 steps. The result depends on the generator's state alone (on one kind of
+    `on_progress` gets (step, steps) every 10 steps; `on_point` each point of the loss curve: step, loss, and with
+    `patience` the loss on `validation`. The result depends on the generator's state alone (on one kind of
     machine and number of torch threads, which is the caller's to set).
 
     With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
@@ -159,6 +161,9 @@ def train(
     run = _Run(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device, steps, planned)
     if resume_from is not None:
         run.restore(resume_from)
+        if on_point:
+            for done, loss in zip(run.curve_step, run.curve_loss, strict=True):
+                on_point(done, loss, None)
     for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
@@ -175,7 +180,10 @@ def train(
             mean = run.mean_loss()
             if not np.isfinite(mean):
                 raise ValueError(f"preset {preset.name}: expected a finite loss, found {mean} by step {step}")
-            if validation is not None and patience is not None and run.waits(validation) >= patience:
+            waited = 0 if validation is None or patience is None else run.waits(validation)
+            if on_point:
+                on_point(step, mean, run.validated)
+            if patience is not None and waited >= patience:
                 run.end_here()
                 break
         if step in checkpoint_steps:
@@ -228,6 +236,7 @@ class _Run:
         self.checkpoints: list[Checkpoint] = []
         self.least, self.waited = math.inf, 0  # validation loss, and how many there were since
         self.best: Checkpoint | None = None  # the network of the least
+        self.validated: float | None = None  # the last validation loss
         self.curve_step: list[int] = []
         self.curve_loss: list[float] = []
 
@@ -263,7 +272,7 @@ class _Run:
     def waits(self, validation: Samples) -> int:
         """Take the loss on samples for validation; how many such losses there were since the least."""
         now = Checkpoint(self.step, self.weights())
-        loss = validation_loss(validation, now.weights, self.device)
+        self.validated = loss = validation_loss(validation, now.weights, self.device)
         if loss < self.least:
             self.least, self.best, self.waited = loss, now, 0
         else:

@@ -242,14 +242,14 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         time = "grasp_us_median" if name in GRASP_ERRORS else "time_us_median"
         for number, (line_name, members) in enumerate(lines.items()):
             drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
-            style = picture.series(number)
+            style = {**picture.series(number), "linestyle": "none"}
             around = [row for row in (settings[1], *drawn) if row[name] is not None]
             around.sort(key=lambda row: float(row[time]))
             axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
-            own = {"label": line_name, "mfc": "white", "linestyle": "none", **style}
+            own = {"label": line_name, "mfc": "white", **style}
             axes.plot([row[time] for row in drawn], [row[name] for row in drawn], **own)
             best = [row for row in drawn if name.removeprefix("error_") in row["pareto"].split(", ")]
-            axes.plot([row[time] for row in best], [row[name] for row in best], linestyle="none", **style)
+            axes.plot([row[time] for row in best], [row[name] for row in best], **style)
         if settings[0][name] is not None:
             axes.axhline(settings[0][name], color="0.5", linewidth=1, linestyle=":", label="reference")
         unit, top = name.split("_")[1], max((row[name] for row in settings if row[name] is not None), default=0.0)

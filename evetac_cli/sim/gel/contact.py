@@ -44,6 +44,15 @@ def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad
     surfaces are parabolas, right for contacts narrow against the radius. A tilt about y opens the gap by tilt * x: it
     is the misalignment of the fingers, and what makes slip begin at one end.
     """
+    gap = surface(node_xy_m, shape, radius_m, tilt_rad)
+    return np.ascontiguousarray(gap - gap.min())
+
+
+def surface(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> Floats:
+    """Height of a rigid surface over each node, (rows, columns) in m, from where its middle would be without a tilt.
+
+    Shapes as in `gap_profile`; the middle is at the origin of node_xy_m.
+    """
     if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or not np.isfinite(node_xy_m).all():
         raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {node_xy_m.shape}")
     if not np.isfinite(tilt_rad):
@@ -53,12 +62,12 @@ def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad
     if shape != "flat" and not (np.isfinite(radius_m) and radius_m > 0):
         raise ValueError(f"the radius_m of a {shape} must be finite and > 0, found {radius_m}")
     x, y = node_xy_m[..., 0], node_xy_m[..., 1]
-    gap = tilt_rad * x
+    gap: Floats = tilt_rad * x
     if shape == "cylinder":
         gap = gap + y**2 / (2 * radius_m)
     elif shape == "sphere":
         gap = gap + (x**2 + y**2) / (2 * radius_m)
-    return np.ascontiguousarray(gap - gap.min())
+    return gap
 
 
 @dataclass(frozen=True)
@@ -115,13 +124,7 @@ def force_curve(
     ):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be finite and > 0, found {value}")
-    node_stiffness = normal_modulus_pa / gel_height_m * cell_area_m2
-    # N is piecewise linear in d, with a corner wherever one more node comes into contact
-    corner = np.unique(np.append(gap_m[gap_m < gel_height_m], gel_height_m))
-    gaps = np.sort(gap_m, axis=None)
-    pressed = np.searchsorted(gaps, corner, side="right")
-    gap_sum = np.concatenate([[0.0], np.cumsum(gaps)])[pressed]
-    force = node_stiffness * (pressed * corner - gap_sum)
+    force, corner = indentation_curve(gap_m, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
     second = corner
     if second_stiffness is not None:  # a corner wherever one more node of either gel comes into contact
         pushes = np.unique(np.concatenate([force, second_stiffness * force]))
@@ -138,6 +141,20 @@ def force_curve(
     first_m, force_n = np.interp(ticks, closing, corner), np.interp(ticks, closing, force)
     second_m = None if second_stiffness is None else np.interp(ticks, closing, second)
     return ForceCurve(step_ticks, metres_per_tick, force_n, first_m, second_m)
+
+
+def indentation_curve(gap_m: Floats, node_stiffness_n_m: float, gel_height_m: float) -> tuple[Floats, Floats]:
+    """Normal force in N and indentation in m of one gel, (corners,) each, both rising; linear between them.
+
+    gap_m: (rows, columns), of a surface that has not been pressed in yet; the indentation counts from where that is 0.
+    There is a corner wherever one more node comes into contact, and the last where the first gel node is pressed flat.
+    """
+    flat_m = gap_m.min() + gel_height_m
+    corner = np.unique(np.append(gap_m[gap_m < flat_m], flat_m))
+    gaps = np.sort(gap_m, axis=None)
+    pressed = np.searchsorted(gaps, corner, side="right")
+    gap_sum = np.concatenate([[0.0], np.cumsum(gaps)])[pressed]
+    return node_stiffness_n_m * (pressed * corner - gap_sum), corner
 
 
 def closing_at(curve: ForceCurve, force_n: float) -> float:

@@ -80,8 +80,13 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
 
 
 def series(number: int) -> dict[str, Any]:
-    """Colour and marker of a series."""
-    return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 5.5}
+    """Colour, marker and line of a series; where colours come again, the line is dashed."""
+    return {
+        "color": COLOURS[number % len(COLOURS)],
+        "marker": MARKERS[number % len(MARKERS)],
+        "markersize": 5.5,
+        "linestyle": "-" if number < len(COLOURS) else "--",
+    }
 
 
 def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[Any]:

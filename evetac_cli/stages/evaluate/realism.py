@@ -126,6 +126,23 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, *sides(), frame_px), (11.0, 7.5))
 
 
+def for_people(rows: Rows, params: EvaluateRealism) -> tuple[Rows, list[str]]:
+    """All rows, and how many figures are near, and how well the two recordings can be told apart."""
+    known = [row for row in rows if row["distance"] is not None and row["measure"] != HELD_OUT]
+    near = sum(row["distance"] <= NEAR for row in known)
+    as_halves = sum(row["distance"] <= (row["distance_of_halves"] or 0.0) for row in known)
+    lines = [
+        f"{near} of {len(known)} figures are within {NEAR:.0%} of the real recording's; {as_halves} are as near as its"
+        " own halves are to each other."
+    ]
+    for row in rows:
+        if row["measure"] == HELD_OUT:
+            same = row["distance_of_halves"]
+            beside = "" if same is None else f"; two recordings of the real sensor: {same:.2f}"
+            lines.append(f"Told apart with an AUC of {row['distance']:.2f} (0.5: not at all, 1: always){beside}.")
+    return rows, lines
+
+
 def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
     """Headers of the recordings and their frame; InputError if frames differ, or a recording is given twice."""
     headers: list[Header] = []

@@ -379,10 +379,16 @@ def record(
         if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
             processes.status.stop()
             stopped_s = now_s
-    until_s = time.monotonic() + LAST_S
-    while truths is not None and recorded.truths < recorded.slices and time.monotonic() < until_s:
+    until_s = time.monotonic() + END_S
+    while (
+        truths is not None
+        and not truths.ended
+        and recorded.truths < recorded.slices
+        and time.monotonic() < until_s  # a world that sends goes on being waited for
+    ):
         select.select([truths], [], [], POLL_S)
         for message in truths.take():
             recorded.take_truth(message)
+            until_s = time.monotonic() + END_S
     recorded.conclude(processes)
     return recorded

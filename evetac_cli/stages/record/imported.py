@@ -31,13 +31,14 @@ class ImportJob(Job):
 
 def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> Outcome:
     """Import an event file of another program as a recording."""
-    from evetac_cli.formats.imports import read_events  # with the libraries of its format
+    from evetac_cli.formats.imports import left_out_text, read_events  # with the libraries of its format
 
     imported = read_events(
         job.inputs[0],
         frame_px=_frame(params.frame_size),
         sort=params.sort,
         stream=params.stream,
+        frames=params.frames,
         folder=existing_folder(job.output.parent),
         progress=progress,
     )
@@ -46,7 +47,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     for block in _blocks(imported, progress, "events checked"):
         for name, rows in block.items():
             digest.update(name, rows)
-        t = block["events/t"]
+        t = block.get("events/t", ())
         if len(t):
             first, last = int(t[0]) // SLICE_US, int(t[-1]) // SLICE_US
             ends = np.searchsorted(t, np.arange(first + 1, last + 2) * SLICE_US)
@@ -56,6 +57,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         "t_offset": np.int64(imported.t_offset_us),
         "sensor/frame_px": np.array(imported.frame_px, np.int32),
         "sensor/name": UNKNOWN_SENSOR,
+        **{path: text for stream in imported.streams for path, text in stream.texts().items()},
     }
     if params.calibration is not None:
         arrays |= read_calibration(params.calibration, imported.frame_px).arrays()
@@ -68,12 +70,15 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         "format": imported.format,
         "sorted": params.sort,
         "dropped": dict(imported.counts),
+        "left_out": dict(imported.left_out),
         "notes": notes,
     }
     recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=imported.simulated)
     made = not up_to_date(job.output, recipe, force=force)
     if made:
         lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), imported.stored.size)
+        for stream in imported.streams:
+            lengths |= stream.lengths()
         write_stage(job.output, recipe, arrays, _blocks(imported, progress, "events written"), lengths)
     return outcome(
         job,
@@ -82,17 +87,21 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         slices=imported.slices,
         events=imported.stored.size,
         dropped=lost,
+        streams=" ".join(stream.name for stream in imported.streams) or None,
+        left_out=left_out_text(imported.left_out) or None,
         notes="; ".join(notes) or None,
     )
 
 
 def _blocks(imported: "Imported", progress: Progress, doing: str) -> Iterator[dict[str, Any]]:
-    """The events in blocks, as the datasets of a recording."""
+    """The events in blocks, and then the other streams, as the datasets of a recording."""
     done = 0
     for events in imported.stored.blocks():
         yield {f"events/{column}": getattr(events, column) for column in Events._fields}
         done += events.size
         progress(done, imported.stored.size, doing)
+    for stream in imported.streams:
+        yield from stream.blocks()
 
 
 def _frame(text: str | None) -> tuple[int, int] | None:

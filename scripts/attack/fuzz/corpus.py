@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import event_files
 import numpy as np
 import wire
 
@@ -74,6 +75,7 @@ _RECORDING = (
 )
 _INSPECT = ("validate {f}", "info {f}")
 _IMPORT = ("record --from {f} --frame-size 640x480 --out {o}/a.recording.h5", "record --from {f} --sort --out {o}/")
+_ATTACH = ("attach piece.recording.h5 --out {o}/a.recording.h5 --stream arm={f}",)
 KINDS = (
     Kind(
         "recording",
@@ -134,6 +136,7 @@ KINDS = (
             *_INSPECT,
             "evaluate slip third.features.h5 --model {f} --out {o}/a.report.h5",
             "grasp --model {f} --lift-s 1 --balance-s 0.1 --out {o}/a.recording.h5",
+            "share {f} --out {o}/hub",
         ),
         ("third.features.h5",),
     ),
@@ -164,8 +167,27 @@ KINDS = (
     Kind("AEDAT4", "events.aedat4", "bytes", _IMPORT),
     Kind("Prophesee RAW", "events.raw", "bytes", _IMPORT),
     Kind("Prophesee DAT", "events.dat", "bytes", _IMPORT),
+    *(Kind(name, file, mutation, _IMPORT) for name, (file, mutation) in event_files.FILES.items()),
     Kind("camera words", "words.bin", "bytes", ("wire words {f}",)),
     Kind("servo answers", "answers.bin", "bytes", ("wire answers {f}",)),
+    Kind(
+        "recording with streams",
+        "attached.recording.h5",
+        "hdf5",
+        (
+            *_INSPECT,
+            "trim {f} --from-ms 10 --to-ms 60 --out {o}/a.recording.h5",
+            "view {f} --images 5 --out {o}/a.html",
+            "attach {f} --stream again=pose.csv --out {o}/a.recording.h5",
+            "export {f} --format text --out {o}/a.txt",
+        ),
+        ("pose.csv",),
+    ),
+    Kind("CSV of a stream", "pose.csv", "text", _ATTACH, ("piece.recording.h5",)),
+    Kind("Parquet of a stream", "pose.parquet", "bytes", _ATTACH, ("piece.recording.h5",)),
+    Kind("bag of streams", "trial.bag", "bytes", (
+        *(f"{_ATTACH[0].replace('{f}', '{f}:')}{topic}" for topic in ("/pose", "/image", "/packed")),
+    ), ("piece.recording.h5",)),
     Kind("scene", "short.toml", "text", (
         "record --scene {f} --dry-run", "grasp --scene {f} --dry-run", "record --scene {f} --out {o}/a.recording.h5"
     )),
@@ -179,7 +201,7 @@ KINDS = (
 
 def make(folder: Path) -> None:
     """Make the corpus in a folder, unless it is there."""
-    if (folder / "complete").exists():
+    if (folder / "complete").exists() and all((folder / kind.file).exists() for kind in KINDS):
         return
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "short.toml").write_text(_short_scene())
@@ -193,6 +215,11 @@ def make(folder: Path) -> None:
     wire.write_answers(folder / "answers.bin")
     _write_raw(folder / "events.raw", events.t[:20_000])
     _write_dat(folder / "events.dat", *(column[:20_000] for column in events))
+    event_files.write(folder, events.part(0, event_files.EVENTS))
+    _write_streams(folder)
+    attach = ("attach", "piece.recording.h5", "--stream", "arm=pose.csv", "--stream", "wrist=trial.bag:/image")
+    command = [sys.executable, "-m", "evetac_cli", *attach, "--out", "attached.recording.h5", "--quiet"]
+    subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     (folder / "parameters.toml").write_text(
         '[track]\npreset = "paper"\nstep_size = 0.01\n'
         '[label]\nmethod = "event-flow"\n[record]\nscene = "slip"\nseed = 3\n'
@@ -231,6 +258,36 @@ def _short_scene() -> str:
     if changes:
         raise SystemExit(f"the slip scene has no {', '.join(changes)}")
     return "\n".join([*lines, "", "[solver]", "node_pitch_mm = 1.667"]) + "\n"
+
+
+def _write_streams(folder: Path) -> None:
+    """An arm's pose and a camera's images over 60 ms: CSV, Parquet, and a bag of ROS 1."""
+    import cv2
+    import pandas
+    from rosbags import rosbag1
+    from rosbags.typesys import Stores, get_typestore
+
+    t_ms = np.arange(0, 60, 5)
+    frame = pandas.DataFrame({"t_ms": t_ms, "x_m": np.sin(t_ms / 10), "fz [N]": t_ms / 7, "frame": "base"})
+    frame.to_csv(folder / "pose.csv", index=False)
+    frame.to_parquet(folder / "pose.parquet")
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = {name.rpartition("/")[2]: type_ for name, type_ in store.types.items()}
+    image = np.random.default_rng(5).integers(0, 256, (12, 16, 3), np.uint8)
+    png = cv2.imencode(".png", image)[1].reshape(-1)
+    with rosbag1.Writer(folder / "trial.bag") as bag:
+        for at in t_ms.tolist():
+            header = types["Header"](0, types["Time"](0, at * 10**6 + 1), "base")
+            pose = types["Pose"](types["Point"](at / 60, 0.0, 0.1), types["Quaternion"](0.0, 0.0, 0.0, 1.0))
+            messages = {
+                "/pose": types["PoseStamped"](header, pose),
+                "/image": store.types["sensor_msgs/msg/Image"](header, 12, 16, "rgb8", 0, 48, image.reshape(-1)),
+                "/packed": types["CompressedImage"](header, "png", png),
+            }
+            for topic, message in messages.items():
+                known = {one.topic: one for one in bag.connections}
+                connection = known.get(topic) or bag.add_connection(topic, message.__msgtype__, typestore=store)
+                bag.write(connection, at * 10**6, store.serialize_ros1(message, message.__msgtype__))
 
 
 def _break_off(source: Path, target: Path) -> None:

@@ -1,6 +1,7 @@
 """Mutated files in front of every command that reads them: no traceback, no crash, no hang, nothing half-written.
 
     python scripts/attack/fuzz/run.py OUT.jsonl --count 20000 --seed 17   # started again, it goes on
+    python scripts/attack/fuzz/run.py OUT.jsonl --count 2000 --kinds npz "AEDAT 2"   # damaged files of these kinds only
     python scripts/attack/fuzz/run.py OUT.jsonl --only 4711 --seed 17 --keep DIR   # one case, its files in DIR
 
 A case is one damaged file and up to three of the commands that read its kind. Each command runs in a process of its
@@ -27,6 +28,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -141,10 +143,10 @@ def _files(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
 
 
-def case(number: int, seed: int, files: Path, folder: Path) -> dict[str, Any]:
+def case(number: int, seed: int, files: Path, folder: Path, kinds: Sequence[corpus.Kind]) -> dict[str, Any]:
     """Make one damaged file and run its commands; what was done, and what must not have happened."""
     damage_rng, rng = np.random.default_rng([seed, number]), np.random.default_rng([seed, number, 1])
-    kind = corpus.KINDS[number % len(corpus.KINDS)]
+    kind = kinds[number % len(kinds)]
     damaged = corpus.copy(kind, files, folder)
     done = _mutate(damaged, kind.mutation, damage_rng, folder.parent / "damage")
     chosen = rng.permutation(len(kind.commands))[:COMMANDS_OF_A_CASE]
@@ -176,18 +178,17 @@ def case(number: int, seed: int, files: Path, folder: Path) -> dict[str, Any]:
     return row
 
 
-def warm_up(files: Path) -> None:
+def warm_up(files: Path, kinds: Sequence[corpus.Kind]) -> None:
     """Load all modules and compiled kernels in this process, so that its children need not."""
     with tempfile.TemporaryDirectory() as folder:
         output, saved = os.open(os.devnull, os.O_WRONLY), [os.dup(1), os.dup(2)]
         os.dup2(output, 1)
         os.dup2(output, 2)
         try:
-            for kind in corpus.KINDS:
-                if kind.name in WARM:
-                    for command in kind.commands:
-                        if not command.startswith("record --camera"):
-                            _in_this_process(command.format(f=files / kind.file, o=folder, d=folder).split(), files)
+            for kind in [kind for kind in kinds if kind.name in WARM] or kinds:
+                for command in kind.commands:
+                    if not command.startswith("record --camera"):
+                        _in_this_process(command.format(f=files / kind.file, o=folder, d=folder).split(), files)
         finally:
             sys.stdout.flush()
             sys.stderr.flush()
@@ -242,13 +243,16 @@ def main() -> None:
     parser.add_argument("--only", type=int, help="run this case alone, and print it")
     parser.add_argument("--keep", type=Path, help="with --only: an empty folder in which its files stay")
     parser.add_argument("--corpus", type=Path, default=Path(tempfile.gettempdir()) / "evetac-fuzz-corpus")
+    names = [kind.name for kind in corpus.KINDS]
+    parser.add_argument("--kinds", nargs="+", choices=names, default=names, metavar="KIND", help=", ".join(names))
     chosen = parser.parse_args()
+    kinds = [kind for kind in corpus.KINDS if kind.name in chosen.kinds]
     corpus.make(chosen.corpus)
-    warm_up(chosen.corpus)
+    warm_up(chosen.corpus, kinds)
     if chosen.only is not None:
         folder = chosen.keep or Path(tempfile.mkdtemp(prefix="evetac-fuzz-"))
         (folder / "case").mkdir(parents=True)
-        print(json.dumps(case(chosen.only, chosen.seed, chosen.corpus, folder / "case"), indent=1))
+        print(json.dumps(case(chosen.only, chosen.seed, chosen.corpus, folder / "case", kinds), indent=1))
         return
     finished = known(chosen.out, chosen.seed)
     with chosen.out.open("a") as out:
@@ -258,7 +262,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory(prefix="evetac-fuzz-") as folder:
                 files = Path(folder) / "case"
                 files.mkdir()
-                out.write(json.dumps(case(number, chosen.seed, chosen.corpus, files)) + "\n")
+                out.write(json.dumps(case(number, chosen.seed, chosen.corpus, files, kinds)) + "\n")
                 out.flush()
     raise SystemExit(1 if summary(chosen.out) else 0)
 

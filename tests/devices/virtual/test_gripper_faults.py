@@ -38,7 +38,10 @@ SEEN_AS = {
 
 
 @pytest.mark.parametrize("moment", ["", *(pytest.param(at, marks=pytest.mark.slow) for at in ("@0", "@0.3"))])
-@pytest.mark.parametrize("fault", GRIPPER_FAULTS)
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param(name, marks=() if name in ("bad-crc", "watchdog") else pytest.mark.slow) for name in GRIPPER_FAULTS],
+)
 def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> None:
     """Assert that each fault is seen by the driver, also where it is asked for at once or at second 0."""
     seen = SEEN_AS[fault]

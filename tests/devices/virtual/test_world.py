@@ -1,10 +1,12 @@
 """The virtual world: what its camera sends is what the simulation sees, its gripper follows the servo's registers."""
 
 import os
+import select
 import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,6 +108,25 @@ def test_looking_comes_to_an_end(made: Made, monkeypatch: pytest.MonkeyPatch, re
         made = max(made, world._counters[virtual._MADE])
     assert made >= 250  # all that was due when it was first looked
     assert made < SHORT_MS
+
+
+@pytest.mark.slow
+def test_truth_waits_for_its_reader(made: Made) -> None:
+    """Assert that all of it comes, and its end, though nobody read it before the world was over."""
+    world = VirtualWorld(short_plan(made), seeds(), tells_truth=True)
+    assert world.truths is not None
+    try:
+        world.run(True)
+        quiet = 0
+        while quiet < 20:
+            quiet = 0 if world.take(1 << 16, 0.05) else quiet + 1
+        messages: list[Any] = []
+        while not messages or messages[-1] is not None:
+            assert select.select([world.truths], [], [], LONGEST_S)[0]
+            messages += world.truths.take()
+        assert sum(len(next(iter(rows.values()))) for rows in messages[:-1]) == SHORT_MS
+    finally:
+        world.close()
 
 
 def test_time_waits_for_a_world_that_is_late(world: VirtualWorld) -> None:

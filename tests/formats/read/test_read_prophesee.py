@@ -1,5 +1,6 @@
 """Prophesee's RAW and DAT files: as faery writes them, as cameras write them, and damaged."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +10,13 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from tests.importing import event_rows, refusal
+from evetac_cli.formats.read import read_prophesee
+from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
 faery = pytest.importorskip("faery")
 from faery.file_encoder import events_to_file  # noqa: E402
 
-FRAME = (640, 480)
 KINDS = (("evt2", "raw"), ("evt3", "raw"), ("dat2", "dat"))
-
-
-def drawn(count: int = 5000) -> Events:
-    """Random events in order of time, from 1 ms on."""
-    rng = np.random.default_rng(4)
-    t = 1000 + np.cumsum(rng.integers(0, 3000, count))
-    x, y, p = (rng.integers(0, most, count) for most in (640, 480, 2))
-    return Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
 
 
 def write(path: Path, events: Events, kind: str) -> Path:
@@ -37,7 +30,7 @@ def write(path: Path, events: Events, kind: str) -> Path:
 @pytest.mark.parametrize(("kind", "suffix"), KINDS)
 def test_files_of_faery_are_read(tmp_path: Path, kind: str, suffix: str) -> None:
     """Assert that every event, its time and the frame come out, whatever the file is called."""
-    events = drawn()
+    events = drawn(5000)
     path = write(tmp_path / f"a.{suffix}", events, kind)
     imported = read_events(path)
     assert event_rows(imported) == list(
@@ -62,6 +55,95 @@ def evt3(t_us: Any, row: int = 5) -> list[int]:
 def raw(path: Path, words: Any, head: bytes = b"% evt 3.0\n% geometry 640x480\n% end\n", rest: bytes = b"") -> Path:
     path.write_bytes(head + np.array(words, "<u2").tobytes() + rest)
     return path
+
+
+def evt21(events: Events) -> Any:
+    """Words of 64 bits as the maker's page lays them out, one event each: the lowest bit of 32 columns is set."""
+    words, high = [], -1
+    for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):
+        if t >> 6 != high:
+            high = t >> 6
+            words.append(8 << 60 | (high & 0xFFFFFFF) << 32)
+        words.append(p << 60 | (t & 63) << 54 | x // 32 * 32 << 43 | y << 32 | 1 << x % 32)
+    return np.array(words, "<u8")
+
+
+HEAD_21 = b"% format EVT21;height=480;width=640\n% geometry 640x480\n% end\n"
+SWAPPED_21 = (
+    b"% format EVT21;endianness=legacy;height=480;width=640\n% end\n",
+    b"% evt 2.1\n% endianness legacy\n% geometry 640x480\n% end\n",
+)
+
+
+@pytest.mark.parametrize("head", [HEAD_21, *SWAPPED_21])
+def test_evt21_is_read(tmp_path: Path, head: bytes) -> None:
+    """Assert that words of EVT2.1 give their events, also those of sensors that send the upper half first."""
+    events = drawn(3000)
+    words = evt21(events)
+    if b"legacy" in head:
+        words = words.view("<u4").reshape(-1, 2)[:, ::-1]
+    path = tmp_path / "a.raw"
+    path.write_bytes(head + words.tobytes())
+    imported = read_events(path)
+    assert_equal(imported, events)
+    assert (imported.format, imported.frame_px, imported.notes) == ("prophesee", FRAME, [])
+
+
+def test_vectors_of_evt21(tmp_path: Path) -> None:
+    """Assert that each of the 32 bits is a column, counted from the word's own."""
+    word = 1 << 60 | 5 << 54 | 64 << 43 | 7 << 32 | 1 << 31 | 0b101
+    path = tmp_path / "a.raw"
+    path.write_bytes(HEAD_21 + struct.pack("<QQ", 8 << 60 | 2 << 32, word))
+    imported = read_events(path)
+    assert event_rows(imported) == [(0, 64, 7, 1), (0, 66, 7, 1), (0, 95, 7, 1)]
+    assert imported.t_offset_us == 2 * 64 + 5
+
+
+def test_the_clock_of_evt21_may_wrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that 34 bits of microseconds wrap without a gap, in blocks of any size."""
+    monkeypatch.setattr(read_prophesee, "HEAD_LIMIT_BYTES", 1 << 12)
+    events = drawn(3000, start_us=(1 << 34) - 1_000_000)
+    path = tmp_path / "a.raw"
+    path.write_bytes(HEAD_21 + evt21(events).tobytes())
+    assert_equal(read_events(path), events)
+
+
+def test_other_words_of_evt21(tmp_path: Path) -> None:
+    """Assert that words before the first time are left out, the maker's own passed over, and unknown ones refused."""
+    words = [1 << 60 | 1, 8 << 60, 14 << 60, 15 << 60, 1 << 60 | 3, 0]
+    path = tmp_path / "a.raw"
+    path.write_bytes(HEAD_21 + np.array(words, "<u8").tobytes())
+    imported = read_events(path)
+    assert event_rows(imported) == [(0, 0, 0, 1), (0, 1, 0, 1)]
+    assert imported.notes == ["left out 8 bytes before the first time stamp"]
+    path.write_bytes(HEAD_21 + np.array([*words[1:], 7 << 60], "<u8").tobytes())
+    assert f"type 0x7 at byte {len(HEAD_21) + 40}" in refusal(path)
+
+
+def test_triggers_are_counted(tmp_path: Path) -> None:
+    """Assert that external triggers are left out by name, in every encoding."""
+    path = tmp_path / "a.raw"
+    for head, words in (
+        (HEAD_21, np.array([8 << 60, 10 << 60, 10 << 60 | 1 << 32, 1 << 60 | 1], "<u8")),
+        (b"% evt 2.0\n% geometry 640x480\n% end\n", np.array([8 << 28, 10 << 28, 10 << 28 | 1, 1 << 28], "<u4")),
+        (b"% evt 3.0\n% geometry 640x480\n% end\n", np.array([8 << 12, 10 << 12, 10 << 12, *evt3([0])], "<u2")),
+    ):
+        path.write_bytes(head + words.tobytes())
+        imported = read_events(path)
+        assert (imported.events.size, imported.left_out) == (1, {"triggers": 2})
+        assert imported.notes == ["left out: triggers 2"]
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("EVT2", "raw"), ("EVT3", "raw"), ("DAT", "dat")])
+def test_as_expelliarmus_reads_them(tmp_path: Path, kind: str, suffix: str) -> None:
+    """Assert equal events with another library on one file."""
+    wizard = pytest.importorskip("expelliarmus").Wizard(encoding=kind)
+    path = write(tmp_path / f"a.{suffix}", drawn(5000), {"EVT2": "evt2", "EVT3": "evt3", "DAT": "dat2"}[kind])
+    theirs = wizard.read(path)
+    imported = read_events(path)
+    assert np.array_equal(theirs["t"], imported.events.t + imported.t_offset_us)
+    for name in "xyp":
+        assert np.array_equal(theirs[name], getattr(imported.events, name))
 
 
 def test_the_clock_may_wrap(tmp_path: Path) -> None:
@@ -147,9 +229,8 @@ def test_the_frame_is_found_or_guessed(tmp_path: Path, head: bytes, frame: tuple
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        (b"% evt 2.1\n% geometry 640x480\n% end\n", "expected: EVT2 or EVT3"),
-        (b"% evt 4.0\n% end\n", "expected: EVT2 or EVT3"),
-        (b"% format EVT21;height=480;width=640\n% end\n", "found:    evt21"),
+        (b"% evt 4.0\n% end\n", "expected: EVT2, EVT2.1 or EVT3"),
+        (b"% format HISTO3D;height=480;width=640\n% end\n", "found:    histo3d"),
         (b"% Data file\n% Version 7\n% Width 640\n% Height 480\n", "DAT file of another version"),
         (b"% evt 3.0\n% geometry 640x480", "ends inside its header"),
         (b"% evt 3.0\n% geometry 640x4\n% end\n", "y overflow"),

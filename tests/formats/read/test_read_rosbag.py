@@ -148,7 +148,7 @@ def test_event_arrays_are_read(write: Write, bag: str, compress: bool) -> None:
     assert (imported.format, imported.frame_px, imported.notes) == (
         "rosbag",
         FRAME,
-        ["left out: 1 message on /n (other_msgs/msg/Number)"],
+        ["left out: messages on /n (other_msgs/msg/Number) 1"],
     )
     assert imported.t_offset_us == events.t[0]
 
@@ -510,3 +510,30 @@ def test_compressed_bags_are_read(write: Write, bag: str, mode: str) -> None:
     events = drawn(3000)
     path = write(bag, types, {"/e": [types.array(listed(events))]}, compress=True, mode=mode)
     assert event_rows(read_events(path)) == shifted(events)
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_imu_and_images_beside_events_are_kept(write: Write, bag: str) -> None:
+    """Assert that IMU topics come in as streams, images if asked for, and samples outside the recording are counted."""
+    types = Types(bag)
+    events = drawn(300)
+    nine, zero = np.zeros(9), types.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    turned = types.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+    samples, images = [], []
+    for us in (-500, 0, 1500, 3000, 10**9):
+        gravity = types.make("geometry_msgs/msg/Vector3", 0.0, us / 10, -9.81)
+        header = types.header(int(events.t[0]) + us)
+        samples.append(types.make("sensor_msgs/msg/Imu", header, turned, nine, zero, nine, gravity, nine))
+        image = np.full(12, 7, np.uint8)
+        images.append(types.make("sensor_msgs/msg/Image", header, 3, 4, "mono8", 0, 4, image))
+    topics = {"/dvs/events": [types.array(listed(events))], "/dvs/imu": samples, "/dvs/image_raw": images}
+    path = write(bag, types, topics)
+    imported = read_events(path)
+    (imu,) = imported.streams
+    assert (imu.name, imu.t_us.tolist()) == ("dvs_imu", [0, 1500, 3000])
+    assert imu.columns["linear_acceleration.y"].tolist() == [0.0, 150.0, 300.0]
+    assert imu.units["linear_acceleration.y"] == "m/s2"
+    outside = "messages on /dvs/imu (sensor_msgs/msg/Imu) outside the recording"
+    assert imported.left_out == {"messages on /dvs/image_raw (sensor_msgs/msg/Image)": 5, outside: 2}
+    kept = {stream.name: stream for stream in read_events(path, frames=True).streams}
+    assert kept["dvs_image_raw"].frames.shape == (3, 3, 4, 1)

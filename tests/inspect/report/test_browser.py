@@ -8,7 +8,7 @@ import pytest
 
 from evetac_cli.inspect import pages, report
 from evetac_cli.params.inspection import Report
-from tests.inspect.browser import Browser
+from tests.browser import Browser
 from tests.inspect.report.studies import slip_rows, write_report, write_trials
 from tests.inspect.view.trials import ONSET
 

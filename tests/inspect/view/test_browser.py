@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.inspect import view
 from evetac_cli.params.inspection import View
-from tests.inspect.browser import Browser
+from tests.browser import Browser
 from tests.inspect.view.trials import NASTY, ONSET, SLICES, moving, write_recording, write_tracks
 
 DRAWN = "document.getElementById('viewer').hidden || document.getElementById('image').dataset.index"

@@ -20,6 +20,8 @@ from evetac_cli.inspect import pages, view
 from evetac_cli.inspect.view import event_images, time_series
 from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.params.inspection import View
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 from tests import small_files
 from tests.inspect.view.trials import (
@@ -63,6 +65,26 @@ def test_everything_of_a_trial(trial: Path) -> None:
     assert data.frame_times.tolist() == list(range(SLICES - 4))
     assert data.dot_xy_px is not None
     np.testing.assert_allclose(data.dot_xy_px, moving()[4:].astype(np.float32))
+
+
+def test_estimated_forces(trial: Path) -> None:
+    """Assert that forces beside the trial are shown, as far as the model tells them, and those of another are not."""
+    with open_trial([trial]) as opened:
+        assert opened.tracks is not None
+        of_tracks = opened.tracks.header
+    shear = np.full((SLICES, 2), 3.0, np.float32)
+    more = {"normal_n": np.linspace(0, 5, SLICES).astype(np.float32), "shear_n": shear}
+    path = trial.with_name("a.forces.h5")
+    for arrays, names in ((more, ["shear", "normal"]), ({"network_n": shear, "regression_n": shear}, ["shear"])):
+        write_stage(path, Recipe("forces", 1, {}, parents=(of_tracks,)), arrays)
+        (panel,) = [panel for panel in shown(trial).panels if panel.title == "Forces on the gel, estimated"]
+        assert [line.name for line in panel.lines] == names
+        np.testing.assert_allclose(panel.lines[0].value, 3 * np.sqrt(2), rtol=1e-6)
+    assert shown(path).slices == SLICES
+    other = write_recording(trial.with_name("b.recording.h5"), seed=2)
+    tracks = write_tracks(trial.with_name("b.tracks.h5"), other, moving())
+    write_stage(path, Recipe("forces", 1, {}, parents=(tracks,)), more)
+    assert "Left out: a.forces.h5 was made from another recording." in shown(trial).notes
 
 
 def test_a_part(trial: Path) -> None:

@@ -246,7 +246,7 @@ def run_and_stop(samples: Samples, preset: training.Preset, after: int, steps: i
 
 
 @pytest.mark.parametrize("preset", ALL, ids=lambda preset: preset.name)
-@pytest.mark.parametrize("after", [50, 100])
+@pytest.mark.parametrize("after", [50, pytest.param(100, marks=pytest.mark.slow)])
 def test_an_interrupted_run_goes_on_to_the_same_result(problem: Samples, preset: training.Preset, after: int) -> None:
     """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
     whole = training.train(problem, preset, np.random.default_rng(20), max_steps=140)

@@ -134,6 +134,7 @@ def test_partial_slip_on_a_half_space():
         assert stick_m == pytest.approx(radius_m * (1 - part) ** (1 / 3), abs=0.01 * radius_m)
 
 
+@pytest.mark.slow
 def test_linear_stick_against_radau():
     """Assert that an object on the viscoelastic layer follows an independent stiff integrator: 0.6 % at 0.5 ms."""
     material = GelMaterial(with_mass=False)

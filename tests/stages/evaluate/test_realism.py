@@ -127,6 +127,9 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
         assert outcome.summary["auc"] == apart[name]["distance"]
         assert outcome.summary["auc_of_same" if same else "auc_of_halves"] == apart[name]["distance_of_halves"]
         assert apart[name]["real"] == apart[name]["simulated"] == 20
+        _, (near, told_apart) = realism.for_people(rows, asked)
+        assert near.startswith(f"{outcome.summary['figures_within_10_percent']} of ")
+        assert f"AUC of {outcome.summary['auc']:.2f}" in told_apart
     assert apart["like"]["distance"] < 0.85 < 0.95 < apart["unlike"]["distance"]
     assert apart["unlike"]["distance_of_halves"] == apart["like"]["distance"]
 

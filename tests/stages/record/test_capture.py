@@ -602,7 +602,7 @@ def evetac(*arguments: str, **more: Any) -> "subprocess.Popen[str]":
     return subprocess.Popen(run, cwd=PACKAGE.parent, **pipes, **more)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_recording_is_complete(number: int, made: Made, tmp_path: Path) -> None:
     """Assert that Ctrl-C ends a recording with exit code 130, a valid file of what there is, and no folder."""
     output = tmp_path / "a.recording.h5"

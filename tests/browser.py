@@ -77,10 +77,14 @@ class Browser:
             time.sleep(0.02)
         return value
 
+    def visit(self, address: str) -> None:
+        """Begin to load a page."""
+        self.events.clear()
+        self.call("Page.navigate", url=address)
+
     def open(self, page: Path, drawn: str = "true") -> None:
         """Load a page and wait until its charts are drawn, and an expression is true."""
-        self.events.clear()
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        self.visit(page.resolve().as_uri())
         self.until(
             "document.readyState === 'complete'"
             f" && decodeURIComponent(location.pathname) === {json.dumps(str(page.resolve()))}"
@@ -105,8 +109,8 @@ class Browser:
             button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
 
-    def complaints(self) -> list[Any]:
-        """Errors and warnings on the console, exceptions, and requests to anywhere."""
+    def complaints(self, server: str = "file:") -> list[Any]:
+        """Errors and warnings on the console, exceptions, and requests to anywhere but the page's own server."""
         events = []
         for event in self.events:
             params = event.get("params", {})
@@ -116,7 +120,7 @@ class Browser:
                 case "Runtime.consoleAPICalled" if params["type"] in ("error", "warning", "assert"):
                     events.append(params)
                 case "Network.requestWillBeSent" if not params["request"]["url"].startswith(
-                    ("file:", "data:", "blob:")
+                    (server, "file:", "data:", "blob:")
                 ):
                     events.append(params)
         return events

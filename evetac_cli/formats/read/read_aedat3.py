@@ -1,0 +1,147 @@
+"""Read events from AEDAT 3.1 files, of cAER: lines that begin with `#`, then packets, little-endian.
+
+    int16 type, int16 source, int32 size of an event, place of its time, overflows of the clock, capacity, events, valid
+    type 1    polarity: uint32 (bit 0 valid, 1 polarity, 2-16 row, 17-31 column), int32 time in us of 31 bits
+
+(0, 0) is at the top left. The frame is that of the chip which the line `#Source N:` names. Of a file that was cut or is
+damaged come the events of the packets before that place.
+"""
+
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
+
+SIGN = b"#!AER-DAT3"
+END = b"#!END-HEADER"
+LINE_LIMIT_BYTES = 1 << 16
+HEAD_LIMIT_BYTES = 1 << 20
+HEADER = struct.Struct("<hhiiiiii")
+EVENT = np.dtype([("data", "<u4"), ("t", "<u4")])
+BATCH_EVENTS = 1 << 18
+SPECIAL, POLARITY = 0, 1
+NAMES = {SPECIAL: "special events", 2: "frames", 3: "IMU samples", 4: "IMU samples"}
+LARGEST_TYPE = 200  # cAER's own are below 20, those of users from 100 on
+OVERFLOW_BITS = 31
+FRAMES_PX = (
+    ("DVS128", (128, 128)),
+    ("EDVS", (128, 128)),
+    ("DAVIS128", (128, 128)),
+    ("DAVIS208", (208, 192)),
+    ("DAVIS240", (240, 180)),
+    ("DAVIS346", (346, 260)),
+    ("DAVIS640", (640, 480)),
+)
+
+
+class Packet(NamedTuple):
+    """The head of a packet, and where its events begin in the file."""
+
+    kind: int
+    source: int
+    event_bytes: int
+    overflows: int
+    count: int
+    at: int
+    end: int
+
+
+def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+    """Events of the first source that has some; frame_px only for files that name no chip that is known."""
+    where = str(path)
+    with path.open("rb") as handle:
+        sources, start = _head(handle, where)
+        counts: Counter[tuple[int, int]] = Counter()
+        end = start
+        for packet in _packets(handle, start):
+            counts[packet.source, packet.kind] += packet.count
+            end = packet.end
+    with_events = sorted(source for source, kind in counts if kind == POLARITY)
+    if not with_events:
+        held = ", ".join(f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items())
+        raise InputError("holds no event stream", where=where, found=held or "no packet that can be read")
+    source = with_events[0]
+    own_px = next((px for name, px in FRAMES_PX if sources.get(source, "").upper().startswith(name)), None)
+    foreign = Foreign("aedat3", choose_frame(own_px, frame_px, where), ())
+    foreign.assumed = "rows from the top, polarity bit 1 brighter, time in microseconds"
+    for (of, kind), count in sorted(counts.items()):
+        if (of, kind) != (source, POLARITY) and count:
+            name = "events" if kind == POLARITY else NAMES.get(kind, f"events of type {kind}")
+            name += f" of source {of}" if of != source else ""
+            foreign.left_out[name] = foreign.left_out.get(name, 0) + count
+    lost = path.stat().st_size - end
+    if lost:
+        foreign.notes.append(f"damaged or cut short: {lost} bytes after byte {end} are lost")
+        foreign.cut_short = True
+    foreign.batches = _batches(path, start, source, foreign)
+    return foreign
+
+
+def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
+    """The sources by their number, and where the packets begin."""
+    sources: dict[int, str] = {}
+    while handle.tell() <= HEAD_LIMIT_BYTES:
+        line = handle.readline(LINE_LIMIT_BYTES)
+        if not line.startswith(b"#"):
+            break
+        if line.startswith(END):
+            return sources, handle.tell()
+        text = line.decode("latin-1").strip()
+        if found := re.match(r"#Source ([0-9]{1,4}): *(\S+)", text):
+            sources[int(found[1])] = found[2]
+        if (found := re.match(r"#Format: *(.+)", text)) and found[1] != "RAW":
+            raise InputError("an AEDAT 3 file in another coding", where=where, expected="RAW", found=found[1][:60])
+        if (found := re.match(r"#!AER-DAT(\S+)", text)) and found[1] != "3.1":
+            raise InputError("an AEDAT 3 file of another version", where=where, expected="3.1", found=found[1][:20])
+    raise InputError("the head of the file does not end", where=where, expected=f"a line {END.decode()}")
+
+
+def _packets(handle: BinaryIO, start: int) -> Iterator[Packet]:
+    """Go from packet to packet until one is not complete or makes no sense."""
+    size = handle.seek(0, 2)
+    at = start
+    while at < size:
+        handle.seek(at)
+        head = handle.read(HEADER.size)
+        if len(head) < HEADER.size:
+            return
+        kind, source, event_bytes, t_at, overflows, capacity, count, valid = HEADER.unpack(head)
+        begin = at + HEADER.size
+        end = begin + event_bytes * capacity
+        whole = 0 <= kind <= LARGEST_TYPE and source >= 0 and event_bytes > 0 and 0 <= valid <= count <= capacity
+        if not whole or not 0 <= t_at < event_bytes or overflows < 0 or end > size:
+            return
+        if kind == POLARITY and (event_bytes, t_at) != (EVENT.itemsize, 4):
+            return
+        yield Packet(kind, source, event_bytes, overflows, count, begin, end)
+        at = end
+
+
+def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[Columns]:
+    """The events of each packet; at the end `foreign` says how many were marked as not valid."""
+    done = invalid = 0
+    with path.open("rb") as handle:
+        for packet in _packets(handle, start):
+            if (packet.source, packet.kind) != (source, POLARITY):
+                continue
+            handle.seek(packet.at)
+            for first in range(0, packet.count, BATCH_EVENTS):
+                rows = np.frombuffer(handle.read(min(BATCH_EVENTS, packet.count - first) * EVENT.itemsize), EVENT)
+                data = rows["data"]
+                valid = (data & 1) == 1
+                invalid += len(rows) - int(np.count_nonzero(valid))
+                t = (packet.overflows << OVERFLOW_BITS) + rows["t"].astype(np.int64)
+                x, y, p = data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1
+                t, x, y, p = (column[valid] for column in (t, x, y, p))
+                yield Columns(t, x, y, p, partial(at_index, done))
+                done += len(t)
+    if invalid:
+        foreign.left_out["events marked as not valid"] = invalid

@@ -1,0 +1,211 @@
+"""Read events from HDF5 files: of DSEC, rpg's e2vid, M3ED, MVSEC, v2e and Prophesee, each a row of one table.
+
+The layouts differ in names, in the unit of time, and in whether the columns lie apart, side by side in a table (N, 4),
+or as the fields of a compound. Indices from milliseconds to events are not read: they count on the file's own clock,
+and ours starts at the first event. Whatever else a file holds is named and counted.
+"""
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.note import NAME, Note, read_note
+from evetac_cli.formats.read.column_order import assumption, by_name, to_us, unit_of
+from evetac_cli.formats.read.event_validation import (
+    CLOCK_LIMIT_US,
+    Columns,
+    Foreign,
+    at_index,
+    check_lengths,
+    choose_frame,
+)
+from evetac_cli.store.checked_hdf5 import DAMAGE, EVENT_FILE_FILTERS, CheckedHdf5, damage_in_words
+
+BATCH_ROWS = 1 << 20
+OFFSETS = ("t_offset", "events/t_offset")
+# Of events by time; they hold nothing that the events do not.
+INDICES = re.compile(r"(^|/)(ms_to_idx|ms_map_idx|indexes|t_offset|image_raw_event_inds)$")
+
+
+class Layout(NamedTuple):
+    """Where a layout has its events; `order` of a table names its columns, () of a compound its fields by name."""
+
+    name: str
+    paths: tuple[str, ...]  # columns t, x, y, p, or the one table
+    order: str = ""
+    us_per_unit: float | None = 1.0  # None: whole times are us, others are seconds
+    stream: str = ""  # where a file holds two cameras
+
+
+LAYOUTS = (
+    Layout("DSEC", ("events/t", "events/x", "events/y", "events/p")),
+    Layout("rpg", ("events/ts", "events/xs", "events/ys", "events/ps"), us_per_unit=None),
+    Layout("MVSEC", ("davis/left/events",), "x y t p", 1e6, "left"),
+    Layout("MVSEC", ("davis/right/events",), "x y t p", 1e6, "right"),
+    Layout("M3ED", tuple(f"prophesee/left/{name}" for name in "txyp"), stream="left"),
+    Layout("M3ED", tuple(f"prophesee/right/{name}" for name in "txyp"), stream="right"),
+    Layout("v2e", ("events",), "t x y p"),
+    Layout("Prophesee", ("CD/events",)),
+)
+EXPECTED = "events in the layout of " + ", ".join(dict.fromkeys(layout.name for layout in LAYOUTS))
+
+
+def open_hdf5(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+    """Events of an HDF5 file; FrameUnknown without frame_px where it does not say it, as few do."""
+    where = str(path)
+    with CheckedHdf5(path) as file:
+        _refuse_own(file)
+        every = [name for layout in LAYOUTS for name in layout.paths]
+        datasets = file.datasets([*every, *OFFSETS], EVENT_FILE_FILTERS)
+        layout, others = _choose(file, datasets, stream)
+        with damage_in_words(path, "its contents"):
+            for name in layout.paths:
+                _check_kind(file, datasets[name], layout, name)
+            rows = [len(datasets[name]) for name in layout.paths]
+            check_lengths(rows * (4 // len(rows)), where)
+            clock_us = _t_offset(datasets, where) if layout.name == "DSEC" else 0
+            unit = layout.us_per_unit
+            if unit is None:
+                unit = unit_of(datasets[layout.paths[0]][:BATCH_ROWS])
+        note, own_px = _frame(file, layout)
+        left_out = {
+            f"rows of {name}": length
+            for name, length in file.lengths().items()
+            if name not in layout.paths and not INDICES.search(name)
+        }
+    hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
+    frame = choose_frame(own_px, frame_px, where, hint)
+    foreign = Foreign(
+        "hdf5", frame, _batches(path, layout, rows[0], unit), clock_us, note=note, may_be_empty=note is None
+    )
+    foreign.left_out = left_out
+    if others:
+        foreign.notes.append(f"took the camera {layout.stream}; also there: {', '.join(others)} (choose with --stream)")
+    if note is None:
+        foreign.assumed = f"the layout of {layout.name}: {assumption(layout.order, unit)}"
+    return foreign
+
+
+def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> tuple[Layout, list[str]]:
+    """The layout of the file, and the names of the other cameras in it."""
+    present = [layout for layout in LAYOUTS if all(name in datasets for name in layout.paths)]
+    if not present:
+        started = [layout for layout in LAYOUTS if any(name in datasets for name in layout.paths)]
+        missing = [name for layout in started[:1] for name in layout.paths if name not in datasets]
+        held, hint = _what_there_is(file, missing)
+        raise InputError("holds no columns of events", where=file.where, expected=EXPECTED, found=held, hint=hint)
+    labels = {layout.stream: layout for layout in present if layout.name == present[0].name}
+    if wanted is not None and wanted not in labels:
+        known = " or ".join(filter(None, labels)) or "no --stream: the file holds one stream"
+        raise InputError("no such event stream", where=file.where, expected=known, found=wanted[:80])
+    chosen = labels[wanted] if wanted is not None else present[0]
+    return chosen, [label for label in labels if label != chosen.stream and wanted is None]
+
+
+def _frame(file: CheckedHdf5, layout: Layout) -> tuple[Note | None, tuple[int, int] | None]:
+    """The note of an export of ours, and the frame that it or Prophesee's attribute `geometry` says."""
+    text = file.text_attribute(NAME)
+    if text is not None:
+        note = read_note(text, file.where)
+        return note, note.frame_px
+    geometry = file.text_attribute("geometry") if layout.name == "Prophesee" else None
+    sizes = re.fullmatch("([0-9]{1,5})x([0-9]{1,5})", geometry or "")
+    return None, (int(sizes[1]), int(sizes[2])) if sizes else None
+
+
+def _batches(path: Path, layout: Layout, rows: int, us_per_unit: float) -> Iterator[Columns]:
+    with CheckedHdf5(path) as file:
+        datasets = file.datasets(layout.paths, EVENT_FILE_FILTERS)
+        parts = [datasets[name] for name in layout.paths]
+        try:
+            for start in range(0, rows, BATCH_ROWS):
+                t, x, y, p = _columns([part[start : start + BATCH_ROWS] for part in parts], layout)
+                if us_per_unit == 1 and unit_of(t) != 1:
+                    raise InputError("time changes its unit", where=str(path), expected="whole microseconds")
+                yield Columns(to_us(t, us_per_unit), x, y, p, partial(at_index, start))
+        except DAMAGE as error:
+            raise _unreadable(str(path), error) from error
+
+
+def _columns(blocks: list[Any], layout: Layout) -> Any:
+    """The columns t, x, y, p of a block of rows."""
+    if len(blocks) == 4:
+        return blocks
+    (table,) = blocks
+    if layout.order:
+        places = [layout.order.split().index(name) for name in "txyp"]
+        return [table[:, place] for place in places]
+    return [table[table.dtype.names[place]] for place in _fields(table.dtype)]
+
+
+def _fields(dtype: Any) -> tuple[int, ...]:
+    """Places of t, x, y, p among the fields of a compound; none unless they are there, and all fields are numbers."""
+    order = by_name(dtype.names or ())
+    plain = all(dtype[name].kind in "iubf" for name in dtype.names or ())
+    return order.places if order is not None and plain else ()
+
+
+def _unreadable(where: str, error: Exception) -> InputError:
+    reason = (str(error).strip("'\"").splitlines() or [type(error).__name__])[0][:200]
+    return InputError(
+        "cannot be read as HDF5", where=where, found=reason, hint="the file may be cut short: copy it again"
+    )
+
+
+def _refuse_own(file: CheckedHdf5) -> None:
+    """Our own files carry a header; a recording needs no import, and the other kinds hold no events."""
+    header = file.text_attribute("header")
+    if header is not None and '"kind"' in header:
+        raise InputError(
+            "is a file of evetac's own, not a foreign one",
+            where=file.where,
+            hint="a recording needs no import: give it to label or track as it is",
+        )
+
+
+def _check_kind(file: CheckedHdf5, dataset: Any, layout: Layout, name: str) -> None:
+    """What holds events is a list of numbers, a table of four columns, or a compound with the four fields."""
+    shape, kind = dataset.shape or (), dataset.dtype.kind
+    if len(layout.paths) == 1:
+        expected = f"a table of {layout.order}, shape (N, 4)" if layout.order else "a compound with t, x, y, p"
+        good = len(shape) == 2 and shape[1] == 4 and kind in "iuf" if layout.order else _is_compound(dataset)
+        found = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
+        if not good:
+            raise InputError("holds no columns of events", where=file.where, expected=expected, found=found)
+        return
+    timed = name == layout.paths[0]
+    kinds = "iub" if name == layout.paths[3] else "iuf" if timed and layout.us_per_unit is None else "iu"
+    if kind not in kinds or len(shape) != 1:
+        expected = "a list of integers" + (" in microseconds" if timed and layout.us_per_unit == 1 else "")
+        held = f"{dataset.dtype} of shape {shape}"
+        raise InputError(f"{name} is not a column", where=file.where, expected=expected, found=held)
+
+
+def _is_compound(dataset: Any) -> bool:
+    return len(dataset.shape or ()) == 1 and bool(_fields(dataset.dtype))
+
+
+def _what_there_is(file: CheckedHdf5, missing: list[str]) -> tuple[str, str]:
+    """What the file holds in place of columns, and what to do with it."""
+    group = next((name for name in missing if name in file.h5), None)
+    if group is not None:
+        return f"a group `{group}`", ""
+    events = file.h5.get("events")
+    names = file.h5 if events is None or not hasattr(events, "keys") else events
+    return ", ".join(sorted(map(str, names))[:12]) or "nothing", ""  # names may be bytes
+
+
+def _t_offset(datasets: dict[str, Any], where: str) -> int:
+    """Microseconds to add to every time, 0 where the file does not say."""
+    for offset in (datasets[name] for name in OFFSETS if name in datasets):
+        if offset.dtype.kind not in "iu" or offset.size != 1:
+            raise InputError("`t_offset` is not a number", where=where, expected="one integer, microseconds")
+        value = int(offset[()].reshape(()))
+        if abs(value) >= CLOCK_LIMIT_US:
+            expected = "microseconds within 285 years of 0"
+            raise InputError("`t_offset` out of range", where=where, expected=expected, found=str(value))
+        return value
+    return 0

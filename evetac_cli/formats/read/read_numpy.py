@@ -1,0 +1,322 @@
+"""Read events from numpy's files: `.npy` with a structured array or a table (N, 4), `.npz` with one or with columns.
+
+    structured    fields t, x, y, p by the names in column_order; what tonic, expelliarmus and faery make
+    (N, 4)        four columns; their order is what fits (column_order.guess_order)
+    columns       arrays t, x, y, p of one length in an npz
+
+The bytes are read here in blocks and never given to numpy.load: objects, which a pickle would make, are refused, and
+of an archive no more is unpacked than a recording of its size can hold.
+"""
+
+import io
+import math
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.column_order import ORDERS, Order, assumption, by_name, guess_order, to_us, unit_of
+from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, check_lengths, choose_frame
+
+NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
+BATCH_ROWS = 1 << 18
+BATCH_BYTES = 1 << 22  # of one array
+MOST_HEADER_BYTES = 1 << 14  # numpy itself takes 10,000
+MOST_ITEM_BYTES = 1 << 10
+MOST_MEMBERS = 1000
+HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+# Deflate makes up to 1,032 bytes of one, and a column of one polarity comes near; all four columns together do not.
+MOST_TIMES = 100
+MOST_UNPACKED_BYTES = 64 << 20  # below that any archive may
+PIECE_BYTES = 1 << 20  # read at once
+EXPECTED = "t, x, y, p: as arrays of an npz, as fields of a structured array, or as the columns of an array (N, 4)"
+# What zipfile, zlib and numpy's parser raise on damaged bytes.
+DAMAGE = (
+    zipfile.BadZipFile, ValueError, TypeError, KeyError, IndexError, EOFError, OSError, RuntimeError, SyntaxError,
+    NotImplementedError, OverflowError, RecursionError, AttributeError, zlib.error, tokenize.TokenError,
+)  # fmt: skip
+
+
+class Array(NamedTuple):
+    """An array as it lies in a file: how to open its bytes, at which of them it begins, and what they are."""
+
+    open: Callable[[], AbstractContextManager[IO[bytes]]]
+    start: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    columns_first: bool  # order F
+
+    @property
+    def end(self) -> int:
+        """The byte after the last one."""
+        return self.start + math.prod(self.shape) * self.dtype.itemsize
+
+    @property
+    def is_column(self) -> bool:
+        """Whether it is one row of plain numbers."""
+        return self.dtype.kind in "iubf" and bool(self.shape) and math.prod(self.shape) == max(self.shape)
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it may hold all columns of events."""
+        if self.dtype.names:
+            plain = all(self.dtype[name].kind in "iubf" for name in self.dtype.names)
+            small = len(self.shape) == 1 and self.dtype.itemsize <= MOST_ITEM_BYTES
+            return small and plain and by_name(self.dtype.names) is not None
+        return self.dtype.kind in "iuf" and len(self.shape) == 2 and self.shape[1] == 4
+
+    def __str__(self) -> str:
+        kind = f"fields {', '.join(self.dtype.names)}" if self.dtype.names else str(self.dtype)
+        return f"{kind[:120]} of shape {self.shape}"
+
+
+class Stretch(NamedTuple):
+    """Items of one type that follow each other in an array's bytes."""
+
+    array: Array
+    dtype: np.dtype[Any]
+    first: int
+    count: int
+
+
+def open_numpy(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+    """Events of an npy or npz file; FrameUnknown without frame_px, as neither says it."""
+    where = str(path)
+    foreign = Foreign("numpy", (1, 1), (), may_be_empty=True)
+    with _damage_in_words(where):
+        with path.open("rb") as handle:
+            archive = handle.read(len(ZIP)) == ZIP
+        arrays = _archived(path, where) if archive else {"": _single(path, foreign, where)}
+        chosen, order = _choose(arrays, stream, foreign, where)
+        stretches = _stretches(chosen)
+        with closing(_rows(stretches)) as rows:
+            sample = next(rows)
+    guessed = ""
+    if order is None:
+        guessed = guess_order(np.stack(sample, axis=1))
+        order = Order(ORDERS[guessed], None)
+    unit = unit_of(sample[order.places[0]]) if order.us_per_unit is None else order.us_per_unit
+    foreign.assumed = assumption(guessed, unit if order.us_per_unit is None else None)
+    foreign.frame_px = choose_frame(None, frame_px, where)
+    foreign.batches = _batches(stretches, order.places, unit, where)
+    return foreign
+
+
+def _choose(
+    arrays: dict[str, Array], stream: str | None, foreign: Foreign, where: str
+) -> tuple[list[Array], Order | None]:
+    """The arrays that hold the events, and the order of their columns where names tell it."""
+    columns = [name for name, array in arrays.items() if array.is_column]
+    order = by_name(columns)
+    tables = sorted(name for name, array in arrays.items() if array.is_table)
+    if stream is None and order is not None:
+        used = [columns[place] for place in order.places]
+        chosen = [arrays[name] for name in used]
+        check_lengths([math.prod(array.shape) for array in chosen], where)
+        order = Order((0, 1, 2, 3), order.us_per_unit)
+    elif tables and (stream is None or stream in tables):
+        used = [tables[0] if stream is None else stream]
+        chosen = [arrays[used[0]]]
+        others = [name for name in tables if name not in used]
+        if others and stream is None:
+            foreign.notes.append(f"took the array {used[0]}; also there: {', '.join(others)} (choose with --stream)")
+        order = by_name(chosen[0].dtype.names) if chosen[0].dtype.names else None
+    elif stream is not None:
+        expected = " or ".join(tables) or "no --stream: the file holds one stream"
+        raise InputError("no such array of events", where=where, expected=expected, found=stream[:80])
+    else:
+        held = ", ".join(f"{name} {array}".strip() for name, array in list(arrays.items())[:8]) or "nothing"
+        objects = any(array.dtype.hasobject for array in arrays.values())
+        hint = "write Python objects again as numbers: they are never loaded, as they can run code" if objects else ""
+        raise InputError("holds no columns of events", where=where, expected=EXPECTED, found=held, hint=hint)
+    if chosen[0].dtype.names:
+        places = by_name(chosen[0].dtype.names)
+        unused = [name for i, name in enumerate(chosen[0].dtype.names) if places and i not in places.places]
+        foreign.left_out |= {f"values of {name}": chosen[0].shape[0] for name in unused}
+    foreign.left_out |= {f"values of {name}": math.prod(arrays[name].shape) for name in arrays if name not in used}
+    return chosen, order
+
+
+def _stretches(chosen: list[Array]) -> list[Stretch]:
+    """Where the values lie: four columns, or one stretch of rows."""
+    array = chosen[0]
+    if len(chosen) == 4:
+        return [Stretch(one, one.dtype, 0, math.prod(one.shape)) for one in chosen]
+    if array.dtype.names:
+        return [Stretch(array, array.dtype, 0, array.shape[0])]
+    rows = array.shape[0]
+    if array.columns_first:
+        return [Stretch(array, array.dtype, column * rows, rows) for column in range(4)]
+    return [Stretch(array, np.dtype((array.dtype, (4,))), 0, rows)]
+
+
+def _rows(stretches: list[Stretch]) -> Iterator[list[NDArray[Any]]]:
+    """All columns as they lie in the file, some rows at a time; at least once, if only without a row."""
+    count = stretches[0].count
+    at_once = min(BATCH_ROWS, BATCH_BYTES // max(stretch.dtype.itemsize for stretch in stretches))
+    with ExitStack() as opened:
+        files = [opened.enter_context(stretch.array.open()) for stretch in stretches]
+        for file, stretch in zip(files, stretches, strict=True):
+            _skip(file, stretch.array.start + stretch.first * stretch.dtype.itemsize)
+        for start in range(0, max(count, 1), at_once):
+            parts: list[NDArray[Any]] = []
+            for file, stretch in zip(files, stretches, strict=True):
+                wanted = min(at_once, count - start) * stretch.dtype.itemsize
+                content = _read(file, wanted)
+                if len(content) < wanted:
+                    raise ValueError(f"the array ends before row {start + at_once} of {count}")
+                part = np.frombuffer(content, stretch.dtype.base).reshape(-1, *stretch.dtype.shape)
+                if part.dtype.names:
+                    parts += [part[name] for name in part.dtype.names]
+                else:
+                    parts += list(part.T) if part.ndim == 2 else [part]
+            yield parts
+
+
+def _batches(
+    stretches: list[Stretch], places: tuple[int, int, int, int], us_per_unit: float, where: str
+) -> Iterator[Columns]:
+    start = 0
+    with _damage_in_words(where):
+        for parts in _rows(stretches):
+            t, x, y, p = (parts[place] for place in places)
+            if us_per_unit == 1 and unit_of(t) != 1:
+                raise InputError(
+                    "time changes its unit",
+                    where=where,
+                    expected="whole microseconds, as in the first rows",
+                    found=f"fractions between rows {start} and {start + len(t)}",
+                    hint="name the unit: t_s or t_us as the name of the column",
+                )
+            yield Columns(to_us(t, us_per_unit), x, y, p, partial(at_index, start))
+            start += len(t)
+
+
+def _read(file: IO[bytes], size: int) -> bytes:
+    """So many bytes, fewer only at the end: a member of an archive may give less than it was asked for."""
+    parts = []
+    while size and (part := file.read(min(size, PIECE_BYTES))):
+        parts.append(part)
+        size -= len(part)
+    return b"".join(parts)
+
+
+def _skip(file: IO[bytes], size: int) -> None:
+    while size and (part := file.read(min(size, PIECE_BYTES))):
+        size -= len(part)
+
+
+# How arrays lie in files
+
+
+def _single(path: Path, foreign: Foreign, where: str) -> Array:
+    with path.open("rb") as file:
+        array = _array(_read(file, MOST_HEADER_BYTES), lambda: path.open("rb"), where)
+    after = path.stat().st_size - array.end
+    if array.dtype.hasobject:
+        return array
+    if after < 0:
+        raise InputError("the array is cut short", where=where, found=f"{-after} bytes too few", hint="copy it again")
+    if after:
+        foreign.left_out["bytes after the array"] = after
+    return array
+
+
+def _archived(path: Path, where: str) -> dict[str, Array]:
+    """The arrays of an npz by their names; InputError where one cannot be what it says."""
+    arrays: dict[str, Array] = {}
+    size, announced = path.stat().st_size, 0
+    with _Bounded(path) as file, zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        if len(members) > MOST_MEMBERS:
+            raise InputError("an archive of too many arrays", where=where, found=f"{len(members):,}")
+        for member in members:
+            if not member.filename.endswith(".npy"):
+                raise InputError(
+                    "not an archive of numpy arrays", where=where, found=member.filename[:80], hint="unpack it"
+                )
+            name = member.filename.removesuffix(".npy")
+            if name in arrays:
+                raise InputError("an archive with two arrays of one name", where=where, found=name[:80])
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
+                raise InputError(
+                    f"{name[:80]} is packed in a way that is not read",
+                    where=where,
+                    expected="numpy.savez or numpy.savez_compressed",
+                    found="a password" if member.flag_bits & 1 else f"method {member.compress_type}",
+                )
+            announced += member.file_size
+            if announced > max(MOST_UNPACKED_BYTES, MOST_TIMES * size):
+                raise InputError(
+                    "unpacks to more than events can",
+                    where=where,
+                    expected=f"at most {MOST_TIMES} times its size",
+                    found=f"{announced:,} bytes of {size:,}",
+                    hint="the archive is damaged, or made to harm",
+                )
+            with archive.open(member) as content:
+                head = _read(content, MOST_HEADER_BYTES)
+            array = _array(head, partial(_member, path, member.filename), f"{where}: {name[:80]}")
+            if array.end != member.file_size and not array.dtype.hasobject:
+                raise InputError(
+                    f"{name[:80]} is not as long as it says", where=where, expected=str(array), found="another length"
+                )
+            arrays[name] = array
+    return arrays
+
+
+class _Bounded(io.FileIO):
+    """A file that gives no more bytes at once than are asked for here.
+
+    zipfile reads the table of contents of an archive at once, and takes a thousand bytes of memory for forty of it.
+    """
+
+    def read(self, size: int | None = -1) -> bytes:
+        if size is None or size < 0:
+            at = self.tell()
+            size = self.seek(0, io.SEEK_END) - at
+            self.seek(at)
+        if size > PIECE_BYTES:
+            raise ValueError(f"a table of contents of more than {PIECE_BYTES:,} bytes")
+        return super().read(size) or b""
+
+
+@contextmanager
+def _member(path: Path, name: str) -> Iterator[IO[bytes]]:
+    with _Bounded(path) as file, zipfile.ZipFile(file) as archive, archive.open(name) as member:
+        yield member
+
+
+def _array(content: bytes, open_: Callable[[], Any], where: str) -> Array:
+    """What the header of an array says; `content` are its first bytes."""
+    head = io.BytesIO(content)
+    version = npy.read_magic(head)
+    if version not in HEADERS:
+        raise InputError("an array of another version", where=where, expected="1.0 or 2.0", found=f"{version}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        shape, columns_first, dtype = HEADERS[version](head)
+    if not all(0 <= length < 2**62 for length in shape):
+        raise InputError("no array of numbers", where=where, found=f"{str(dtype)[:80]} of shape {str(shape)[:80]}")
+    return Array(open_, head.tell(), dtype, shape, bool(columns_first))
+
+
+@contextmanager
+def _damage_in_words(where: str) -> Iterator[None]:
+    try:
+        yield
+    except DAMAGE as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        raise InputError(
+            "cannot be read as numpy's", where=where, found=reason, hint="the file is damaged; copy it again"
+        ) from None

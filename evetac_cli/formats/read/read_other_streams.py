@@ -1,0 +1,151 @@
+"""What event files hold beside events, as streams of the recording: IMU samples, triggers, and frames if asked for.
+
+Of AEDAT4 by faery, of bags by read_bag_stream. They are brought into the recording's clock; samples before its start or
+after its end are left out, and so is what cannot be read: whoever asks counts what did not come.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.aedat4_packets import (
+    KINDS,
+    Header,
+    decoded,
+    first_bytes,
+    listed_spans,
+    read_header,
+    walk,
+)
+from evetac_cli.formats.read.faery_library import scratch_file
+from evetac_cli.formats.read.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
+from evetac_cli.formats.read.read_rosbag import open_bag
+from evetac_cli.store.disk import joined_on_disk
+from evetac_cli.store.streams import Stream, free_name
+
+IMU = "sensor_msgs/msg/Imu"
+NAMES = {"IMUS": "imu", "TRIG": "triggers", "FRME": "frames"}
+# As AEDAT4 defines them.
+UNITS = {"temperature": "degC", "accelerometer": "g", "gyroscope": "deg/s", "magnetometer": "uT"}
+TRIGGERS = "triggers; source 1 to 3: a signal from outside rises, falls, is a pulse; 6 to 9: a frame, its exposure"
+CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # of the images that faery gives
+
+
+class Other(NamedTuple):
+    """A stream beside the events, what its samples are called where they are counted, and packets that hold no such."""
+
+    stream: Stream
+    counted_as: str
+    unreadable: int = 0
+
+
+def aedat4_streams(path: Path, *, frames: bool, folder: Path | None) -> Iterator[Other]:
+    """IMU samples and triggers of an AEDAT4 file, and its frames if asked for, on the file's clock."""
+    with path.open("rb") as handle:
+        header = read_header(handle, str(path))
+    taken: list[str] = []
+    for stream in header.streams:
+        if stream.kind not in NAMES or (stream.kind == "FRME" and not frames):
+            continue
+        contents = _Contents(path, header, stream)
+        t_us, *values = joined_on_disk(folder, contents.parts()) or (np.empty(0, np.int64),)
+        if not len(t_us):
+            if contents.unreadable:
+                yield Other(Stream(NAMES[stream.kind], t_us), KINDS[stream.kind], contents.unreadable)
+            continue
+        taken.append(free_name(NAMES[stream.kind], taken) if NAMES[stream.kind] in taken else NAMES[stream.kind])
+        made = Stream(taken[-1], t_us, source=f"{path.name}: {stream.name}", clock="the camera's, as of the events")
+        if stream.kind == "FRME":
+            made = replace(made, frames=values[0], what="frames of the camera")
+        else:
+            columns = dict(zip(_columns(stream.kind), values, strict=True))
+            units = {name: UNITS.get(name.partition("_")[0], "") for name in columns}
+            what = TRIGGERS if stream.kind == "TRIG" else "inertial measurement unit of the camera"
+            made = replace(made, columns=columns, units=units, what=what)
+        yield Other(_in_order(made), KINDS[stream.kind], contents.unreadable)
+
+
+def bag_streams(path: Path, *, frames: bool, folder: Path | None) -> Iterator[Other]:
+    """The IMU topics of a bag, and those of images if asked for, on its clock; none that cannot be read."""
+    kinds = {IMU, IMAGE, COMPRESSED} if frames else {IMU}
+    with open_bag(path) as (reader, _):
+        topics = {one.topic: one.msgtype for one in reader.connections if one.msgtype in kinds and one.msgcount}
+    taken: list[str] = []
+    for topic, kind in sorted(topics.items()):
+        try:
+            stream, _ = read_bag_stream(path, topic, folder)
+        except InputError:
+            continue
+        taken.append(free_name(topic.strip("/"), taken))
+        yield Other(_in_order(replace(stream, name=taken[-1])), f"messages on {topic} ({kind})")
+
+
+def _in_order(stream: Stream) -> Stream:
+    """The samples in the order of their time, those of one time as they came."""
+    if (stream.t_us[1:] >= stream.t_us[:-1]).all():
+        return stream
+    order = np.argsort(stream.t_us, kind="stable")
+    return replace(
+        stream,
+        t_us=stream.t_us[order],
+        columns={name: column[order] for name, column in stream.columns.items()},
+        frames=None if stream.frames is None else stream.frames[order],
+    )
+
+
+def _columns(kind: str) -> tuple[str, ...]:
+    """Names of the columns of a kind of AEDAT4's streams, as faery names its fields."""
+    if kind == "TRIG":
+        return ("source",)
+    axes = [f"{part}_{axis}" for part in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
+    return ("temperature", *axes)
+
+
+class _Contents:
+    """What the packets of a stream hold, part by part; `unreadable` counts those that hold nothing of the kind."""
+
+    def __init__(self, path: Path, header: Header, stream: Any) -> None:
+        self._path, self._header, self._stream = path, header, stream
+        self.unreadable = 0
+
+    def parts(self) -> Iterator[tuple[NDArray[Any], ...]]:
+        """Times and columns, or times and images."""
+        return self._images() if self._stream.kind == "FRME" else self._rows()
+
+    def _packets(self) -> Iterator[Any]:
+        header, number = self._header, self._stream.number
+        with self._path.open("rb") as handle, scratch_file(".aedat4") as (copy, file):
+            spans, listed = walk(handle, header, number).spans, listed_spans(handle, header, number)
+            start = first_bytes(copy, header.compression, self._stream.kind)
+            chosen = listed if listed is not None and len(listed) > len(spans) else spans
+            for content in decoded(handle, chosen, start, copy, file):
+                if isinstance(content, str):
+                    self.unreadable += 1
+                else:
+                    yield content
+
+    def _rows(self) -> Iterator[tuple[NDArray[Any], ...]]:
+        """Samples; what is no finite number is NaN."""
+        for rows in self._packets():
+            columns = [rows[name].astype(np.float64) for name in _columns(self._stream.kind)]
+            finite = [np.where(np.isfinite(column), column, np.nan) for column in columns]
+            if len(rows):
+                yield (np.ascontiguousarray(rows["t"]).view(np.int64), *finite)
+
+    def _images(self) -> Iterator[tuple[NDArray[Any], ...]]:
+        """Frames of 8 bits, all of the size of the first one."""
+        first = None
+        for frame in self._packets():
+            image = np.asarray(frame.pixels)
+            channels = CHANNELS.get(frame.format, 0)
+            image = image[:, :, :channels] if image.ndim == 3 else image[:, :, None]
+            first = first or image.shape
+            if image.shape == first and image.dtype == np.uint8 and image.size:
+                yield np.array([frame.t], np.uint64).view(np.int64), image[None]
+            else:
+                self.unreadable += 1

@@ -1,0 +1,316 @@
+"""Write a recording, and what was computed from it, as an MCAP file of ROS 2 messages.
+
+    /evetac/events            event_camera_msgs/EventPacket, encoding `mono`: one a slice, the empty ones too
+    /evetac/note              std_msgs/String: the note (formats/note.py), on a topic because tools for bags keep topics
+    /evetac/dots              sensor_msgs/PointCloud2 of the tracks: x, y, dx, dy in px, events, lost; z is 0
+    /evetac/force             geometry_msgs/WrenchStamped of estimated forces, in N: x right, y down, z into the gel
+    /evetac/label             std_msgs/Int8 of the labels: 1 slip, 0 none, -1 not examined
+    /evetac/gripper           sensor_msgs/JointState: position in rad; effort is the measured current in mA
+    /evetac/gripper/goal      sensor_msgs/JointState: the goal position of a grasp, in rad
+    /evetac/gripper/*, control/*, truth/*      numbers of std_msgs; truth, which only a simulation knows, has dots and
+                                               force too
+
+All messages but EventPacket are in every installation of ROS 2, so that RViz, Foxglove and PlotJuggler draw them; a
+cloud of points is the one among them that has named numbers for each of many dots. Tracks, forces and labels are those
+beside the recording that belong to it. Times are those of the source's clock. A packet of events says when its slice
+begins and is logged when it ends; what is computed from a slice has the time at which it ends. The frame of a simulated
+recording's messages is `evetac_simulated`.
+
+The library mcap writes the file. rosbags makes messages and definitions: it copies arrays at once, where
+mcap-ros2-support packs them byte by byte; its own writer makes folders and not files.
+"""
+
+import heapq
+import math
+from collections.abc import Callable, Iterator
+from itertools import repeat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, install_hint
+from evetac_cli.events import SLICE_US
+from evetac_cli.formats.read.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
+from evetac_cli.formats.write.pieces import note_for, t_offset_us
+from evetac_cli.formats.write.slice_columns import TrialFiles
+from evetac_cli.jobs import Progress
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import BLOCK_SLICES, Recording
+
+PACKET = "event_camera_msgs/msg/EventPacket"
+DEFINITION = """std_msgs/Header header
+uint32 height
+uint32 width
+uint64 seq
+uint64 time_base
+string encoding
+bool is_bigendian
+uint8[] events
+"""
+US_NS = 1000
+MOST_S = 2**31  # the seconds of a time of ROS are an int32
+MOST_ROWS_PX = 2**15  # `mono` has 15 bits for y
+TICK_RAD = math.radians(0.088)  # of the RH-P12-RN(A), by its manual
+JOINT = "rh_p12_rn"
+DOT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "dx", "dy")] + [("events", "<i4"), ("lost", "u1")])
+TRUE_DOT = np.dtype([(name, "<f4") for name in ("x", "y", "z")])
+POINT_FIELDS = {"|u1": 2, "<i4": 5, "<f4": 7}  # of sensor_msgs/PointField
+NUMBERS = {  # a message of std_msgs for each row
+    "gripper/current_target_ma": "Float64",
+    "control/slip": "Bool",
+    "control/phase": "UInt8",
+    "control/u_ff_ticks": "Float32",
+    "control/x_ref_ticks": "Float32",
+    "control/probability": "Float32",
+    "truth/slip": "Bool",
+    "truth/slip_share": "Float32",
+    "truth/visible_slip_share": "Float32",
+}
+# What of a recording is in the file, beside its events.
+HOLDS = (
+    "sensor/dot_xy_px",
+    "gripper/t_us",
+    "gripper/current_ma",
+    "gripper/position_ticks",
+    "control/t_us",
+    "control/goal_ticks",
+    "truth/dot_xy_px",
+    "truth/normal_force_n",
+    "truth/shear_force_n",
+    *NUMBERS,
+)
+
+Messages = Iterator[tuple[int, Any]]  # time in us since the start of the recording, message
+
+
+def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
+    """Write all topics in the order of their times; returns which files of the trial were left out.
+
+    InputError where times or frame need more bits than there are.
+    """
+    Writer, types, definition_of, serialise = _libraries(str(path.parent))
+    recording = files.recording
+    offset_us = t_offset_us(recording)
+    _check(recording, offset_us)
+    frame_id = "evetac_simulated" if recording.header["simulated"] else "evetac"
+    make = _Messages(types, frame_id, offset_us)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="evetac")
+        note = note_for(recording, offset_us).text()
+        topics: list[tuple[str, str, Messages]] = [
+            (NOTE_TOPIC, "std_msgs/msg/String", iter([(0, make("std_msgs/msg/String", data=note))])),
+            (EVENTS_TOPIC, PACKET, make.packets(recording, progress)),
+            *make.of_recording(recording),
+            *make.of_files(files),
+        ]
+        schemas: dict[str, int] = {}
+        streams = []
+        for topic, kind, messages in topics:
+            if kind not in schemas:
+                schemas[kind] = writer.register_schema(kind, "ros2msg", definition_of(kind).encode())
+            channel = writer.register_channel(topic, "cdr", schemas[kind])
+            streams.append(zip(repeat((channel, kind)), messages))
+        for (channel, kind), (t_us, message) in heapq.merge(*streams, key=lambda one: one[1][0]):
+            time_ns = (offset_us + t_us) * US_NS
+            writer.add_message(channel, time_ns, serialise(message, kind), time_ns)
+        writer.finish()
+    return list(files.notes)
+
+
+def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[Any, str], bytes]]:
+    """The writer of mcap; of rosbags the types by name, the definition of one, and how a message becomes bytes."""
+    try:
+        from mcap.writer import Writer
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        hint = install_hint("convert")
+        raise InputError("MCAP needs mcap and rosbags", where=where, found=str(error), hint=hint) from None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(DEFINITION, PACKET))
+
+    def definition_of(kind: str) -> str:
+        return str(store.generate_msgdef(kind, ros_version=2)[0])
+
+    def serialise(message: Any, kind: str) -> bytes:
+        return bytes(store.serialize_cdr(message, kind))
+
+    return Writer, store.types, definition_of, serialise
+
+
+def _check(recording: Recording, offset_us: int) -> None:
+    """InputError where a time or a row has no place in the messages."""
+    last_s = (offset_us + len(recording) * SLICE_US) / 1e6
+    if offset_us < 0 or last_s >= MOST_S:
+        raise InputError(
+            "ROS has no such times",
+            where=str(recording.path),
+            expected=f"a source's clock from 0 to {MOST_S - 1} s",
+            found=f"{offset_us / 1e6:.6f} to {last_s:.6f} s",
+            hint="export it as text or dsec",
+        )
+    if recording.frame_px[1] > MOST_ROWS_PX:
+        raise InputError(
+            "the frame is too high for EventPacket",
+            where=str(recording.path),
+            expected=f"at most {MOST_ROWS_PX} rows",
+            found=str(recording.frame_px[1]),
+            hint="export it as text or dsec",
+        )
+
+
+class _Messages:
+    """Makes the messages of each topic, in the order of their times, reading block by block."""
+
+    def __init__(self, types: Any, frame_id: str, offset_us: int) -> None:
+        self._types, self._frame_id, self._offset_us = types, frame_id, offset_us
+
+    def __call__(self, kind: str, **values: Any) -> Any:
+        return self._types[kind](**values)
+
+    def _header(self, t_us: int) -> Any:
+        seconds, us = divmod(self._offset_us + t_us, 10**6)
+        stamp = self("builtin_interfaces/msg/Time", sec=seconds, nanosec=us * US_NS)
+        return self("std_msgs/msg/Header", stamp=stamp, frame_id=self._frame_id)
+
+    def packets(self, recording: Recording, progress: Progress) -> Messages:
+        """A packet of events for every slice, also for one without any: the clock is the slice."""
+        width, height = recording.frame_px
+        done = 0
+        progress(0, recording.event_count)
+        for number, events in enumerate(recording):
+            begins_us = number * SLICE_US
+            words = (events.t - begins_us).astype(np.uint64) * np.uint64(US_NS)
+            for column, bit in ((events.x, 32), (events.y, 48), (events.p, 63)):
+                words |= column.astype(np.uint64) << np.uint64(bit)
+            yield (
+                begins_us + SLICE_US,
+                self(
+                    PACKET,
+                    header=self._header(begins_us),
+                    height=height,
+                    width=width,
+                    seq=number,
+                    time_base=(self._offset_us + begins_us) * US_NS,
+                    encoding="mono",
+                    is_bigendian=False,
+                    events=words.astype("<u8").view(np.uint8),
+                ),
+            )
+            done += events.size
+            if number % BLOCK_SLICES == BLOCK_SLICES - 1 or number == len(recording) - 1:
+                progress(done, recording.event_count)
+
+    def of_recording(self, recording: Recording) -> Iterator[tuple[str, str, Messages]]:
+        """Topics of gripper, control and truth, as far as there are any."""
+        joint = "sensor_msgs/msg/JointState"
+        if recording.has("gripper"):
+            rows = _timed(recording, "gripper", "position_ticks", "current_ma")
+            yield "/evetac/gripper", joint, ((t_us, self._joint(t_us, *row)) for t_us, *row in rows)
+        if recording.has("control"):
+            rows = _timed(recording, "control", "goal_ticks")
+            yield "/evetac/gripper/goal", joint, ((t_us, self._joint(t_us, *row)) for t_us, *row in rows)
+        for path, kind in NUMBERS.items():
+            if recording.has(path):
+                yield f"/evetac/{path}", f"std_msgs/msg/{kind}", self._numbers(recording, path, kind)
+        if recording.has("truth"):
+            yield (
+                "/evetac/truth/force",
+                "geometry_msgs/msg/WrenchStamped",
+                self._wrenches(recording, "truth/shear_force_n", "truth/normal_force_n"),
+            )
+            yield "/evetac/truth/dots", "sensor_msgs/msg/PointCloud2", self._true_dots(recording)
+
+    def of_files(self, files: TrialFiles) -> Iterator[tuple[str, str, Messages]]:
+        """Topics of tracks, forces and labels, as far as there are any."""
+        tracks, forces, labels = (files.by_kind.get(kind) for kind in ("tracks", "forces", "labels"))
+        if tracks is not None:
+            yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
+        if forces is not None and (forces.has("shear_n") or forces.has("network_n")):
+            shear = "shear_n" if forces.has("shear_n") else "network_n"  # of the paper's network
+            yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, shear, "normal_n")
+        if labels is not None:
+            yield "/evetac/label", "std_msgs/msg/Int8", self._numbers(labels, "label", "Int8")
+
+    def _joint(self, t_us: int, ticks: int, current_ma: float | None = None) -> Any:
+        effort = [] if current_ma is None else [float(current_ma)]
+        return self(
+            "sensor_msgs/msg/JointState",
+            header=self._header(t_us),
+            name=[JOINT],
+            position=np.array([ticks * TICK_RAD]),
+            velocity=np.empty(0),
+            effort=np.array(effort),
+        )
+
+    def _numbers(self, file: StageFile, path: str, kind: str) -> Messages:
+        """A row a message; gripper and control have times of their own, but for the detector's output."""
+        group, _, name = path.rpartition("/")
+        timed = group in ("gripper", "control") and name != "probability"
+        rows = _timed(file, group, name) if timed else _by_slice(file, path)
+        for t_us, value in rows:
+            yield t_us, self(f"std_msgs/msg/{kind}", data=value.item())
+
+    def _wrenches(self, file: StageFile, shear: str, normal: str) -> Messages:
+        """A force a slice; its z is not a number where nothing tells the normal force."""
+        none = self("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if file.has(normal) else [])):
+            force = self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z[0]) if z else math.nan)
+            wrench = self("geometry_msgs/msg/Wrench", force=force, torque=none)
+            yield t_us, self("geometry_msgs/msg/WrenchStamped", header=self._header(t_us), wrench=wrench)
+
+    def _dots(self, tracks: StageFile) -> Messages:
+        rest = tracks.read("sensor/dot_xy_px")
+        shape = rest.shape[:2]
+        dots, fields = np.zeros(shape, DOT), self._fields(DOT)
+        for t_us, xy, events, lost in _by_slice(tracks, "dot_xy_px", "events_per_dot", "lost"):
+            xy = xy.reshape(*shape, 2)  # noqa: PLW2901
+            dots["x"], dots["y"] = xy[..., 0], xy[..., 1]
+            dots["dx"], dots["dy"] = xy[..., 0] - rest[..., 0], xy[..., 1] - rest[..., 1]
+            dots["events"], dots["lost"] = events.reshape(shape), lost.reshape(shape)
+            yield t_us, self._cloud(t_us, dots, fields)
+
+    def _true_dots(self, recording: Recording) -> Messages:
+        fields = self._fields(TRUE_DOT)
+        for t_us, xy in _by_slice(recording, "truth/dot_xy_px"):
+            dots = np.zeros((1, len(xy)), TRUE_DOT)
+            dots["x"], dots["y"] = xy[:, 0], xy[:, 1]
+            yield t_us, self._cloud(t_us, dots, fields)
+
+    def _fields(self, point: np.dtype[Any]) -> list[Any]:
+        kind = "sensor_msgs/msg/PointField"
+        return [
+            self(kind, name=name, offset=offset, datatype=POINT_FIELDS[of.str], count=1)
+            for name, (of, offset, *_) in (point.fields or {}).items()
+        ]
+
+    def _cloud(self, t_us: int, dots: NDArray[Any], fields: list[Any]) -> Any:
+        return self(
+            "sensor_msgs/msg/PointCloud2",
+            header=self._header(t_us),
+            height=dots.shape[0],
+            width=dots.shape[1],
+            fields=fields,
+            is_bigendian=False,
+            point_step=dots.dtype.itemsize,
+            row_step=dots.dtype.itemsize * dots.shape[1],
+            data=np.frombuffer(dots.tobytes(), np.uint8),
+            is_dense=bool(np.isfinite(dots["x"]).all()),
+        )
+
+
+def _by_slice(file: StageFile, *paths: str) -> Iterator[tuple[Any, ...]]:
+    """The time at which a slice ends, in us, and its row of each dataset."""
+    for first in range(0, file.length(paths[0]), BLOCK_SLICES):
+        columns = [file.read(path, first, first + BLOCK_SLICES) for path in paths]
+        ends = ((first + 1 + np.arange(len(columns[0]))) * SLICE_US).tolist()
+        yield from zip(ends, *columns, strict=True)
+
+
+def _timed(file: StageFile, group: str, *names: str) -> Iterator[tuple[Any, ...]]:
+    """The time of a row of a group that has its own clock, in us, and its value in each dataset."""
+    for first in range(0, file.length(f"{group}/t_us"), BLOCK_SLICES):
+        t_us, *columns = (file.read(f"{group}/{name}", first, first + BLOCK_SLICES) for name in ("t_us", *names))
+        yield from zip(t_us.tolist(), *columns, strict=True)

@@ -1,0 +1,269 @@
+"""The paper's task as a Gymnasium environment: lift an object by feel, then hold it as lightly as possible.
+
+    import gymnasium
+    import evetac_cli.gym
+
+    env = gymnasium.make("evetac/Lift-v0")
+    observation, info = env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+
+Importing this module registers the environment. Everything in it is simulated: it is the loop of `grasp` in a scene of
+kind lift, with the agent in the controller's place.
+"""
+
+import json
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import resources
+from evetac_cli.errors import InputError, missing_library
+from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
+from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.sim import scene as scenes
+from evetac_cli.sim.grasp_outcome import LIFTED_MM
+from evetac_cli.stages.grasp.loop import Timing, grasp_slices
+from evetac_cli.store.files import StageFile
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ModuleNotFoundError as error:
+    raise missing_library(error) or error from None
+
+Observation = dict[str, NDArray[np.float32]]
+
+MOST_TICKS = 60.0  # of the goal beyond light contact: about 14 N
+FARTHEST_PX, MOST_EVENTS, MOST_READ = 200.0, 1000.0, 2000.0  # ends of observations, in px, events a ms, ticks and mA
+COST_N_S, COST_MM = 0.02, 0.05
+LOST_MM = 20.0  # an object that moved so far in the hand is lost, and more of it costs no more
+TRUTH = ("truth/table_gap_mm", "truth/normal_force_n", "truth/object_xy_px")
+
+
+class _Chosen(Control):
+    """A controller that makes contact as all do, and then passes on what somebody else chose."""
+
+    goal = 0
+
+    def step(self, phase: Phase, signal: SlipSignal, position_ticks: int) -> int:
+        """The goal in ticks."""
+        own = super().step(phase, signal, position_ticks)
+        return own if phase is Phase.CONTACT else self.goal
+
+
+class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """Lift an object that was touched lightly, and hold it with little force and little slip.
+
+    A hand rises by 100 mm while the fingers hold an object of unknown mass and friction; the episode begins when light
+    contact is made. It ends when the object was not lifted by the end of the lift (terminated), when it fell
+    (terminated), or at the end of the balance (truncated).
+
+    objects: of the paper's table, one of which is drawn for each episode, or chosen by options={"object": NUMBER}.
+    mass_factor: range of a factor on its mass. sensor, gel, model: as of `evetac grasp`. scene: of kind lift, of which
+    the hand rises with hand_mm_s in place of the paper's 20 mm/s. lift_s, balance_s: of the two phases; the paper's are
+    10 s and 20 s. control_hz: steps a second; the paper's are 500. InputError for what cannot be.
+
+    Action, (1,) in [0, 1]: the gripper's goal, as a part of 60 ticks beyond light contact; whole ticks.
+
+    Observation, what the detector and the gripper say, all float32:
+    displacement_px (dots, 2), of tracked dots from rest; events_per_dot (dots,), mean of the step's milliseconds;
+    slip (2,), largest probability and share of milliseconds with slip since the last step; gripper (2,), closing since
+    light contact in ticks and motor current in mA; time_s (1,), since the lift began.
+
+    Reward: 1 for an object that hangs more than 50 mm above the table at the end of the lift, and 1 if it still does
+    at the end; less 0.02 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
+    object moved in the hand. Force and motion are the simulation's truth. `info` has them too, and what was drawn.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+
+    def __init__(
+        self,
+        objects: str = "1-9",
+        sensor: str = "evetac",
+        *,
+        scene: str = "lift",
+        gel: str | None = None,
+        mass_factor: tuple[float, float] = (0.5, 2.0),
+        hand_mm_s: float = 100.0,
+        lift_s: float = 2.0,
+        balance_s: float = 2.0,
+        control_hz: float = 50.0,
+        model: Path | str | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        resources.find_kernel_cache()
+        from evetac_cli.sim.camera.gel_camera import dot_grid  # builds on numba, which has to know its cache first
+
+        self._plans = {plan["object"]: plan for plan in scenes.plan(scene, objects, sensor, ("lift",), gel)}
+        plan = next(iter(self._plans.values()))
+        _vary(plan["scene"], mass_factor, hand_mm_s, lift_s)
+        self._durations = {"lift_s": float(lift_s), "balance_s": float(balance_s)}
+        touch_s = float(plan["scene"]["time"]["touch_s"])
+        self._timing = Timing(*(round(1000 * each) for each in (touch_s, lift_s, balance_s)), control_hz)
+        if self._timing.balance_ms < 0:
+            raise InputError("no such duration", where="balance_s", expected="0 or more", found=f"{balance_s}")
+        self._model = resources.MODEL if model is None else Path(model)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError("unknown value", where="render_mode", expected="rgb_array, or None", found=render_mode)
+        self.render_mode = render_mode
+        row = scenes.for_trial(plan, (0,))["sensor_row"]
+        dots = dot_grid(row, plan["scene"]["gel"]["cut"]).reshape(-1, 2).shape[0]
+        self.action_space = spaces.Box(0.0, 1.0, (1,), np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                "displacement_px": spaces.Box(-FARTHEST_PX, FARTHEST_PX, (dots, 2), np.float32),
+                "events_per_dot": spaces.Box(0.0, MOST_EVENTS, (dots,), np.float32),
+                "slip": spaces.Box(0.0, 1.0, (2,), np.float32),
+                "gripper": spaces.Box(-MOST_READ, MOST_READ, (2,), np.float32),
+                "time_s": spaces.Box(0.0, float(lift_s + balance_s), (1,), np.float32),
+            }
+        )
+        self._dots = dots
+        self._playing: Iterator[tuple[Events, dict[str, Any]]] | None = None
+        self._events = empty()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Put an object down and touch it lightly; a seed decides all that is drawn."""
+        from evetac_cli.devices.simulated import SimulatedGripper, rig
+        from evetac_cli.stages.grasp.setup import open_detector
+
+        super().reset(seed=seed)
+        number = int(self.np_random.choice(list(self._plans)))
+        seeds = [int(part) for part in self.np_random.integers(2**31, size=4)]
+        if options and "object" in options:
+            number = options["object"]
+            if number not in self._plans:
+                listed = ", ".join(map(str, self._plans))
+                raise InputError("not among the objects", where="options", expected=listed, found=f"{number}")
+        plan = scenes.for_trial(self._plans[number], seeds)
+        self._mm_per_px = float(plan["sensor_row"]["mm_per_px"])
+        devices = rig(plan, np.random.SeedSequence(seeds), **self._durations)
+        assert isinstance(devices.gripper, SimulatedGripper)
+        self._gripper = devices.gripper
+        with StageFile(self._model, "model") as model:
+            self._detector = open_detector(model, devices.camera.sensor, "stable", Grasp.slip_threshold)
+        self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
+        self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
+        self._drawn = {"object": number, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
+        self._lifted = False
+        self._moved_mm = 0.0
+        self._slices = 0
+        rows = self._play(self._timing.touch_ms)
+        self._touch_ticks = self._gripper.read().position_ticks
+        self._object_mm = self._object_now_mm(rows)
+        return self._observation(), dict(self._drawn)
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Set the gripper's goal and go on until the next step of control."""
+        if self._playing is None:
+            raise gymnasium.error.ResetNeeded("this episode is over, or none was begun: call reset()")
+        share = float(np.clip(np.asarray(action, np.float64).reshape(-1)[0], 0.0, 1.0))
+        if np.isnan(share):
+            raise InputError("not a number", where="action", expected="0 to 1", found=f"{action}")
+        self._control.goal = self._touch_ticks + round(MOST_TICKS * share)
+        timing, before = self._timing, self._slices
+        rows = self._play(min(timing.every_ms, timing.end_ms - self._slices))
+        ended = self._slices >= timing.end_ms
+        fell = self._gripper.simulation.finished and not ended
+        hangs = rows["truth/table_gap_mm"][-1] > LIFTED_MM and rows["truth/normal_force_n"][-1] > 0.0
+        object_mm = self._object_now_mm(rows)
+        paid_mm = min(self._moved_mm, LOST_MM)
+        self._moved_mm += float(np.hypot(*(object_mm - self._object_mm)))
+        self._object_mm = object_mm
+        force_n_s = float(np.sum(rows["truth/normal_force_n"])) * SLICE_US * 1e-6
+        reward = -COST_N_S * force_n_s - COST_MM * (min(self._moved_mm, LOST_MM) - paid_mm)
+        lift_ends = timing.touch_ms + timing.lift_ms
+        if before < lift_ends <= self._slices:
+            self._lifted = bool(hangs and not fell)
+            reward += float(self._lifted)
+        balanced = bool(ended and self._lifted and hangs)
+        reward += float(balanced)
+        terminated = bool(fell or (self._slices >= lift_ends and not hangs))
+        truncated = bool(ended and not terminated)
+        if terminated or truncated:
+            self._playing = None
+        info = {
+            **self._drawn,
+            "normal_force_n": float(rows["truth/normal_force_n"][-1]),
+            "moved_mm": self._moved_mm,
+            "lifted": self._lifted,
+            "balanced": balanced,
+        }
+        return self._observation(), reward, terminated, truncated, info
+
+    def _play(self, slices: int) -> dict[str, list[Any]]:
+        """So many slices, fewer where the scene ends; their rows of the truth. Keeps what the observation needs."""
+        assert self._playing is not None
+        rows: dict[str, list[Any]] = {name: [] for name in TRUTH}
+        parts, near_dots, probability, slips = [], np.zeros(self._dots), 0.0, self._detector.count
+        for made in islice(self._playing, slices):
+            parts.append(made[0])
+            for name in TRUTH:
+                rows[name].append(made[1][name])
+            near_dots = near_dots + self._detector.tracking.events_per_dot
+            probability = max(probability, float(np.nan_to_num(self._detector.probability)))
+        self._slices += len(parts)
+        self._events = concatenate(parts)
+        each = 1.0 / len(parts)
+        self._felt = (near_dots * each, probability, (self._detector.count - slips) * each)
+        return rows
+
+    def _object_now_mm(self, rows: dict[str, list[Any]]) -> NDArray[np.float64]:
+        """Where the object is in the hand."""
+        return np.asarray(rows["truth/object_xy_px"][-1], np.float64) * self._mm_per_px
+
+    def _observation(self) -> Observation:
+        tracking, reading = self._detector.tracking, self._gripper.read()
+        events_per_dot, probability, slip_share = self._felt
+        displacement_px = np.clip(tracking.dot_xy_px - tracking.rest_xy_px, -FARTHEST_PX, FARTHEST_PX)
+        time_s = (self._slices - self._timing.touch_ms) * SLICE_US * 1e-6
+        return {
+            "displacement_px": displacement_px.astype(np.float32),
+            "events_per_dot": np.minimum(events_per_dot, MOST_EVENTS).astype(np.float32),
+            "slip": np.array([probability, slip_share], np.float32),
+            "gripper": np.array([reading.position_ticks - self._touch_ticks, reading.current_ma], np.float32),
+            "time_s": np.array([time_s], np.float32),
+        }
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Events of the last step, (480, 640, 3): white where it got brighter, black where darker, else grey."""
+        if self.render_mode is None:
+            return None
+        width, height = FRAME_PX
+        picture = np.full((height, width, 3), 128, np.uint8)
+        picture[self._events.y, self._events.x] = (255 * self._events.p)[:, None]
+        return picture
+
+    def close(self) -> None:
+        """End the episode; a second call does nothing."""
+        self._playing = None
+
+
+def _vary(scene: dict[str, Any], mass_factor: tuple[float, float], hand_mm_s: float, lift_s: float) -> None:
+    """Change mass and hand of a scene; InputError where the hand would not be up by the end of the lift."""
+    low, high = mass_factor
+    if not 0.01 <= low <= high <= 100.0:
+        expected = "0.01 <= low <= high <= 100"
+        raise InputError("not a range", where="mass_factor", expected=expected, found=f"{mass_factor}")
+    scene["randomise"]["mass"] = [float(low), float(high)]
+    hand, time = scene["hand"], scene["time"]
+    if not 1.0 <= hand_mm_s <= 1000.0:
+        raise InputError("no such speed", where="hand_mm_s", expected="1 to 1000 mm/s", found=f"{hand_mm_s}")
+    hand["acceleration_mm_s2"] *= hand_mm_s / hand["speed_mm_s"]  # it starts in as short a time
+    hand["speed_mm_s"] = float(hand_mm_s)
+    up_s = hand["height_mm"] / hand_mm_s + hand_mm_s / hand["acceleration_mm_s2"] + time.get("before_rise_s", 0.0)
+    if not up_s <= lift_s <= 600.0:
+        expected = f"{up_s:.4g} s, when the hand is up, to 600 s"
+        raise InputError("no such duration", where="lift_s", expected=expected, found=f"{lift_s}")
+
+
+gymnasium.register("evetac/Lift-v0", entry_point="evetac_cli.gym:LiftEnv")

@@ -1,0 +1,94 @@
+"""share: lay out a model or a data set as a folder for the Hugging Face Hub, with a card; nothing is uploaded.
+
+The folder takes its place when it is complete. Files of a data set are linked where the disk can do that, so that a
+large one takes no room twice: evetac never changes a file that it has made, it writes another in its place.
+"""
+
+import json
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from evetac_cli.console import plain
+from evetac_cli.errors import InputError
+from evetac_cli.inspect.share import data_card, model_card
+from evetac_cli.inspect.share.markdown import Card
+from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
+from evetac_cli.params.inspection import Share
+from evetac_cli.store.disk import existing_folder, missing_folders, remove_empty, temporary_name
+from evetac_cli.store.files import stem
+
+CARD = "card.json"
+README = "README.md"
+
+
+def run(
+    files: list[Path], params: Share, out: Path | None, *, force: bool = False, progress: Progress = silent
+) -> Outcome:
+    """Write the folder of a model, or of a folder of files; InputError where it is there, unless `force`."""
+    first = files[0]
+    if first.is_dir():
+        if len(files) > 1:
+            raise InputError("one data set at a time", where=str(files[1]), expected="one folder")
+        card = data_card.describe(first, params, progress)
+    else:
+        card = model_card.describe(first, files[1:], params)
+    name = first.resolve().name if first.is_dir() else stem(first)
+    target = out if out is not None else first.resolve().with_name(f"{name}-hub")
+    _check_free(target, first, force)
+    size = _lay_out(target, card, progress)
+    row = {
+        "output": str(target),
+        "what": card.about["what"],
+        "files": len(card.links) + len(card.written) + 2,
+        "size_bytes": size,
+        "license": card.about["license"] or "none chosen",
+    }
+    return Outcome([row], bool(card.about["simulated"]), {"notes": "nothing was uploaded"})
+
+
+def _check_free(target: Path, source: Path, force: bool) -> None:
+    """InputError where the folder is there and may not be replaced: only one that `share` made ever is."""
+    require_possible_name(target)
+    existing_folder(target.parent)
+    if source.is_dir() and source.resolve() in (target.resolve(), *target.resolve().parents):
+        raise InputError("the output lies in the folder that is shared", where=str(target))
+    if not os.path.lexists(target):
+        return
+    if not force or not (target / CARD).is_file():
+        hint = "--force replaces it, -o NAME writes elsewhere" if (target / CARD).is_file() else "-o NAME"
+        raise InputError("the output exists", where=str(target), hint=hint)
+
+
+def _lay_out(target: Path, card: Card, progress: Progress) -> int:
+    """Write everything beside its place, then rename; bytes of all files."""
+    made = missing_folders(target.parent)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = temporary_name(target)
+    size = 0
+    try:
+        temporary.mkdir()
+        texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
+        for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
+            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
+            (temporary / name).write_bytes(content)
+            size += len(content)
+        for number, (name, source) in enumerate(card.links.items()):
+            progress(number, len(card.links))
+            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(source.resolve(), temporary / name)
+            except OSError:  # another disk, or one that has no links
+                shutil.copyfile(source, temporary / name)
+            size += (temporary / name).stat().st_size
+        if target.is_dir():
+            shutil.rmtree(target)
+        temporary.rename(target)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", where=str(target)) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        with suppress(OSError):
+            remove_empty(made)
+    return size

@@ -1,0 +1,177 @@
+"""The card of a model: what it is, what it was trained on with which seeds, how it did, and what that is worth."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import info
+from evetac_cli.inspect.share.markdown import Card, inline, opening, shared_fields, table
+from evetac_cli.params.inspection import Share
+from evetac_cli.stages.training_log import course
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.index import recording_of
+from evetac_cli.store.provenance import Header
+from evetac_cli.text_files import parse_json
+
+KINDS = ("model", "force-model")
+ROLES = ("trained on", "validated on")
+WHAT = {"model": "slip detector", "force-model": "force model"}
+# Of `info`: what a card says elsewhere, or not at all.
+NOT_SHOWN = ("file", "kind", "id", "simulated", "size_bytes", "parameters", "made", "parents", "history", "seed")
+# Of a report: figures that the Hub lists, by the names of its own metrics.
+METRICS = {"f1": ("f1", "F1 over slices"), "slip_correct": ("accuracy", "share of slips with correct timing")}
+
+
+def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
+    """The card of a model file, with the figures of reports on it; InputError for other files."""
+    (row,) = info.run([path]).rows
+    if row["kind"] not in KINDS:
+        raise InputError("not a model", where=str(path), expected="a model, or a folder", found=row["kind"])
+    with StageFile(path) as file:
+        header, what = file.header, WHAT[file.kind]
+        written = {"training.csv": course(file).encode()} if file.kind == "model" else {}
+        if file.has("onnx"):
+            written["model.onnx"] = file.read("onnx").tobytes()
+        score = (
+            float(file.read("checkpoint/score")[int(file.read("checkpoint/chosen"))])
+            if file.has("checkpoint")
+            else None
+        )
+    simulated = bool(header["simulated"])
+    figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
+    if score is not None:
+        figures["validation_score"] = score
+    data = list(_data(header))
+    judged = [one for report in reports for one in _judged(report, header)]
+    title = params.title or f"{path.name.removesuffix('.h5').removesuffix('.' + row['kind'])}: {what}"
+    about = {
+        "what": what,
+        "title": title,
+        "simulated": simulated,
+        "license": params.license,
+        "recipe_id": header["id"],
+        "seed": header["seed"],
+        "training": header["parameters"],
+        "figures": figures,
+        "data": data,
+        "evaluations": judged,
+        "made": header.get("made", {}),
+    }
+    fields = shared_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
+    if judged:
+        fields["model-index"] = [{"name": title, "results": [_result(one) for one in judged]}]
+    page = [
+        *opening(title, simulated=simulated, license_=params.license),
+        f"A {what} for an event camera behind a dotted gel, made with evetac. Recipe id `{header['id']}`.",
+        "## The model",
+        table([{"": name, "value": value} for name, value in figures.items()]),
+        "## Data and seeds",
+        f"Seed of the training: {header['seed']}." if header["seed"] is not None else "",
+        table(data),
+        "## How it was trained",
+        table([{"parameter": name, "value": value} for name, value in _flat(header["parameters"])]),
+        "## How well it does",
+        *([table([_shown(one) for one in judged])] if judged else [NOT_EVALUATED]),
+        *([ON_VALIDATION] if score is not None else []),
+        "## Limits",
+        LIMITS_SIMULATED if simulated else LIMITS,
+        "## Files",
+        FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
+    ]
+    return Card(fields, [part for part in page if part], about, {path.name: path}, written)
+
+
+NOT_EVALUATED = "No evaluation was added to this card. `evetac share MODEL REPORT` adds those of `evetac evaluate`."
+ON_VALIDATION = (
+    "`validation_score` is the mean of the share of slips with correct timing and F1, on the trajectories on which"
+    " checkpoint and threshold were chosen: data that the model never saw gives less."
+)
+LIMITS_SIMULATED = "It has never seen a real sensor. How well it does on one has not been measured."
+LIMITS = "Figures hold for the sensor, the objects and the motions of the data above."
+FILES = (
+    "- `{name}`: the model; `evetac info` shows it, `evetac grasp --model` and `evetac evaluate slip --model` use it"
+)
+OTHER_FILES = """
+- `model.onnx`: the same network for ONNX runtime
+- `training.csv`: loss and validation scores over the steps of the training
+- `card.json`: this page as data"""
+
+
+def _data(header: Header) -> Iterator[dict[str, Any]]:
+    """A row for every scene and sensor, and for each of the two things that their recordings were used for."""
+    history = header["history"]
+    parents = [history[id_] for id_ in header["parents"] if id_ in history]
+    files = [parent for parent in parents if not parent["kind"].endswith("model")]
+    learned = header["parameters"].get("trained_on", len(files))
+    groups: dict[tuple[Any, ...], list[Header]] = {}
+    for number, file in enumerate(files):
+        recording: Header = recording_of(file, history) or file
+        made = recording["parameters"]
+        scene = made.get("scene")
+        name = scene.get("name") if isinstance(scene, dict) else made.get("source") and "imported"
+        key = (ROLES[number >= learned], str(name or "unknown"), str(made.get("sensor") or "unknown"))
+        groups.setdefault(key, []).append(recording)
+    for (role, scene_name, sensor), recordings in groups.items():
+        objects = {one["parameters"].get("object") for one in recordings} - {None}
+        seeds = {one["seed"] for one in recordings} - {None}
+        yield {
+            "used": role,
+            "scene": scene_name,
+            "sensor": sensor,
+            "trajectories": len(recordings),
+            "objects": ", ".join(sorted(map(str, objects), key=lambda text: (len(text), text))) or "unknown",
+            "seeds": f"{min(seeds)} to {max(seeds)}" if seeds else "none",
+            "simulated": "yes" if any(one["simulated"] for one in recordings) else "no",
+        }
+    adapted = [parent for parent in parents if parent["kind"].endswith("model")]
+    for model in adapted:
+        yield {"used": "adapted from", "scene": f"model {model['id'][:12]}", "sensor": "", "trajectories": None}
+
+
+def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
+    """The figures of each setting in a report; InputError if it is not on this model alone."""
+    with StageFile(report, "report") as file:
+        history = file.header["history"]
+        models = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") in KINDS]
+        if models != [header["id"]]:
+            found = ", ".join(id_[:12] for id_ in models) or "no model"
+            expected = f"a report of `evetac evaluate slip` on the model {header['id'][:12]} alone"
+            raise InputError("a report on something else", where=str(report), expected=expected, found=found)
+        command, simulated = str(file.read("command")), bool(file.header["simulated"])
+        for row in parse_json(file.read("rows")):
+            if "seeds" in row and "trajectories" in row:
+                figures = {
+                    name: value for name, value in row.items() if not name.startswith("paper_") and value is not None
+                }
+                yield {"command": command, "report": report.name, "simulated": simulated, "figures": figures}
+
+
+def _shown(judged: dict[str, Any]) -> dict[str, Any]:
+    figures = judged["figures"]
+    names = ("trajectories", "slip_correct", "slip_early", "slip_late", "f1")
+    known = {name: figures.get(name) for name in names}
+    return {"evaluation": judged["command"], **known, "simulated": "yes" if judged["simulated"] else "no"}
+
+
+def _result(judged: dict[str, Any]) -> dict[str, Any]:
+    """An evaluation as the Hub's `model-index` has it."""
+    mark = " (simulated)" if judged["simulated"] else ""
+    return {
+        "task": {"type": "robotics", "name": "slip detection"},
+        "dataset": {"type": "evetac", "name": f"{judged['report']}{mark}"},
+        "metrics": [
+            {"type": kind, "name": f"{name}{mark}", "value": judged["figures"][key]}
+            for key, (kind, name) in METRICS.items()
+            if judged["figures"].get(key) is not None
+        ],
+    }
+
+
+def _flat(parameters: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Parameters and those inside them, by their path."""
+    for name, value in parameters.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{name}.")
+        elif value is not None:
+            yield f"{before}{name}", value

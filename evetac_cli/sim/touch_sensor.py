@@ -1,0 +1,453 @@
+"""Touch inside another simulator: the gel of one finger and its camera, driven by the pose or the force of a contact.
+
+Gel, friction and camera are those of the scenes (sim/gel, sim/camera); a rigid object takes the place of a scene. Axes
+are those of the image, from the middle of the view: x right, y down. In a grasp from the top x is along gravity.
+
+- Pressing. Indentation and normal force belong together by one table (gel.contact); either may be given. The surface
+  moves over the pad with its object, and may leave it.
+- Along the gel, either where the object is, or the force that pushes it. Where it is given, the gel finds the force.
+
+Why so: a simulator's contact that sticks says a force and next to no motion; one that slides says a motion, and its
+force is no more than the friction it assumed. So both can be given, and from step to step the one or the other. A force
+that friction cannot hold would throw a free object away; it is pushed against a damper instead, which takes nothing
+while the object rests, and lets an excess of 0.1 N slide it by 10 mm/s. The damper is solved implicitly: in a slice it
+is a mass of damping times 1 ms, whose speed of the slice before is braked.
+
+Left out: texture in the window, the outline of the object, vibration of what holds it.
+"""
+
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.kernels.sensitivity import Sensitivity
+from evetac_cli.sim import sampling, scene
+from evetac_cli.sim.camera.gel_camera import GelCamera
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, friction_factor, friction_of, material, pad
+from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
+from evetac_cli.sim.solver import from_scene, resolve
+
+Floats = NDArray[np.float64]
+
+SLICE_NS = SLICE_US * 1000
+PUSHER_N_S_M = 10.0
+PUSHER_ARM_M = 5e-3  # at which the same damper resists a turn
+SURFACE_STEP_M = 1e-6  # a surface that has moved along the gel by less presses as before
+KINETIC_SHARE = 0.85  # the middle of what scenes draw
+READOUTS = ("dvxplorer", "ideal")
+SHAPES = ("flat", "cylinder", "sphere")
+# What an object of one's own may name, and within which range; those of the paper's table are rows of it.
+OBJECT_RANGES = {
+    "width_mm": (1.0, 1e4),
+    "static_friction": (0.0, 5.0),
+    "kinetic_share": (0.0, 1.0),
+    "tilt_deg": (-10.0, 10.0),
+}
+# Beyond these a number is more likely in another unit than meant.
+LONGEST_S, FARTHEST_M, FASTEST_M_S, FASTEST_RAD_S, MOST_N = 10.0, 0.1, 10.0, 100.0, 1000.0
+
+
+class Touch(NamedTuple):
+    """What a `TouchSensor` felt in one step, simulated; forces and places are those at the end of its last slice.
+
+    slices: the events of each millisecond that ended in this step, none to many. dot_xy_px, displacement_px:
+    (dots, 2), true centres of the dots and their way from rest. normal_n: of the object on the gel. shear_n: of the
+    object on the gel, x, y, mean over the last slice. indentation_m: of the gel, from first touch. place_m, turn_rad:
+    of the object. slip: whether it slides as one body. slip_share: part of the normal force on nodes that slip.
+
+    >>> import numpy as np
+    >>> sensor = evetac.TouchSensor(object=8, rng=np.random.default_rng(1))
+    >>> touch = sensor.step(0.01, normal_n=2.0)
+    >>> len(touch.slices), touch.normal_n, touch.slip
+    (10, 2.0, False)
+    """
+
+    slices: tuple[Events, ...]
+    dot_xy_px: Floats
+    displacement_px: Floats
+    normal_n: float
+    shear_n: tuple[float, float]
+    indentation_m: float
+    place_m: tuple[float, float]
+    turn_rad: float
+    slip: bool
+    slip_share: float
+
+    @property
+    def events(self) -> Events:
+        """The events of all slices together."""
+        return concatenate(list(self.slices))
+
+
+class _Goal(NamedTuple):
+    """What a step asks for: `by` names the argument, `values` are the numbers at the step's end."""
+
+    by: str
+    values: tuple[float, ...]
+
+    def toward(self, end: "_Goal", share: float) -> tuple[float, ...]:
+        """The numbers a share of the way to another goal of the same kind."""
+        if share == 1.0:
+            return end.values
+        return tuple(a + share * (b - a) for a, b in zip(self.values, end.values, strict=True))
+
+
+class _Surface(NamedTuple):
+    """An object's surface at a place (x, y, turned): its gap to each node, and `contact.indentation_curve` there."""
+
+    place: tuple[float, ...]
+    gap_m: Floats
+    table: tuple[Floats, Floats]
+
+    def is_near(self, place: tuple[float, ...]) -> bool:
+        """Whether the surface presses as it would at another place."""
+        x_m, y_m, turn = (abs(to - since) for to, since in zip(place, self.place, strict=True))
+        return max(x_m, y_m, turn * PUSHER_ARM_M) <= SURFACE_STEP_M
+
+
+class TouchSensor:
+    """A simulated sensor on one finger, for use in MuJoCo, PyBullet or a loop of one's own; see `step`.
+
+    sensor: of `evetac.sensors()`, or a TOML file; `randomized` draws one. object: a number of the paper's table, or
+    `static_friction` and `shape`: flat, which covers the pad, or a cylinder along x or a sphere of `width_mm`; and if
+    wanted `kinetic_share` and `tilt_deg`. rng: noise, and all else that is drawn, comes from it alone. gel: cut or
+    closed. readout, solver: as of `evetac.simulate`. at_m: where on the gel the object's middle is at first, x and y in
+    m from the middle of the view. InputError for anything else.
+
+    A sensor is a gel that `evetac.DotTracker` and `evetac.SlipDetector` take.
+
+    >>> import numpy as np
+    >>> box = {"shape": "flat", "static_friction": 0.8}
+    >>> sensor = evetac.TouchSensor(object=box, rng=np.random.default_rng(0))
+    >>> detector = evetac.SlipDetector(sensor)
+    >>> for shear_n in (0.0, 0.5, 1.0):
+    ...     touch = sensor.step(0.02, normal_n=3.0, shear_n=(shear_n, 0.0))
+    ...     for events in touch.slices:
+    ...         probability = detector.step(events)
+    >>> bool(touch.displacement_px[:, 0].mean() > 0.5), touch.slip
+    (True, False)
+    """
+
+    def __init__(
+        self,
+        sensor: str = "evetac",
+        object: int | Mapping[str, Any] = 8,
+        *,
+        rng: np.random.Generator,
+        gel: str = "cut",
+        readout: str = "dvxplorer",
+        solver: Mapping[str, Any] = MappingProxyType({}),
+        at_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        for name, given, known in (("gel", gel, ("cut", "closed")), ("readout", readout, READOUTS)):
+            if given not in known:
+                raise _refused(f"unknown {name}", " or ".join(known), given)
+        mechanics, optics = rng.spawn(2)
+        name, row = scene.named_sensor(sensor)
+        if name == scene.FOR_EACH_TRIAL:
+            row = sampling.sample_sensor(row, mechanics)
+        described = _object_row(object)
+        share = described.pop("kinetic_share", KINETIC_SHARE)
+        parts: dict[str, Any] = {"gel": {"cut": gel == "cut"}, "randomise": {"kinetic_share": share}}
+        try:
+            parts["solver"] = resolve(parts, solver)
+        except (ValueError, TypeError) as error:
+            raise InputError(f"solver: {error}", where="TouchSensor") from error
+        self.sampled = sampling.sample_trial(parts, described, mechanics, row)
+        self._camera = GelCamera(row, cut=gel == "cut", texture=None, rng=optics, readout=readout, scene=parts)
+        self._build(row, described, parts, _finite("at_m", at_m, 2, FARTHEST_M))
+        self.dot_xy_px: Floats = self._camera.calibrated_grid_xy_px  # at rest, (rows, columns, 2)
+        self.dot_radius_px = float(row["dot_radius_px"])
+        self.window_px = self._camera.window_px
+        self.frame_px = (int(row["frame_px"][0]), int(row["frame_px"][1]))
+        self.sensitivity: Sensitivity = scene.sensitivity(row)
+
+    def _build(
+        self,
+        row: Mapping[str, Any],
+        described: Mapping[str, Any],
+        parts: Mapping[str, Any],
+        at_m: tuple[float, ...],
+    ) -> None:
+        nodes = pad(parts, row)
+        self._material = material(row)
+        self._shape = (described["shape"], float(described["width_mm"]) * 0.5e-3, self.sampled.tilt_rad)
+        self._node_stiffness_n_m = float(row["normal_modulus_pa"]) / self._material.height_m * contact.cell_area(nodes)
+        mass_kg = PUSHER_N_S_M * STEP_S
+        start = (mass_kg, mass_kg * PUSHER_ARM_M**2, 1)
+        varies = friction_factor(row, nodes)
+        self._gel = gel.start(nodes, self._material, *start, body_xy_m=(at_m[0], at_m[1]), friction_factor=varies)
+        solver = from_scene(parts)
+        self._gel_slices = GelSlices(self._gel, solver)
+        self._friction = friction_of(self.sampled)
+        self._slip = GroundTruthSlip(self._gel, self._camera.mm_per_px, self._camera.window_px)
+        self._at_dots = gel.interpolation(nodes, self._camera.rest_m)
+        self._at_seen = gel.interpolation(nodes, np.concatenate([self._camera.rest_m, self._camera.cut_rest_m]))
+        many = solver.camera_substeps > 1
+        self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
+        self._dilation_m = self._shift_m = np.zeros_like(self._camera.rest_m)
+        self._cut_m = np.zeros_like(self._camera.cut_rest_m)
+        self._now_ns = self._slices = 0
+        place = (at_m[0], at_m[1], 0.0)
+        height_m = self._height_of_surface(place)
+        self._touch_m = float(height_m.min())
+        gap_m = height_m - self._touch_m
+        table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
+        self._surface = self._next = _Surface(place, gap_m, table)
+        self._looks_same = described["shape"] == "flat" and self.sampled.tilt_rad == 0.0  # wherever it is
+        self._pressed_m = math.nan  # how deep the shares of the nodes are meant
+        self._moved_to: tuple[float, ...] | None = place  # where the last slice was told to put the object
+        self._normal_n = self._indentation_m = 0.0
+        self._shear_n: tuple[float, float] = (0.0, 0.0)
+        self._pressing, self._moving = _Goal("normal_n", (0.0,)), _Goal("place_m", place)
+
+    def step(
+        self,
+        dt_s: float,
+        *,
+        normal_n: float | None = None,
+        indentation_m: float | None = None,
+        shear_n: tuple[float, float] | None = None,
+        place_m: tuple[float, float] | None = None,
+        turn_rad: float | None = None,
+    ) -> Touch:
+        """Move on by dt_s, at the end of which the contact is as given; returns what was felt.
+
+        One of normal_n, >= 0, and indentation_m, from first touch at the place that the object began at, negative when
+        off the gel; without either, the last of them stays. At most one of shear_n, the force of the object on the gel
+        (x, y) beside the normal force, and place_m, where the middle of its surface is, with turn_rad (from x to y);
+        without either, it stays where it is. Slices of 1 ms are made as they end, with what is given interpolated
+        linearly; two steps of 5 ms along a line are ten of 1 ms, bit for bit where the numbers are.
+
+        InputError, before anything is changed, where a number is out of range, the gel would be pressed flat, or a
+        shear force has no normal force to hold it.
+        """
+        (seconds,) = _finite("dt_s", (dt_s,), 1, LONGEST_S)
+        step_ns = round(seconds * 1e9)
+        if step_ns <= 0:
+            raise _refused("dt_s: no time passes", f"above 0, up to {LONGEST_S:g} s", f"{dt_s}")
+        moving = self._wanted_motion(shear_n, place_m, turn_rad, seconds)
+        pressing = self._wanted_pressure(normal_n, indentation_m, moving)
+        if moving.by == "shear_n" and any(moving.values) and self._force_of(pressing, moving) == 0.0:
+            raise _refused("shear_n: nothing presses, so nothing is sheared", "(0, 0) without normal force", shear_n)
+        pressed_from = self._pressing if self._pressing.by == pressing.by else self._present(pressing.by)
+        moved_from = self._moving if self._moving.by == moving.by else self._present(moving.by)
+        end_ns = self._now_ns + step_ns
+        slices = []
+        while (self._slices + 1) * SLICE_NS <= end_ns:
+            share = ((self._slices + 1) * SLICE_NS - self._now_ns) / step_ns
+            pressed, moved = pressed_from.toward(pressing, share), moved_from.toward(moving, share)
+            slices.append(self._make_slice(_Goal(pressing.by, pressed), _Goal(moving.by, moved)))
+        self._now_ns, self._pressing, self._moving = end_ns, pressing, moving
+        return self._touch(tuple(slices))
+
+    def _present(self, by: str) -> _Goal:
+        """What is now, in the words of another goal than the last."""
+        x_m, y_m, turn = self._gel.pose.tolist()
+        present = {
+            "normal_n": (self._normal_n,),
+            "indentation_m": (self._indentation_m,),
+            "shear_n": self._shear_n,
+            "place_m": (x_m, y_m, turn),
+        }
+        return _Goal(by, present[by])
+
+    def _wanted_motion(
+        self,
+        shear_n: tuple[float, float] | None,
+        place_m: tuple[float, float] | None,
+        turn_rad: float | None,
+        seconds: float,
+    ) -> _Goal:
+        if shear_n is not None:
+            if place_m is not None or turn_rad is not None:
+                raise _refused("shear_n beside a place", "a force or a place: the other follows from it", "both")
+            return _Goal("shear_n", _finite("shear_n", shear_n, 2, MOST_N))
+        now = self._moving if self._moving.by == "place_m" else self._present("place_m")
+        x_m, y_m, turn = now.values
+        if place_m is not None:
+            x_m, y_m = _finite("place_m", place_m, 2, FARTHEST_M)
+        if turn_rad is not None:
+            (turn,) = _finite("turn_rad", (turn_rad,), 1, math.inf)
+        fast_m_s = math.hypot(x_m - now.values[0], y_m - now.values[1]) / seconds
+        if fast_m_s > FASTEST_M_S or abs(turn - now.values[2]) / seconds > FASTEST_RAD_S:
+            expected = f"up to {FASTEST_M_S:g} m/s and {FASTEST_RAD_S:g} rad/s; at_m says where the object begins"
+            turns = abs(turn - now.values[2]) / seconds
+            raise _refused("place_m: too fast", expected, f"{fast_m_s:.4g} m/s, {turns:.4g} rad/s")
+        return _Goal("place_m", (x_m, y_m, turn))
+
+    def _wanted_pressure(self, normal_n: float | None, indentation_m: float | None, moving: _Goal) -> _Goal:
+        if normal_n is not None and indentation_m is not None:
+            raise _refused("normal_n beside indentation_m", "one of the two: the other follows from it", "both")
+        if normal_n is None and indentation_m is None:
+            return self._pressing
+        force_n, depth_m = self._pressed_at(self._end_of(moving)).table
+        if normal_n is not None:
+            (force,) = _finite("normal_n", (normal_n,), 1, math.inf)
+            if not 0.0 <= force <= force_n[-1]:
+                raise _refused("normal_n: cannot be", f"0 to {force_n[-1]:.4g} N, which press the gel flat", f"{force}")
+            return _Goal("normal_n", (force,))
+        (depth,) = _finite("indentation_m", (indentation_m,), 1, FARTHEST_M)
+        if depth > depth_m[-1]:
+            raise _refused("indentation_m: presses the gel flat", f"up to {depth_m[-1]:.4g} m", f"{depth}")
+        return _Goal("indentation_m", (depth,))
+
+    def _end_of(self, moving: _Goal) -> tuple[float, ...]:
+        """Where the surface is at the end of a step, as far as that is known before it."""
+        return moving.values if moving.by == "place_m" else self._present("place_m").values
+
+    def _force_of(self, pressing: _Goal, moving: _Goal) -> float:
+        """Normal force at the end of a step."""
+        if pressing.by == "normal_n":
+            return pressing.values[0]
+        force_n, depth_m = self._pressed_at(self._end_of(moving)).table
+        return float(np.interp(pressing.values[0], depth_m, force_n))
+
+    def _height_of_surface(self, place: tuple[float, ...]) -> Floats:
+        """Height of the object's surface over each node, where the object is at x, y, turned."""
+        x_m, y_m, turn = place
+        from_middle = self._gel.node_xy_m - np.array([x_m, y_m])
+        if turn:
+            cosine, sine = math.cos(turn), math.sin(turn)
+            from_middle = from_middle @ np.array([[cosine, -sine], [sine, cosine]])
+        return contact.surface(from_middle, *self._shape)
+
+    def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
+        """The surface of an object at a place: the present one where it is near enough.
+
+        One that was asked for already counts only for that very place: what is felt must not hang on what was asked.
+        """
+        if self._looks_same or self._surface.is_near(place):
+            return self._surface
+        if self._next.place == place:
+            return self._next
+        gap_m = self._height_of_surface(place) - self._touch_m
+        table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
+        self._next = _Surface(place, gap_m, table)
+        return self._next
+
+    def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
+        """One slice, at the end of which the contact is as given."""
+        before_n, before_m = self._normal_n, self._dilation_m
+        twist, push_n = None, (0.0, 0.0, 0.0)
+        if moved.by == "place_m":
+            last = self._moved_to if self._moved_to is not None else self._present("place_m").values
+            vx, vy, turning = ((to - since) / STEP_S for to, since in zip(moved.values, last, strict=True))
+            twist = (vx, vy, turning)
+            self._moved_to = moved.values
+        else:
+            speed = self._gel.twist.tolist()
+            push_n = (
+                moved.values[0] - PUSHER_N_S_M * speed[0],
+                moved.values[1] - PUSHER_N_S_M * speed[1],
+                -PUSHER_N_S_M * PUSHER_ARM_M**2 * speed[2],
+            )
+            self._moved_to = None
+        surface = self._pressed_at(self._end_of(moved))
+        force_n, depth_m = surface.table
+        if pressed.by == "normal_n":
+            self._normal_n = pressed.values[0]
+            self._indentation_m = float(np.interp(self._normal_n, force_n, depth_m))
+        else:
+            self._indentation_m = pressed.values[0]
+            self._normal_n = float(np.interp(self._indentation_m, depth_m, force_n))
+        pressed_as_before = surface is self._surface and self._indentation_m == self._pressed_m
+        if not pressed_as_before:
+            self._surface, self._pressed_m = surface, self._indentation_m
+            self._shares = contact.pressure(self._indentation_m, surface.gap_m, 1.0)
+        each = None
+        if self._path is not None:
+            self._path.begin()
+            each = self._path.follow
+        normal_n = (before_n, self._normal_n)
+        done = self._gel_slices.advance(self._shares, normal_n, push_n, self._friction, twist, each)
+        if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
+            self._slip.follow(self._gel, self._shares, self._normal_n)
+        self._shear_n = done.friction_n[:2]
+        still = self._gel_slices.still_for > 0 and pressed_as_before
+        if not still:
+            if not pressed_as_before:
+                self._dilation_m = self._dilated()
+            seen_m = gel.displacement_at(self._gel, *self._at_seen)
+            dots = len(self._camera.rest_m)
+            self._shift_m, self._cut_m = seen_m[:dots] + self._dilation_m, seen_m[dots:]
+        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
+        nowhere, now_us = np.zeros(2), self._slices * SLICE_US
+        self._slices += 1
+        return self._camera.render(self._shift_m, nowhere, 0.0, now_us, path_m, cut_m=self._cut_m, still=still)
+
+    def _dilated(self) -> Floats:
+        """Shift of the dots by pressure alone."""
+        depth = np.maximum(self._indentation_m - self._surface.gap_m, 0.0)
+        at_dots = gel.field_at(depth[..., None], *self._at_dots)[:, 0]
+        return dilation(self._camera.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
+
+    def _touch(self, slices: tuple[Events, ...]) -> Touch:
+        slip = self._slip.truth()
+        x_m, y_m, turn = self._gel.pose.tolist()
+        dot_xy_px = self._camera.dot_xy_px.copy()
+        return Touch(
+            slices,
+            dot_xy_px,
+            dot_xy_px - self._camera.grid_xy_px.reshape(-1, 2),
+            self._normal_n,
+            (float(self._shear_n[0]), float(self._shear_n[1])),
+            self._indentation_m,
+            (x_m, y_m),
+            turn,
+            bool(slip["truth/slip"]),
+            float(slip["truth/slip_share"]),
+        )
+
+
+def _object_row(given: int | Mapping[str, Any]) -> dict[str, Any]:
+    """What the simulation needs of an object: a row of the table, or one's own; InputError if it is neither."""
+    if not isinstance(given, Mapping):
+        return scene.object_row(given)
+    known = ["shape", *OBJECT_RANGES]
+    unknown = [str(key) for key in given if key not in known]
+    if unknown:
+        near = get_close_matches(unknown[0], known, n=1)
+        hint = f"did you mean {near[0]}?" if near else ""
+        raise _refused("object: unknown key", ", ".join(known), unknown[0], hint)
+    shape = given.get("shape")
+    if shape not in SHAPES:
+        raise _refused("object: unknown shape", ", ".join(SHAPES), shape)
+    needed = ["static_friction"] + ["width_mm"] * (shape != "flat")
+    lacking = [key for key in needed if key not in given]
+    if lacking:
+        raise _refused(f"object: {lacking[0]} is missing", ", ".join(needed), ", ".join(map(str, given)))
+    row = {"shape": shape, "mass_g": 1.0, "width_mm": OBJECT_RANGES["width_mm"][1]}
+    for key, (low, high) in OBJECT_RANGES.items():
+        if key in given:
+            (row[key],) = _finite(f"object: {key}", (given[key],), 1, math.inf)
+            if not low <= row[key] <= high:
+                raise _refused(f"object: {key} is out of range", f"{low:g} to {high:g}", given[key])
+    tilt_deg = row.get("tilt_deg", 0.0)
+    return {**row, "tilt_deg": [tilt_deg, tilt_deg]}
+
+
+def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]:
+    """So many finite numbers of at most this size; InputError for anything else."""
+    try:
+        numbers = tuple(float(number) for number in given)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(math.isfinite(number) and abs(number) <= most for number in numbers):
+        size = "finite" if math.isinf(most) else f"within {most:g}"
+        found = given[0] if count == 1 else given
+        raise _refused(f"{name}: not what it should be", f"{count} number{'s' * (count > 1)}, {size}", found)
+    return numbers
+
+
+def _refused(message: str, expected: str, found: Any, hint: str = "") -> InputError:
+    return InputError(message, where="TouchSensor", expected=expected, found=str(found)[:100], hint=hint)

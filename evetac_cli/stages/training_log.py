@@ -1,0 +1,96 @@
+"""The course of a training: as CSV beside every model, and for TensorBoard while it goes on."""
+
+import csv
+import io
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.errors import EvetacError, install_hint
+from evetac_cli.store.disk import taking_the_place_of
+from evetac_cli.store.files import StageFile
+
+COLUMNS = ("step", "loss", "validation_score", "threshold", "chosen", "simulated")
+OnPoint = Callable[[int, float, float | None], None]  # step, training loss, loss on what validates
+
+
+def log_folder(model: Path) -> Path:
+    """Where TensorBoard finds the training of a model: NAME.model.log, with a folder for each network."""
+    return model.with_name(model.name.removesuffix(".h5") + ".log")
+
+
+def require_tensorboard() -> None:
+    """EvetacError, before any work, where torch's writer for TensorBoard cannot be loaded."""
+    try:
+        import torch.utils.tensorboard  # noqa: F401
+    except ImportError as error:
+        raise EvetacError(
+            "the library tensorboard is not installed", where="--log", found=str(error), hint=install_hint("log")
+        ) from None
+
+
+@contextmanager
+def for_tensorboard(folder: Path | None, *, simulated: bool) -> Iterator[OnPoint | None]:
+    """What takes the points of one network's loss curve, as long as the block lasts; None without a folder."""
+    if folder is None:
+        yield None
+        return
+    from torch.utils.tensorboard import SummaryWriter
+
+    with SummaryWriter(folder) as writer:  # type: ignore[no-untyped-call]
+
+        def point(step: int, loss: float, validation_loss: float | None) -> None:
+            losses = {"training": loss, "validation": validation_loss}
+            for name, value in losses.items():
+                if value is not None:
+                    writer.add_scalar(_marked(f"loss/{name}", simulated), value, step)  # type: ignore[no-untyped-call]
+            writer.flush()  # type: ignore[no-untyped-call]
+
+        yield point
+
+
+def add_checkpoints(folder: Path, arrays: dict[str, Any], about: dict[str, Any], *, simulated: bool) -> None:
+    """Add what is known at the end: how each checkpoint did on the files that validate, and what was trained."""
+    from torch.utils.tensorboard import SummaryWriter
+
+    with SummaryWriter(folder) as writer:  # type: ignore[no-untyped-call]
+        for step, score in zip(arrays["checkpoint/step"], arrays["checkpoint/score"], strict=True):
+            name = _marked("score on validation trajectories", simulated)
+            writer.add_scalar(name, float(score), int(step))  # type: ignore[no-untyped-call]
+        lines = "".join(f"| {name} | {value} |\n" for name, value in about.items())
+        writer.add_text("training", f"| | |\n|---|---|\n{lines}")  # type: ignore[no-untyped-call]
+
+
+def _marked(name: str, simulated: bool) -> str:
+    return f"{name} (simulated)" if simulated else name
+
+
+def course(model: StageFile) -> str:
+    """The course of a training as CSV: a row for each step at which the loss or the score of a checkpoint is known."""
+    rows: dict[int, dict[str, Any]] = {}
+    if model.has("curve/loss"):
+        for step, loss in zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True):
+            rows.setdefault(step, {})["loss"] = loss
+    if model.has("checkpoint/step"):
+        chosen = int(model.read("checkpoint/chosen"))
+        figures = zip(
+            *(model.read(f"checkpoint/{name}").tolist() for name in ("step", "score", "threshold")), strict=True
+        )
+        for number, (step, score, threshold) in enumerate(figures):
+            row = {"validation_score": score, "threshold": threshold, "chosen": int(number == chosen)}
+            rows.setdefault(step, {}).update(row)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    simulated = "yes" if model.header["simulated"] else "no"
+    writer.writerows({"step": step, **rows[step], "simulated": simulated} for step in sorted(rows))
+    return text.getvalue()
+
+
+def write_course(model: Path) -> None:
+    """Write the CSV beside a model, NAME.model.csv."""
+    with StageFile(model, "model") as file:
+        text = course(file)
+    with taking_the_place_of(model.with_suffix(".csv")) as temporary:
+        temporary.write_text(text)

@@ -1,0 +1,110 @@
+"""Tables of docs/robot-simulators.md: what a step of the touch sensor costs, and what the examples came to.
+
+    python scripts/robot_tables.py cost
+    python scripts/robot_tables.py mujoco grasps.json       of examples/mujoco_grasp.py
+    python scripts/robot_tables.py lift lift.json           of examples/cma_lift.py
+
+Each goes into docs/results/ with commit and command, and into the page.
+"""
+
+import argparse
+import json
+import statistics
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from results import put_measured
+
+import evetac_cli as evetac
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "robot-simulators.md"
+BOX = {"shape": "flat", "static_friction": 0.8}
+BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
+MADE_MS = 500
+ROUNDS = 5
+
+Row = dict[str, Any]
+Drive = Callable[[int], dict[str, Any]]  # what is asked for at the end of a millisecond
+
+# What is done to the sensor: the object, and the contact over time.
+CASES: dict[str, tuple[Any, Drive]] = {
+    "nothing touches": (BOX, lambda _: {"normal_n": 0.0}),
+    "held still, 3 N": (BOX, lambda _: {"normal_n": 3.0}),
+    "sheared there and back, sticks": (BOX, lambda ms: {"normal_n": 3.0, "shear_n": (np.sin(ms / 50), 0.0)}),
+    "slides at 20 mm/s": (BOX, lambda ms: {"normal_n": 3.0, "place_m": (2e-5 * ms, 0.0)}),
+    "a ball rubs at 20 mm/s": (BALL, lambda ms: {"normal_n": 3.0, "place_m": (2e-5 * ms - 5e-3, 0.0)}),
+}
+
+
+def cost_rows() -> Iterator[Row]:
+    """Microseconds a simulated millisecond, median of rounds, of the sensor alone and with the detector behind it."""
+    for case, (thing, drive) in CASES.items():
+        row: Row = {"contact": case}
+        for heading, detects in (("sensor_us_a_ms", False), ("with_slip_detector_us_a_ms", True)):
+            took = []
+            for number in range(ROUNDS):
+                begin_m = drive(0).get("place_m", (0.0, 0.0))
+                sensor = evetac.TouchSensor(object=thing, rng=np.random.default_rng(number), at_m=begin_m)
+                detector = evetac.SlipDetector(sensor) if detects else None
+                sensor.step(0.05, normal_n=drive(0)["normal_n"])
+                began = time.perf_counter()
+                for ms in range(1, MADE_MS + 1):
+                    touch = sensor.step(1e-3, **drive(ms))
+                    if detector is not None:
+                        detector.step(touch.slices[0])
+                took.append((time.perf_counter() - began) / MADE_MS * 1e6)
+            row[heading] = statistics.median(took[1:])  # the first round may compile
+        yield row
+
+
+def mujoco_rows(trials: list[Row]) -> Iterator[Row]:
+    """One row a controller."""
+    for controller in dict.fromkeys(row["controller"] for row in trials):
+        of_one = [row for row in trials if row["controller"] == controller]
+        grips = [row["grip_n"] for row in of_one if row["lifted"]]
+        yield {
+            "controller": controller,
+            "trials": len(of_one),
+            "lifted": sum(row["lifted"] for row in of_one),
+            "grip_at_the_end_N_median": statistics.median(grips) if grips else None,
+            "steps_a_second_median": statistics.median(row["steps_per_s"] for row in of_one),
+        }
+
+
+def lift_rows(policies: list[Row]) -> Iterator[Row]:
+    """One row a policy, and one of all runs of CMA-ES together."""
+    names = {"return": "return", "lifted": "lifted", "kept": "kept", "grip_n": "mean_grip_N"}
+    for row in policies:
+        yield {"policy": row["policy"], **{heading: row[name] for name, heading in names.items()}}
+    runs = [row for row in policies if row["policy"].startswith("CMA")]
+    means = {heading: statistics.mean(row[name] for row in runs) for name, heading in names.items()}
+    yield {"policy": f"CMA-ES, mean of {len(runs)} runs", **means}
+
+
+def main() -> None:
+    """Write one table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", choices=["cost", "mujoco", "lift"])
+    parser.add_argument("made", nargs="?", type=Path, help="the file of the example")
+    chosen = parser.parse_args()
+    asked = ["git", "rev-parse", "--short", "HEAD"]
+    commit = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    made = json.loads(chosen.made.read_text()) if chosen.made else []
+    name, command, rows = {
+        "cost": ("touch-cost", "python scripts/robot_tables.py cost", cost_rows),
+        "mujoco": ("mujoco-grasps", "python examples/mujoco_grasp.py", lambda: mujoco_rows(made)),
+        "lift": ("lift-baseline", "python examples/cma_lift.py", lambda: lift_rows(made)),
+    }[chosen.table]
+    said = f"Simulated, by `{command}` at commit {commit}"
+    result = {"name": name, "simulated": True, "commit": commit, "command": command, "said": said, "rows": list(rows())}
+    (ROOT / "docs" / "results" / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+    put_measured(PAGE, name, result["rows"], said)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,342 @@
+"""MCAP as we write it: every topic as the libraries of MCAP and of bags read it, and the way back."""
+
+import re
+import shlex
+import sys
+import types
+from array import array
+from collections import defaultdict
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.formats.exports import export
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read import read_rosbag
+from evetac_cli.formats.read.ros_messages import Packet, mono
+from evetac_cli.formats.write import write_mcap
+from evetac_cli.inspect.export import run as run_export
+from evetac_cli.params.inspection import Export
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import open_recording
+from tests import small_files
+from tests.formats.test_exports import drawn, refusal, write
+from tests.importing import same
+from tests.inspect.view.trials import REST, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.test_readme import PAGES, shown_commands
+
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
+
+MESSAGES = {
+    "/evetac/note": (1, "std_msgs/msg/String"),
+    "/evetac/events": (SLICES, "event_camera_msgs/msg/EventPacket"),
+    "/evetac/dots": (SLICES, "sensor_msgs/msg/PointCloud2"),
+    "/evetac/label": (SLICES, "std_msgs/msg/Int8"),
+    "/evetac/gripper": (SLICES // 2, "sensor_msgs/msg/JointState"),
+    "/evetac/gripper/goal": (SLICES // 2, "sensor_msgs/msg/JointState"),
+    "/evetac/gripper/current_target_ma": (SLICES // 2, "std_msgs/msg/Float64"),
+    "/evetac/control/slip": (SLICES // 2, "std_msgs/msg/Bool"),
+    "/evetac/control/phase": (SLICES // 2, "std_msgs/msg/UInt8"),
+    "/evetac/control/u_ff_ticks": (SLICES // 2, "std_msgs/msg/Float32"),
+    "/evetac/control/x_ref_ticks": (SLICES // 2, "std_msgs/msg/Float32"),
+    "/evetac/control/probability": (SLICES, "std_msgs/msg/Float32"),
+    "/evetac/truth/slip": (SLICES, "std_msgs/msg/Bool"),
+    "/evetac/truth/slip_share": (SLICES, "std_msgs/msg/Float32"),
+    "/evetac/truth/visible_slip_share": (SLICES, "std_msgs/msg/Float32"),
+    "/evetac/truth/force": (SLICES, "geometry_msgs/msg/WrenchStamped"),
+    "/evetac/truth/dots": (SLICES, "sensor_msgs/msg/PointCloud2"),
+}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated grasp with tracks and labels, and its export beside them."""
+    path = tmp_path_factory.mktemp("mcap") / "a.recording.h5"
+    header = write_recording(path, grasp=True)
+    write_tracks(path.with_name("a.tracks.h5"), header, moving())
+    write_labels(path.with_name("a.labels.h5"), header)
+    assert set(exported(path)["left_out"].split("; ")) == {
+        "gripper/current_written_ma",
+        "truth/object_xy_px",
+        "truth/slid_px",
+        "truth/every_node_slid_px",
+        "truth/sampled_parameters",
+        "truth/table_gap_mm",
+        "control/outcome",
+        "sensor/window_px",
+    }
+    return path
+
+
+def exported(path: Path) -> dict[str, Any]:
+    """The export of a recording with the files beside it, as the command makes it."""
+    (row,) = run_export([path], Export(format="mcap"), path.with_name("a.mcap"), force=True).rows
+    return row
+
+
+def test_the_library_of_mcap_reads_every_topic(recording: Path) -> None:
+    """Assert counts, types, times and values of all messages, as mcap-ros2-support decodes them."""
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    from mcap.reader import make_reader
+
+    read: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+    kinds: dict[str, str] = {}
+    with recording.with_name("a.mcap").open("rb") as file:
+        order = 0
+        for schema, channel, message, decoded in make_reader(
+            file, validate_crcs=True, decoder_factories=[decoder.DecoderFactory()]
+        ).iter_decoded_messages(log_time_order=False):
+            assert message.log_time >= order and schema is not None
+            order = message.log_time
+            kinds[channel.topic] = schema.name
+            read[channel.topic].append((message.log_time // 1000, decoded))
+    assert {topic: (len(messages), kinds[topic]) for topic, messages in read.items()} == MESSAGES
+    ends = [1000 * (k + 1) for k in range(SLICES)]
+    with open_recording(recording) as ours:
+        for (at, packet), events, end in zip(read["/evetac/events"], ours, ends, strict=True):
+            assert (at, packet.encoding, packet.width, packet.height) == (end, "mono", *ours.frame_px)
+            assert packet.header.stamp.nanosec == packet.time_base == (end - 1000) * 1000
+            content = Packet(ours.frame_px, packet.seq, packet.time_base, "mono", memoryview(packet.events))
+            for theirs, column in zip(mono(content), events, strict=True):
+                np.testing.assert_array_equal(theirs, column)
+        gripper = [(at, m.name, m.position[0] / np.radians(0.088), m.effort[0]) for at, m in read["/evetac/gripper"]]
+        assert gripper == [
+            (int(t_us), ["rh_p12_rn"], pytest.approx(float(ticks)), float(current))
+            for t_us, ticks, current in zip(
+                *(ours.read(f"gripper/{name}") for name in ("t_us", "position_ticks", "current_ma")), strict=True
+            )
+        ]
+        goal = [m.position[0] / np.radians(0.088) for _, m in read["/evetac/gripper/goal"]]
+        assert goal == pytest.approx(ours.read("control/goal_ticks").tolist())
+        forces = [[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for _, m in read["/evetac/truth/force"]]
+        np.testing.assert_array_equal(np.array(forces)[:, :2], ours.read("truth/shear_force_n"))
+        np.testing.assert_array_equal(np.array(forces)[:, 2], ours.read("truth/normal_force_n"))
+        for path in ("control/slip", "control/phase", "control/x_ref_ticks", "control/probability", "truth/slip"):
+            np.testing.assert_array_equal([m.data for _, m in read[f"/evetac/{path}"]], ours.read(path))
+        assert [at for at, _ in read["/evetac/control/slip"]] == ours.read("control/t_us").tolist()
+        for (_, cloud), places in zip(read["/evetac/truth/dots"], ours.read("truth/dot_xy_px"), strict=True):
+            np.testing.assert_array_equal(np.stack([points(cloud)["x"], points(cloud)["y"]], axis=-1)[0], places)
+    dots = [points(cloud) for _, cloud in read["/evetac/dots"]]
+    assert [at for at, _ in read["/evetac/dots"]] == ends
+    places = np.stack([np.stack([one["x"], one["y"]], axis=-1) for one in dots])
+    moved = np.stack([np.stack([one["dx"], one["dy"]], axis=-1) for one in dots])
+    np.testing.assert_array_equal(places, moving().reshape(SLICES, *REST.shape).astype(np.float32))
+    np.testing.assert_allclose(moved, places - REST, atol=1e-5)
+    with StageFile(recording.with_name("a.labels.h5"), "labels") as labels:
+        np.testing.assert_array_equal([m.data for _, m in read["/evetac/label"]], labels.read("label"))
+    frames = {m.header.frame_id for messages in read.values() for _, m in messages if hasattr(m, "header")}
+    assert frames == {"evetac_simulated"}
+    assert '"simulated": true' in read["/evetac/note"][0][1].data
+
+
+def points(cloud: Any) -> Any:
+    """The points of a cloud, by its own description of them."""
+    kinds = {2: "u1", 5: "<i4", 7: "<f4"}
+    dtype = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [kinds[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert cloud.row_step == cloud.point_step * cloud.width and not cloud.is_bigendian
+    return np.frombuffer(cloud.data, dtype).reshape(cloud.height, cloud.width)
+
+
+def test_the_library_of_bags_reads_it(recording: Path) -> None:
+    """Assert that rosbags decodes every message by the definitions in the file alone."""
+    from rosbags.highlevel import AnyReader
+
+    counts: dict[str, int] = defaultdict(int)
+    with AnyReader([recording.with_name("a.mcap")]) as reader:
+        for connection, _, content in reader.messages():
+            message = reader.deserialize(content, connection.msgtype)
+            counts[connection.topic] += 1
+            if connection.topic == "/evetac/events":
+                assert len(message.events) == 8 * 4  # type: ignore[attr-defined]
+    assert counts == {topic: count for topic, (count, _) in MESSAGES.items()}
+
+
+def test_our_import_reads_it_and_names_the_rest(recording: Path) -> None:
+    """Assert equal events, slices and mark, and that the other topics are counted as left out."""
+    imported = read_events(recording.with_name("a.mcap"))
+    with open_recording(recording) as ours:
+        assert same(imported.events, ours.between(0, SLICES))
+    assert (imported.slices, imported.simulated, imported.frame_px) == (SLICES, True, (64, 48))
+    (note,) = imported.notes
+    assert note.startswith("left out: messages on /evetac/")
+    assert imported.left_out == {
+        f"messages on {topic} ({kind})": count
+        for topic, (count, kind) in MESSAGES.items()
+        if topic not in ("/evetac/note", "/evetac/events")
+    }
+
+
+def test_the_packet_is_the_published_one() -> None:
+    """Assert that our definition of EventPacket has the checksum by which ROS 1 knows it."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(write_mcap.DEFINITION, write_mcap.PACKET))
+    assert store.generate_msgdef(write_mcap.PACKET)[1] == read_rosbag.PACKET
+
+
+def test_forces_beside_it_are_taken_along(tmp_path: Path) -> None:
+    """Assert that estimated forces are in the file, and that the paper's network leaves the normal force open."""
+    from mcap.reader import make_reader
+    from rosbags.typesys import Stores, get_typestore
+
+    exported(small_files.every_kind(tmp_path)["recording"])
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        messages = list(make_reader(file).iter_messages("/evetac/force"))
+    assert len(messages) == small_files.SLICES
+    for _, _, message in messages:
+        force = store.deserialize_cdr(message.data, "geometry_msgs/msg/WrenchStamped").wrench.force  # type: ignore[attr-defined]
+        assert (force.x, force.y) == (0.0, 0.0) and np.isnan(force.z)
+
+
+def test_files_of_another_recording_are_left_out(tmp_path: Path) -> None:
+    """Assert that tracks and forces beside it that were made from another recording are not taken for its own.
+
+    The forces are told by a model that learned from this very recording.
+    """
+    path = tmp_path / "a.recording.h5"
+    own = write_recording(path)
+    other = write_recording(tmp_path / "b.recording.h5", seed=2)
+    tracks = write_tracks(tmp_path / "a.tracks.h5", other, moving())
+    model = small_files.force_model(tmp_path / "m.force-model.h5", write_tracks(tmp_path / "c.h5", own, moving()))
+    small_files.forces(tmp_path / "a.forces.h5", (tracks, model))
+    left_out = exported(path)["left_out"]
+    for name in ("a.tracks.h5", "a.forces.h5"):
+        assert f"Left out: {name} was made from another recording." in left_out
+    content = path.with_name("a.mcap").read_bytes()
+    assert b"/evetac/truth/dots" in content and b"/evetac/dots" not in content and b"/evetac/force" not in content
+
+
+def test_what_ros_has_no_room_for_is_refused(tmp_path: Path) -> None:
+    """Assert that times before 1970 or after 2038, and frames of too many rows, are refused in words."""
+    target = tmp_path / "x.mcap"
+    for offset, more in ((-1, {}), (2**31 * 10**6, {}), (0, {"sensor/frame_px": np.array([640, 40_000], np.int32)})):
+        source = write(tmp_path / "a.recording.h5", drawn(5), 9, offset, more=more)
+        words = refusal(lambda source=source: export(source, "mcap", target))  # type: ignore[misc]
+        assert ("ROS has no such times" if offset else "too high for EventPacket") in words
+        assert not target.exists()
+
+
+def test_lost_and_damaged_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a file without note is a bag like others, and that one with another note is refused."""
+    source = write(tmp_path / "a.recording.h5", drawn(50, first_us=3000), 60, 10**6)
+    monkeypatch.setattr(write_mcap, "NOTE_TOPIC", "/other")
+    export(source, "mcap", tmp_path / "a.mcap")
+    imported = read_events(tmp_path / "a.mcap")
+    assert imported.slices < 60 and imported.t_offset_us == 10**6 + int(drawn(50, first_us=3000).t[0])
+    monkeypatch.undo()
+    monkeypatch.setattr(write_mcap, "note_for", lambda *_: SimpleNamespace(text=lambda: "{}"))
+    export(source, "mcap", tmp_path / "a.mcap", force=True)
+    assert "note that evetac left in it is damaged" in refusal(lambda: read_events(tmp_path / "a.mcap"))
+
+
+def test_mcap_needs_the_convert_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named with the command that installs it."""
+    source = write(tmp_path / "a.recording.h5", drawn(5), 9)
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    assert "pip install '.[convert]'" in refusal(lambda: export(source, "mcap", tmp_path / "x.mcap"))
+    assert not (tmp_path / "x.mcap").exists()
+
+
+def test_the_node_of_the_docs_publishes_what_we_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the node, run with stand-ins for ROS 2 and a camera, publishes packets that decode to its slices."""
+    page = (Path(__file__).resolve().parents[3] / "docs" / "ros2.md").read_text()
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    events = drawn(200)
+    slices = [events.part(*np.searchsorted(events.t, [1000 * k, 1000 * (k + 1)]).tolist()) for k in range(90)]
+    published: list[Any] = []
+
+    class EventPacket(SimpleNamespace):
+        def __init__(self) -> None:
+            super().__init__(header=SimpleNamespace(stamp=SimpleNamespace()))
+
+    node = SimpleNamespace(
+        create_publisher=lambda kind, topic, qos: SimpleNamespace(publish=published.append),
+        get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=5_000_000_007)),
+    )
+    for name, content in {
+        "rclpy": {
+            "init": lambda: None,
+            "ok": lambda: True,
+            "try_shutdown": lambda: None,
+            "create_node": lambda _: node,
+        },
+        "rclpy.qos": {"qos_profile_sensor_data": None},
+        "event_camera_msgs": {},
+        "event_camera_msgs.msg": {"EventPacket": EventPacket},
+    }.items():
+        module = types.ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    from evetac_cli.devices import cameras
+
+    waiting: list[Events | None] = [*slices, None]
+    camera = SimpleNamespace(read=lambda: waiting.pop(0), close=lambda: waiting.append(None))
+    monkeypatch.setattr(cameras.Virtual, "open", lambda *_: SimpleNamespace(camera=camera))
+    monkeypatch.setattr(sys, "argv", ["evetac_node.py", "virtual"])
+    exec(compile(code, "docs/ros2.md", "exec"), {})
+    assert waiting == [None]  # closed
+    assert [packet.seq for packet in published] == list(range(90))
+    for packet, one in zip(published, slices, strict=True):
+        assert isinstance(packet.events, array) and packet.header.frame_id == "evetac_simulated"
+        part = mono(
+            Packet((packet.width, packet.height), packet.seq, packet.time_base, "mono", memoryview(packet.events))
+        )
+        np.testing.assert_array_equal(part.t.astype(np.int64) - 5_000_000, one.t)
+        for theirs, ours in zip(part[1:], one[1:], strict=True):
+            np.testing.assert_array_equal(theirs, ours)
+
+
+def test_the_commands_of_the_docs_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the page on ROS 2 exports a recording and gets it back."""
+    monkeypatch.chdir(tmp_path)
+    write_recording(tmp_path / "touch.recording.h5")
+    commands = shown_commands(PAGES["docs/ros2.md"])
+    assert len(commands) == 2
+    for command in commands:
+        run = CliRunner().invoke(app, shlex.split(command)[1:])
+        assert run.exit_code == 0, run.output
+    with open_recording("touch.recording.h5") as one, open_recording("back.recording.h5") as other:
+        assert same(one.between(0, SLICES), other.between(0, SLICES)) and other.header["simulated"] is True
+
+
+@pytest.mark.slow
+def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
+    """Assert that a file that is cut or damaged anywhere gives events or words, and never anything else."""
+    source = write(tmp_path / "a.recording.h5", drawn(3000), 700, 5_000_000)
+    export(source, "mcap", tmp_path / "a.mcap")
+    whole = (tmp_path / "a.mcap").read_bytes()
+    rng = np.random.default_rng(3)
+    broken = tmp_path / "b.mcap"
+    refused = 0
+    for trial in range(400):
+        data = bytearray(whole)
+        begin = (0, 0, 0, len(data) - 2500)[trial % 4]  # anywhere, at the head, at the index at the end
+        end = (len(data), len(data), 600, len(data))[trial % 4]
+        if trial % 4:
+            for at in rng.integers(begin, end, 6):
+                data[at] = rng.integers(256)
+        else:
+            del data[rng.integers(1, len(data)) :]
+        broken.write_bytes(data)
+        try:
+            assert read_events(broken, sort=True).events.size <= 3000
+        except InputError:
+            refused += 1
+    assert 200 < refused < 400

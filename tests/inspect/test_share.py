@@ -1,0 +1,230 @@
+"""share: folders for the Hugging Face Hub; the Hub's own library reads the cards in a slow test."""
+
+import csv
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import share
+from evetac_cli.params.evaluation import EvaluateSlip
+from evetac_cli.params.inspection import Share
+from evetac_cli.stages.evaluate import slip
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe
+from tests import small_files
+from tests.conftest import Made
+
+HUB = "huggingface_hub"
+CHECK = """
+import json, sys
+from huggingface_hub import DatasetCard, ModelCard
+card = {"model": ModelCard, "data": DatasetCard}[sys.argv[1]].load(sys.argv[2])
+print(json.dumps(card.data.to_dict()))
+"""
+
+
+def fields(folder: Path) -> dict[str, Any]:
+    """The front matter of a card: lines of a name and JSON."""
+    lines = (folder / "README.md").read_text().splitlines()
+    assert lines[0] == "---"
+    pairs = (line.partition(": ") for line in lines[1 : lines.index("---", 1)])
+    return {name: json.loads(value) for name, _, value in pairs}
+
+
+def shared(*files: Path, out: Path, force: bool = False, **chosen: Any) -> dict[str, Any]:
+    (row,) = share.run(list(files), Share(**chosen), out, force=force).rows
+    assert row["output"] == str(out)
+    return row
+
+
+@pytest.fixture
+def trials(tmp_path: Path) -> Path:
+    """A data set of one trial."""
+    folder = tmp_path / "a trial"
+    folder.mkdir()
+    small_files.every_kind(folder)
+    return folder
+
+
+def test_model_card(made: Made, tmp_path: Path) -> None:
+    """Assert that the card of a model has its data, seeds and figures, marked as simulated, and the model is there."""
+    out = tmp_path / "hub"
+    row = shared(made.model, out=out, license="mit")
+    assert sorted(path.name for path in out.iterdir()) == [
+        "README.md", "card.json", "hist10.model.h5", "model.onnx", "training.csv",
+    ]  # fmt: skip
+    assert row["files"] == 5
+    assert row["size_bytes"] == sum(path.stat().st_size for path in out.iterdir())
+    assert (out / "hist10.model.h5").read_bytes() == made.model.read_bytes()
+    about = json.loads((out / "card.json").read_text())
+    with StageFile(made.model) as file:
+        assert (out / "model.onnx").read_bytes() == file.read("onnx").tobytes()
+        assert about["recipe_id"] == file.header["id"]
+        assert about["figures"]["threshold"] == float(file.read("threshold"))
+        assert about["training"] == file.header["parameters"]
+    assert about["simulated"] is True
+    assert [(one["used"], one["trajectories"], one["objects"]) for one in about["data"]] == [
+        ("trained on", 2, "8"),
+        ("validated on", 1, "8"),
+    ]
+    given = fields(out)
+    assert given["license"] == "mit"
+    assert given["pipeline_tag"] == "robotics"
+    assert "simulated" in given["tags"]
+    assert "model-index" not in given
+    page = (out / "README.md").read_text()
+    assert "**Simulated.**" in page
+    assert "No evaluation was added" in page
+    assert "No license" not in page
+
+
+def test_model_card_with_a_report(made: Made, tmp_path: Path) -> None:
+    """Assert that the figures of an evaluation are on the page and among the fields, and no other model's are."""
+    chosen = EvaluateSlip(model=made.model)
+    (job,) = slip.jobs([made.folder / "apart.features.h5"], chosen, tmp_path / "apart.slip.report.h5")
+    rows = slip.run(job, chosen).rows
+    shared(made.model, job.output, out=tmp_path / "hub")
+    (result,) = fields(tmp_path / "hub")["model-index"][0]["results"]
+    figures = {one["type"]: one["value"] for one in result["metrics"]}
+    first = rows[0]
+    assert figures == {
+        kind: first[key] for key, kind in (("f1", "f1"), ("slip_correct", "accuracy")) if first[key] is not None
+    }
+    assert all("(simulated)" in one["name"] for one in (result["dataset"], *result["metrics"]))
+    assert "No evaluation was added" not in (tmp_path / "hub" / "README.md").read_text()
+    other = tmp_path / "other.slip.report.h5"
+    arrays = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
+    write_stage(other, Recipe("report", 1, {}), arrays)
+    with pytest.raises(InputError, match="a report on something else"):
+        shared(made.model, other, out=tmp_path / "hub2")
+    assert not (tmp_path / "hub2").exists()
+
+
+def test_data_card(trials: Path, tmp_path: Path) -> None:
+    """Assert that a folder of files is laid out below data/, with trials, kinds and duration on its card."""
+    out = tmp_path / "hub"
+    (trials / "a.csv").write_text("t_us\n1\n")
+    row = shared(trials, out=out, title='Slips: *one* | "two"\n---')
+    names = {path.name for path in trials.iterdir() if not path.name.startswith(".")}
+    assert {path.name for path in (out / "data").iterdir()} == names
+    for path in trials.glob("*.h5"):
+        assert (out / "data" / path.name).read_bytes() == path.read_bytes()
+    assert row["license"] == "none chosen"
+    given = fields(out)
+    assert given["license"] == "other"
+    assert given["pretty_name"] == 'Slips: *one* | "two"\n---'
+    assert given["task_categories"] == ["robotics"]
+    assert given["size_categories"] == ["n<1K"]
+    page = (out / "README.md").read_text()
+    assert '# Slips: \\*one\\* \\| "two" ---' in page
+    assert "No license is chosen" in page
+    assert "**Simulated.**" in page
+    about = json.loads((out / "card.json").read_text())
+    assert about["figures"]["trials"] == 1
+    assert about["figures"]["duration_s"] == small_files.SLICES / 1000
+    assert {one["kind"]: one["files"] for one in about["files"]}["recording"] == 1
+
+
+def test_other_disks_get_a_copy(trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that files are copied where they cannot be linked."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(18, "Invalid cross-device link")
+
+    monkeypatch.setattr(os, "link", refused)
+    shared(trials, out=tmp_path / "hub")
+    source = next(trials.glob("*.recording.h5"))
+    copy = tmp_path / "hub" / "data" / source.name
+    assert copy.read_bytes() == source.read_bytes()
+    assert copy.stat().st_ino != source.stat().st_ino
+
+
+def test_nothing_is_replaced_unasked(trials: Path, tmp_path: Path) -> None:
+    """Assert that a folder is replaced only with --force, and only one that share made."""
+    out = tmp_path / "hub"
+    shared(trials, out=out, title="first")
+    with pytest.raises(InputError, match="the output exists"):
+        shared(trials, out=out, title="second")
+    assert fields(out)["pretty_name"] == "first"
+    shared(trials, out=out, title="second", force=True)
+    assert fields(out)["pretty_name"] == "second"
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.tex").touch()
+    with pytest.raises(InputError, match="the output exists"):
+        shared(trials, out=mine, force=True)
+    assert (mine / "thesis.tex").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a trial", "hub", "mine"]
+
+
+def test_what_cannot_be_shared(trials: Path, tmp_path: Path) -> None:
+    """Assert that other files, broken ones, empty folders and a place inside the data are refused, and nothing left."""
+    with pytest.raises(InputError, match="not a model"):
+        shared(next(trials.glob("*.tracks.h5")), out=tmp_path / "hub")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="nothing to share"):
+        shared(tmp_path / "empty", out=tmp_path / "hub")
+    with pytest.raises(InputError, match="lies in the folder"):
+        shared(trials, out=trials / "hub")
+    (trials / "b.recording.h5").write_bytes(b"\x89HDF\r\n\x1a\n broken")
+    with pytest.raises(InputError, match="cannot be shared"):
+        shared(trials, out=tmp_path / "hub")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a trial", "empty"]
+
+
+def test_course_of_a_training(made: Made) -> None:
+    """Assert that the CSV beside a model has its loss curve and its checkpoints' scores, and says simulated."""
+    with made.model.with_suffix(".csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["simulated"] for row in rows} == {"yes"}
+    with StageFile(made.model) as model:
+        losses = {int(row["step"]): float(row["loss"]) for row in rows if row["loss"]}
+        assert losses == dict(zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True))
+        scores = [float(row["validation_score"]) for row in rows if row["validation_score"]]
+        assert scores == model.read("checkpoint/score").tolist()
+        (chosen,) = [int(row["step"]) for row in rows if row["chosen"] == "1"]
+        assert chosen == model.read("checkpoint/step")[int(model.read("checkpoint/chosen"))]
+
+
+def test_the_commands_of_the_page(made: Made, trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the commands of docs/share.md make the folders that the page describes."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(made.model, "own.model.h5")
+    trials.rename("data")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "share.md").read_text()
+    for line in re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
+        result = CliRunner().invoke(app, shlex.split(line)[1:])
+        assert result.exit_code == 0, result.output
+    described = set(re.findall(r"^\| `(\S+)` \|", page, re.MULTILINE))
+    assert {path.name for path in Path("own-hub").iterdir()} == described
+    assert fields(Path("data-hub"))["pretty_name"] == "Slips of glass"
+
+
+@pytest.mark.slow
+def test_the_hub_reads_the_cards(made: Made, trials: Path, tmp_path: Path) -> None:
+    """Assert that the Hub's own library, in an environment of its own, reads every field of the cards."""
+    python = tmp_path / "venv" / "bin" / "python"
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    installed = subprocess.run([python, "-m", "pip", "install", "-q", HUB], capture_output=True, text=True, check=False)
+    if installed.returncode:
+        pytest.skip(f"{HUB} cannot be installed: {installed.stderr[-200:]}")
+    chosen = EvaluateSlip(model=made.model)
+    (job,) = slip.jobs([made.folder / "apart.features.h5"], chosen, tmp_path / "apart.slip.report.h5")
+    slip.run(job, chosen)
+    shared(made.model, job.output, out=tmp_path / "m")
+    shared(trials, out=tmp_path / "d", title='Slips: *one* | "two"\n---', license="cc-by-4.0")
+    for kind, out in (("model", tmp_path / "m"), ("data", tmp_path / "d")):
+        command = [python, "-c", CHECK, kind, out / "README.md"]
+        read = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        assert read == fields(out)
