@@ -16,12 +16,12 @@ from evetac_cli.formats.write import (
     write_aedat4,
     write_calibration,
     write_dsec,
-    write_lerobot,
     write_mcap,
     write_prophesee,
     write_table,
     write_text,
 )
+from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
 from evetac_cli.store.disk import folder_taking_the_place_of, taking_the_place_of

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export_folder
-from evetac_cli.formats.write import episode_statistics, episodes, write_lerobot
+from evetac_cli.formats.write.lerobot import episodes, statistics, write_lerobot
 from evetac_cli.inspect.export import trial_files
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.store.read import Recording
@@ -202,9 +202,9 @@ def test_statistics_of_parts_are_those_of_the_whole() -> None:
     """Assert that figures of two episodes of other lengths give those of both together."""
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(40, 3)), rng.normal(2, 5, size=(7, 3))
-    parts = [{"x": episode_statistics.of_columns(part)} for part in (a, b)]
-    both = episode_statistics.together(episode_statistics.together({}, parts[0]), parts[1])["x"]
-    whole = episode_statistics.of_columns(np.concatenate([a, b]))
+    parts = [{"x": statistics.of_columns(part)} for part in (a, b)]
+    both = statistics.together(statistics.together({}, parts[0]), parts[1])["x"]
+    whole = statistics.of_columns(np.concatenate([a, b]))
     for figure in ("min", "max", "mean", "std", "count"):
         np.testing.assert_allclose(both[figure], whole[figure], rtol=1e-12)
 

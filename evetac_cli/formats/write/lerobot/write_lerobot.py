@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, install_hint
-from evetac_cli.formats.write.data_card import data_card
-from evetac_cli.formats.write.episode_files import Numbered, Place, Tables, Videos
-from evetac_cli.formats.write.episode_statistics import Figures, as_lists, of_columns, of_pictures, together
-from evetac_cli.formats.write.episodes import (
+from evetac_cli.formats.write.lerobot.data_card import data_card
+from evetac_cli.formats.write.lerobot.episode_files import Numbered, Place, Tables, Videos
+from evetac_cli.formats.write.lerobot.episodes import (
     GREYS,
     RATE_HZ,
     Episode,
@@ -35,6 +34,7 @@ from evetac_cli.formats.write.episodes import (
     outline,
     pictures,
 )
+from evetac_cli.formats.write.lerobot.statistics import Figures, as_lists, of_columns, of_pictures, together
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder
 from evetac_cli.formats.write.write_table import load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evetac_cli.formats.write.episodes import RATE_HZ, Outline, Vectors
+from evetac_cli.formats.write.lerobot.episodes import RATE_HZ, Outline, Vectors
 from evetac_cli.store.provenance import made
 
 RULES = {
