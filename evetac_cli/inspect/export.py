@@ -58,9 +58,10 @@ def _model(params: Export) -> Path | None:
 
 def _options(params: Export) -> dict[str, Any]:
     """What was chosen for the format; InputError for what has no effect with it."""
-    if params.model is not None and not FORMATS[params.format].of_trial:
-        of_trials = ", ".join(name for name, row in FORMATS.items() if row.of_trial)
-        raise InputError("has no effect", where="--model", expected=f"--format {of_trials}", found=params.format)
+    tables = [name for name, row in FORMATS.items() if row.of_trial and not row.events]
+    if params.model is not None and params.format not in tables:
+        expected = f"--format {', '.join(tables)}"
+        raise InputError("has no effect", where="--model", expected=expected, found=params.format)
     given = {name: getattr(params, name) for name in LEROBOT if getattr(params, name) is not None}
     if params.format != "lerobot" and given:
         named = [flag_of(item) for name, item in Export.__dataclass_fields__.items() if name in given]

@@ -217,6 +217,27 @@ def test_a_folder_becomes_one_data_set(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_unknown_objects_and_odd_names_are_read(tmp_path: Path) -> None:
+    """Assert that an object that is unknown is null in each reader, and a sensor keeps any name that it has."""
+    polars = pytest.importorskip("polars")
+    odd = "a b/ü=1"
+    sources = [
+        trial(tmp_path / "in", "a", 8, 1, kinds="tracks"),
+        trial(tmp_path / "in", "b", None, 2, kinds="tracks", name_of_sensor=odd),
+    ]
+    export_folder(sources, "parquet", tmp_path / "out", {}, opened=trial_files)
+    expected = [("a", 8, "evetac"), ("b", None, odd)]
+    rows = duckdb.sql(f"SELECT DISTINCT trial, object, sensor FROM '{tmp_path}/out/**/*.parquet' ORDER BY trial")
+    assert rows.fetchall() == expected
+    lazy = polars.scan_parquet(tmp_path / "out", hive_partitioning=True).select("trial", "object", "sensor")
+    assert lazy.unique().sort("trial").collect().rows() == expected
+    frame = pd.read_parquet(tmp_path / "out", columns=["trial", "object", "sensor"])
+    frame = frame.drop_duplicates().sort_values("trial")
+    assert frame["sensor"].tolist() == ["evetac", odd]
+    assert frame["object"].isna().tolist() == [False, True] and frame["object"].iloc[0] == 8
+
+
+@pytest.mark.slow
 def test_a_folder_of_others_is_not_replaced(source: Path, tmp_path: Path) -> None:
     """Assert that a data set is replaced on demand alone, and a folder with other files never."""
     out = tmp_path / "out"

@@ -15,7 +15,13 @@ COMMANDS = SLICES // 2
 
 
 def trial(
-    folder: Path, name: str, number: int = 8, seed: int = 1, kinds: str = "tracks labels features forces", **more: Any
+    folder: Path,
+    name: str,
+    number: int | None = 8,
+    seed: int = 1,
+    kinds: str = "tracks labels features forces",
+    name_of_sensor: str = "evetac",
+    **more: Any,
 ) -> Path:
     """A simulated grasp of an object with these kinds of files beside it; `more`: datasets, `__` for each `/`."""
     rng = np.random.default_rng(seed)
@@ -34,7 +40,11 @@ def trial(
     }
     arrays |= {dataset.replace("__", "/"): values for dataset, values in more.items()}
     arrays = {dataset: values for dataset, values in arrays.items() if values is not None}
-    parameters = {"object": number, "sensor": "evetac", "scene": {"name": "lift", "summary": "an object is lifted"}}
+    parameters = {
+        "object": number,
+        "sensor": name_of_sensor,
+        "scene": {"name": "lift", "summary": "an object is lifted"},
+    }
     of = write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=True), arrays)
     beside = {kind: folder / f"{name}.{kind}.h5" for kind in ("tracks", "labels", "features", "forces")}
     of_tracks = small_files.tracks(beside["tracks"], of)

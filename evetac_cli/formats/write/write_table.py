@@ -8,7 +8,8 @@ of the files are the text `evetac` in the metadata of the table.
 A data set has a file a trial in folders `object=8/sensor=evetac/`, as Hive names them: pandas, polars, duckdb, Spark
 and pyarrow make columns of them, and leave out the folders that a query does not ask for. Seed and outcome, of which
 there are many or which depend on the labels, are columns of the files. All files have the same columns; where a trial
-has nothing to put into one, it is null.
+has nothing to put into one, it is null. Where the object or sensor of a trial is unknown, it is a column of the files
+too: pandas reads no folder that stands for null.
 """
 
 import json
@@ -34,7 +35,6 @@ from evetac_cli.store.index import LARGEST
 
 BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
 PARTITIONS = ("object", "sensor")
-UNKNOWN = "__HIVE_DEFAULT_PARTITION__"  # Hive's word for null
 COMPRESSION = "zstd"
 
 
@@ -81,11 +81,12 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
             facts.append(files.facts())
             schemas.append(_schema(arrow, columns_of(files), {}))
             slices.append(len(files.recording))
-    types = {name: type_ for name, type_ in typed(facts).items() if name not in PARTITIONS}
+    partitions = [name for name in PARTITIONS if all(named[name] is not None for named in facts)]
+    types = {name: type_ for name, type_ in typed(facts).items() if name not in partitions}
     table = arrow.unify_schemas([_schema(arrow, [], types), *schemas])
     said, done = [], 0
     for source, named, rows in zip(sources, facts, slices, strict=True):
-        path = folder / "/".join(_partition(name, named[name]) for name in PARTITIONS) / f"{named['trial']}.parquet"
+        path = folder.joinpath(*(_partition(name, named[name]) for name in partitions), f"{named['trial']}.parquet")
         if path.exists():
             raise InputError("two recordings have the same name", where=str(source), found=path.name)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +97,7 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
             said += [f"{named['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
         done += rows
     simulated = any(named["simulated"] for named in facts)
-    return WrittenFolder(simulated, said, {"slices": sum(slices), "columns": len(table) + len(PARTITIONS)})
+    return WrittenFolder(simulated, said, {"slices": sum(slices), "columns": len(table) + len(partitions)})
 
 
 def _further(progress: Progress, before: int, of: int, now: float, total: float, doing: str = "") -> None:
@@ -114,7 +115,7 @@ def typed(facts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _partition(name: str, value: Any) -> str:
-    return f"{name}={UNKNOWN if value is None else quote(str(value), safe='')}"
+    return f"{name}={quote(str(value), safe='')}"
 
 
 def _schema(arrow: Any, columns: Sequence[Columns], types: Mapping[str, Any]) -> Any:
