@@ -41,7 +41,7 @@ Observation = dict[str, NDArray[np.float32]]
 
 MOST_TICKS = 60.0  # of the goal beyond light contact: about 14 N
 FARTHEST_PX, MOST_EVENTS, MOST_READ = 200.0, 1000.0, 2000.0  # ends of observations, in px, events a ms, ticks and mA
-COST_N_S, COST_MM = 0.02, 0.05
+COST_N_S, COST_MM = 0.04, 0.05
 LOST_MM = 20.0  # an object that moved so far in the hand is lost, and more of it costs no more
 TRUTH = ("truth/table_gap_mm", "truth/normal_force_n", "truth/object_xy_px")
 
@@ -77,7 +77,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     light contact in ticks and motor current in mA; time_s (1,), since the lift began.
 
     Reward: 1 for an object that hangs more than 50 mm above the table at the end of the lift, and 1 if it still does
-    at the end; less 0.02 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
+    at the end; less 0.04 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
     object moved in the hand. Force and motion are the simulation's truth. `info` has them too, and what was drawn.
     """
 
@@ -90,7 +90,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         scene: str = "lift",
         gel: str | None = None,
-        mass_factor: tuple[float, float] = (0.5, 2.0),
+        mass_factor: tuple[float, float] = (0.5, 4.0),
         hand_mm_s: float = 100.0,
         lift_s: float = 2.0,
         balance_s: float = 2.0,
@@ -106,17 +106,20 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         _vary(plan["scene"], mass_factor, hand_mm_s, lift_s)
         self._durations = {"lift_s": float(lift_s), "balance_s": float(balance_s)}
         touch_s = float(plan["scene"]["time"]["touch_s"])
-        self._timing = Timing(*(round(1000 * each) for each in (touch_s, lift_s, balance_s)), control_hz)
+        touch_ms, lift_ms, balance_ms = (round(1000 * each) for each in (touch_s, lift_s, balance_s))
+        self._timing = Timing(touch_ms, lift_ms, balance_ms, control_hz)
         if self._timing.balance_ms < 0:
             raise InputError("no such duration", where="balance_s", expected="0 or more", found=f"{balance_s}")
         self._model = resources.MODEL if model is None else Path(model)
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError("unknown value", where="render_mode", expected="rgb_array, or None", found=render_mode)
+            raise InputError(
+                "unknown value", where="render_mode", expected="rgb_array, or None", found=f"{render_mode}"
+            )
         self.render_mode = render_mode
         row = scenes.for_trial(plan, (0,))["sensor_row"]
         dots = dot_grid(row, plan["scene"]["gel"]["cut"]).reshape(-1, 2).shape[0]
         self.action_space = spaces.Box(0.0, 1.0, (1,), np.float32)
-        self.observation_space = spaces.Dict(
+        self.observation_space = spaces.Dict(  # type: ignore[assignment]
             {
                 "displacement_px": spaces.Box(-FARTHEST_PX, FARTHEST_PX, (dots, 2), np.float32),
                 "events_per_dot": spaces.Box(0.0, MOST_EVENTS, (dots,), np.float32),
@@ -234,7 +237,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "time_s": np.array([time_s], np.float32),
         }
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Events of the last step, (480, 640, 3): white where it got brighter, black where darker, else grey."""
         if self.render_mode is None:
             return None

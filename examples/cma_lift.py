@@ -43,7 +43,7 @@ class GripLaw:
     def of(cls, theta: Sequence[float]) -> "GripLaw":
         """The law of four numbers of about 1, which CMA-ES searches."""
         a, b, c, d = theta
-        return cls(10.0 + 10.0 * a, 4.0 + 4.0 * b, 5.0 + 5.0 * c, min(max(0.02 + 0.02 * d, 0.0), 1.0))
+        return cls(6.0 + 6.0 * a, 1.5 + 1.5 * b, 3.0 + 3.0 * c, min(max(0.02 + 0.02 * d, 0.0), 1.0))
 
     def goal(self, observation: dict[str, Any]) -> float:
         """One step."""
@@ -105,18 +105,19 @@ def main() -> None:
     """Search, judge, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--generations", type=int, default=6)
-    parser.add_argument("--candidates", type=int, default=8)
-    parser.add_argument("--episodes", type=int, default=4, help="of each candidate")
+    parser.add_argument("--generations", type=int, default=4)
+    parser.add_argument("--candidates", type=int, default=6)
+    parser.add_argument("--episodes", type=int, default=2, help="of each candidate")
     parser.add_argument("--judged", type=int, default=20, help="episodes that each policy is judged on")
     parser.add_argument("--judged-from", type=int, default=JUDGED_FROM, help="seed of the first of them")
+    parser.add_argument("--grips", type=float, nargs="*", default=GRIPS, help="fixed ones, in ticks")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args()
     seeds = range(chosen.judged_from, chosen.judged_from + chosen.judged)
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(chosen.jobs) as pool:
-        for ticks in GRIPS:
+        for ticks in chosen.grips:
             rows.append({"policy": f"fixed, {ticks:g} ticks", **judge(pool, JUDGED_ON, seeds, (ticks,))})
             print(rows[-1], flush=True)
         for run in range(chosen.runs):

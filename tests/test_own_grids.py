@@ -79,6 +79,7 @@ def slipped(name: str, scene: Path, folder: Path, seed: int = 0) -> Path:
     return run(featurize, Featurize(images=True), recording)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GELS)
 def test_slip(name: str, short_scene: Path, tmp_path: Path) -> None:
     """Assert that dots are tracked to 1 px, slip is labelled, and features are of this grid, also in `info`."""

@@ -199,10 +199,8 @@ class TouchSensor:
         self._now_ns = self._slices = 0
         place = (at_m[0], at_m[1], 0.0)
         height_m = self._height_of_surface(place)
-        self._touch_m = float(height_m.min())
-        gap_m = height_m - self._touch_m
-        table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
-        self._surface = self._next = _Surface(place, gap_m, table)
+        self._touch_m = float(height_m.min()) if np.isfinite(height_m).any() else 0.0
+        self._surface = self._next = self._surface_over(place, height_m - self._touch_m)
         self._looks_same = described["shape"] == "flat" and self.sampled.tilt_rad == 0.0  # wherever it is
         self._pressed_m = math.nan  # how deep the shares of the nodes are meant
         self._moved_to: tuple[float, ...] | None = place  # where the last slice was told to put the object
@@ -313,13 +311,18 @@ class TouchSensor:
         return float(np.interp(pressing.values[0], depth_m, force_n))
 
     def _height_of_surface(self, place: tuple[float, ...]) -> Floats:
-        """Height of the object's surface over each node, where the object is at x, y, turned."""
+        """Height of the object's surface over each node, where it is at x, y, turned; infinite beside a round one."""
         x_m, y_m, turn = place
         from_middle = self._gel.node_xy_m - np.array([x_m, y_m])
         if turn:
             cosine, sine = math.cos(turn), math.sin(turn)
             from_middle = from_middle @ np.array([[cosine, -sine], [sine, cosine]])
-        return contact.surface(from_middle, *self._shape)
+        height_m = contact.surface(from_middle, *self._shape)
+        shape, radius_m, _ = self._shape
+        if shape != "flat":
+            across = from_middle[..., 1] if shape == "cylinder" else np.hypot(from_middle[..., 0], from_middle[..., 1])
+            height_m[np.abs(across) > radius_m] = np.inf
+        return height_m
 
     def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
         """The surface of an object at a place: the present one where it is near enough.
@@ -330,10 +333,15 @@ class TouchSensor:
             return self._surface
         if self._next.place == place:
             return self._next
-        gap_m = self._height_of_surface(place) - self._touch_m
-        table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
-        self._next = _Surface(place, gap_m, table)
+        self._next = self._surface_over(place, self._height_of_surface(place) - self._touch_m)
         return self._next
+
+    def _surface_over(self, place: tuple[float, ...], gap_m: Floats) -> _Surface:
+        """A surface at a place, with its table; beside the pad nothing is pressed, however deep."""
+        table = np.zeros(1), np.full(1, FARTHEST_M)
+        if np.isfinite(gap_m).any():
+            table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
+        return _Surface(place, gap_m, table)
 
     def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
         """One slice, at the end of which the contact is as given."""
@@ -444,10 +452,10 @@ def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]
         numbers = ()
     if len(numbers) != count or not all(math.isfinite(number) and abs(number) <= most for number in numbers):
         size = "finite" if math.isinf(most) else f"within {most:g}"
-        found = given[0] if count == 1 else given
-        raise _refused(f"{name}: not what it should be", f"{count} number{'s' * (count > 1)}, {size}", found)
+        one = given[0] if count == 1 else given
+        raise _refused(f"{name}: not what it should be", f"{count} number{'s' * (count > 1)}, {size}", one)
     return numbers
 
 
-def _refused(message: str, expected: str, found: Any, hint: str = "") -> InputError:
-    return InputError(message, where="TouchSensor", expected=expected, found=str(found)[:100], hint=hint)
+def _refused(message: str, expected: str, given: Any, hint: str = "") -> InputError:
+    return InputError(message, where="TouchSensor", expected=expected, found=str(given)[:100], hint=hint)

@@ -162,8 +162,8 @@ class CheckedHdf5:
     def lengths(self) -> dict[str, int]:
         """The rows of every dataset by its path; 1 for a single value. Nothing in them is looked at."""
         with damage_in_words(self.path, "its contents"):
-            found = {name: item.shape for name, item in self._objects() if not isinstance(item, h5g.GroupID)}
-        return {name: int(shape[0]) if shape else 1 for name, shape in found.items()}
+            shapes = {name: item.shape for name, item in self._objects() if not isinstance(item, h5g.GroupID)}
+        return {name: int(shape[0]) if shape else 1 for name, shape in shapes.items()}
 
     def _objects(self) -> Iterator[tuple[str, Any]]:
         """Path and id of every object; InputError where a name leads anywhere but to an object of its own."""

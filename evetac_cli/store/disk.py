@@ -151,13 +151,13 @@ def _check_replaceable(path: Path, endings: tuple[str, ...], *, force: bool) -> 
         return
     if path.is_symlink() or not path.is_dir():
         raise InputError("the output is no folder", where=str(path))
-    inside = (found for found in path.rglob("*") if found.is_symlink() or not found.is_dir())
+    inside = (entry for entry in path.rglob("*") if entry.is_symlink() or not entry.is_dir())
     first = next(inside, None)
     if first is None:
         return
     if not force:
         raise InputError("the output exists", where=str(path), hint="--force replaces it, -o NAME writes elsewhere")
-    others = (found for found in (first, *inside) if found.is_symlink() or found.suffix not in endings)
+    others = (entry for entry in (first, *inside) if entry.is_symlink() or entry.suffix not in endings)
     other = next(others, None)
     if other is not None:
         raise InputError(

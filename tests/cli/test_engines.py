@@ -250,6 +250,7 @@ def test_a_job_whose_worker_dies_runs_again(tmp_path: Path, started: list[subpro
     assert [name for name in left(tmp_path) if "killed" in name or "runs" in name] == []
 
 
+@pytest.mark.slow
 def test_an_error_of_the_system_stays_what_it_is(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
     """Assert that what a job raises is not taken for a broken connection."""
     assert "No space left on device" in run(started, tmp_path, "dask", "full-1").ended()["ended"]

@@ -172,6 +172,7 @@ def test_a_worker_that_is_killed_is_said_in_words_and_others_go_on(tmp_path: Pat
         assert f"{name}.h5" in reported["jobs"][name]
 
 
+@pytest.mark.slow
 def test_signals_wait_while_a_worker_loads_its_modules(tmp_path: Path, jobs: list[Jobs]) -> None:
     """Assert that they are held back in every worker until it works: before, they would end it with a traceback."""
     start(jobs, tmp_path, 2, "quick-1", "quick-2").ended()

@@ -166,9 +166,9 @@ def test_the_card_says_what_is_simulated(out: Path, sources: list[Path]) -> None
     assert "**Simulated.** All episodes are from evetac's simulator" in text
     assert "the mean of the frame's slices" in text
     assert "| 8 | evetac | slips | train | 2 |" in text and "| 3 | evetac | slips | test | 1 |" in text
-    told = json.loads((out / "meta" / "evetac.json").read_text())
+    about = json.loads((out / "meta" / "evetac.json").read_text())
     with Recording(sources[1]) as recording:
-        assert told["episodes"]["2"]["headers"]["recording"]["id"] == recording.header["id"]
+        assert about["episodes"]["2"]["headers"]["recording"]["id"] == recording.header["id"]
 
 
 @pytest.mark.parametrize("fps", [7, 30, 50, 60, 250, 999, 1000])
@@ -209,6 +209,7 @@ def test_statistics_of_parts_are_those_of_the_whole() -> None:
         np.testing.assert_allclose(both[figure], whole[figure], rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_frame", ["last", "stacked"])
 def test_other_rules_and_names(sources: list[Path], tmp_path: Path, per_frame: str) -> None:
     """Assert that the rule and the key of the tactile vector are those that were chosen, and the card says the rule."""
@@ -227,6 +228,7 @@ def test_other_rules_and_names(sources: list[Path], tmp_path: Path, per_frame: s
     )
 
 
+@pytest.mark.slow
 def test_files_grow_no_larger_than_they_may(
     sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -245,6 +247,7 @@ def test_files_grow_no_larger_than_they_may(
         assert set(part["episode_index"]) == {number}
 
 
+@pytest.mark.slow
 def test_trials_that_make_no_episodes_are_refused(tmp_path: Path) -> None:
     """Assert that words say what a trial lacks, and what to do."""
     whole = trial(tmp_path / "in", "a")
@@ -262,6 +265,7 @@ def test_trials_that_make_no_episodes_are_refused(tmp_path: Path) -> None:
     assert "1280 x 720" in refusal(tmp_path / "out", [whole, larger])
 
 
+@pytest.mark.slow
 def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
     """Assert that a slip, which has no goal position, has the wanted current one frame later as its action."""
     controls = ("t_us", "u_ff_ticks", "x_ref_ticks", "goal_ticks", "slip", "phase", "missed", "slices_processed")
@@ -275,6 +279,7 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
     assert "control_probability" not in info["features"]["observation.tactile"]["names"]
 
 
+@pytest.mark.slow
 def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:
     """Assert that forces of one trial alone are left out of all, and that is said."""
     sources = [trial(tmp_path / "in", "a"), trial(tmp_path / "in", "b", kinds="tracks labels features")]
@@ -290,6 +295,7 @@ def test_av_is_named_where_it_is_missing(sources: list[Path], tmp_path: Path, mo
     assert "pip install '.[convert]'" in refusal(tmp_path / "out", sources)
 
 
+@pytest.mark.slow
 def test_lerobot_from_the_command_line(sources: list[Path], tmp_path: Path) -> None:
     """Assert that options reach the data set, and that a folder has to be named."""
     arguments = ["export", *map(str, sources), "--format", "lerobot", "--fps", "250", "--test-objects", "1-3", "--json"]

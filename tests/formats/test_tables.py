@@ -145,6 +145,7 @@ def test_columns_say_their_unit_and_where_they_come_from(source: Path, table: Pa
     assert frame["events_total"].tolist() == [EVENTS_A_SLICE] * SLICES
 
 
+@pytest.mark.slow
 def test_other_streams_stand_beside(tmp_path: Path) -> None:
     """Assert that columns of a stream have its unit and its last sample, and that images are left out."""
     about = json.dumps({"what": "probe", "units": {"force": "N", "height_mm": "mm"}})
@@ -179,6 +180,7 @@ def test_csv_has_the_same_numbers(source: Path, table: Path) -> None:
     assert "nan" not in target.read_text()
 
 
+@pytest.mark.slow
 def test_pieces_make_no_difference(source: Path, table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert the same table when a few slices are written at a time."""
     monkeypatch.setattr(write_table, "BATCH_BYTES", 7 * 8 * len(pq.read_schema(table)))
@@ -190,26 +192,22 @@ def test_pieces_make_no_difference(source: Path, table: Path, tmp_path: Path, mo
 
 def test_a_folder_becomes_one_data_set(tmp_path: Path) -> None:
     """Assert that object, sensor, seed and outcome are columns, and what a trial lacks is null."""
-    sources = [trial(tmp_path / "in", "a", 8, 1), trial(tmp_path / "in", "b", 8, 2), trial(tmp_path / "in", "c", 3, 3)]
-    for kind in ("labels", "features", "forces"):
-        (tmp_path / "in" / f"c.{kind}.h5").unlink()
+    sources = [trial(tmp_path / "in", "a", 8, 1), trial(tmp_path / "in", "c", 3, 3, kinds="tracks")]
     out = tmp_path / "out"
     row = export_folder(sources, "parquet", out, {}, opened=trial_files)
-    assert (row["recordings"], row["files"], row["slices"], row["simulated"]) == (3, 3, 3 * SLICES, True)
+    assert (row["recordings"], row["files"], row["slices"], row["simulated"]) == (2, 2, 2 * SLICES, True)
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.parquet")) == [
         "object=3/sensor=evetac/c.parquet",
         "object=8/sensor=evetac/a.parquet",
-        "object=8/sensor=evetac/b.parquet",
     ]
     asked = "SELECT object, sensor, seed, outcome, count(*), count(label), count(truth_slip)"
     rows = duckdb.sql(f"{asked} FROM '{out}/*/*/*.parquet' GROUP BY ALL ORDER BY seed").fetchall()
     assert rows == [
         (8, "evetac", 1, "slips", SLICES, SLICES, SLICES),
-        (8, "evetac", 2, "slips", SLICES, SLICES, SLICES),
         (3, "evetac", 3, None, SLICES, 0, SLICES),
     ]
     frame = pd.read_parquet(out)
-    assert len(frame) == 3 * SLICES and {"object", "sensor"} <= set(frame)
+    assert len(frame) == 2 * SLICES and {"object", "sensor"} <= set(frame)
     assert row["columns"] == frame.shape[1]
     for name, number in (("a", 8), ("c", 3)):
         part = frame[frame["trial"] == name]
@@ -218,6 +216,7 @@ def test_a_folder_becomes_one_data_set(tmp_path: Path) -> None:
         np.testing.assert_array_equal(part["truth_normal_force_n"], forces)
 
 
+@pytest.mark.slow
 def test_a_folder_of_others_is_not_replaced(source: Path, tmp_path: Path) -> None:
     """Assert that a data set is replaced on demand alone, and a folder with other files never."""
     out = tmp_path / "out"
@@ -235,6 +234,7 @@ def test_a_folder_of_others_is_not_replaced(source: Path, tmp_path: Path) -> Non
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
 
 
+@pytest.mark.slow
 def test_what_a_killed_data_set_left_goes_with_the_next(source: Path, tmp_path: Path) -> None:
     """Assert that an unfinished folder does not stay for ever."""
     with pytest.MonkeyPatch.context() as patch:
@@ -245,6 +245,7 @@ def test_what_a_killed_data_set_left_goes_with_the_next(source: Path, tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_features_of_other_tracks_are_left_out(tmp_path: Path) -> None:
     """Assert that a table does not mix what was made from two sets of tracks, and says so."""
     path = trial(tmp_path, "a")
@@ -307,6 +308,7 @@ def test_a_model_adds_its_slip_probability(made: Made, tmp_path: Path) -> None:
     assert json.loads(pq.read_schema(target).metadata[b"evetac"])["headers"]["model"]["id"] == header["id"]
 
 
+@pytest.mark.slow
 def test_a_model_has_to_fit(source: Path, tmp_path: Path) -> None:
     """Assert that a model of another grid is refused, one without features, and one where it has no effect."""
     arguments = ["export", str(source), "--model", "shipped", "-o", str(tmp_path / "out")]
@@ -329,6 +331,7 @@ def test_dots_have_numbers_of_one_width() -> None:
         assert names[0] == first and names == sorted(names)
 
 
+@pytest.mark.slow
 def test_progress_counts_slices(source: Path, tmp_path: Path) -> None:
     """Assert that whoever listens hears how many slices of all are done."""
     heard: list[tuple[float, float, str]] = []

@@ -479,6 +479,7 @@ def test_m4_evaluate_tracking_with_fewer_slices_than_the_truth(small: dict[str, 
         STAGES["evaluate tracking"][1](small["tracks"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_m4_stages_of_files_without_slices(stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a trial without a single slice is valid, and that each stage takes or refuses it in words."""

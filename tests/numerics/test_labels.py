@@ -36,6 +36,7 @@ def test_rows_of_labels(monkeypatch: pytest.MonkeyPatch, one_recording: None) ->
     assert {name for name in rows[0] if name.startswith("error_")} == set(cost.PARTS["label"].errors)
 
 
+@pytest.mark.slow
 def test_searching_gives_the_onset_of_every_slice(made: Made, one_recording: None) -> None:
     """Assert that the reference's onset lies near the true one, and that the search in the same slices agrees."""
     settings = dict(labels.methods())

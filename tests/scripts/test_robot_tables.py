@@ -10,10 +10,10 @@ import robot_tables
 def test_trials_become_a_row_a_controller() -> None:
     """Assert counts, and medians over what was lifted alone."""
     trials = [
-        {"controller": name, "lifted": lifted, "grip_n": grip_n, "steps_per_s": 1000.0}
+        {"controller": name, "lifted": lifted, "grip_n": grip_n, "steps_per_cpu_s": 1000.0}
         for name, lifted, grip_n in (("a", True, 2.0), ("a", True, 4.0), ("a", False, 0.0), ("b", False, 0.1))
     ]
-    common = {"steps_a_second_median": 1000.0}
+    common = {"steps_of_1_ms_a_CPU_second_median": 1000.0}
     assert list(robot_tables.mujoco_rows(trials)) == [
         {"controller": "a", "trials": 3, "lifted": 2, "grip_at_the_end_N_median": 3.0, **common},
         {"controller": "b", "trials": 1, "lifted": 0, "grip_at_the_end_N_median": None, **common},

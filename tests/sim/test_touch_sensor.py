@@ -23,8 +23,8 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def touched(thing: Any = BOX, seed: int = 0, **more: Any) -> TouchSensor:
-    return TouchSensor(object=thing, rng=rng(seed), solver=COARSE, **more)
+def touched(held_object: Any = BOX, seed: int = 0, **more: Any) -> TouchSensor:
+    return TouchSensor(object=held_object, rng=rng(seed), solver=COARSE, **more)
 
 
 def same_events(ones: tuple[Events, ...], others: tuple[Events, ...]) -> bool:
@@ -169,13 +169,13 @@ def test_without_contact_there_is_noise_alone() -> None:
 def course(sensor: TouchSensor, parts: int) -> list[Touch]:
     """A course of 20 ms in steps of 5 ms, each cut into as many parts, with the numbers that lie between."""
     corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 1.5), (2.0, 1.5), (2.0, 1.5)]
-    felt = []
+    touches = []
     for (n0, t0), (n1, t1) in zip(corners, corners[1:], strict=False):
         for part in range(1, parts + 1):
             share = part / parts
             ends = (n1, t1) if part == parts else (n0 + share * (n1 - n0), t0 + share * (t1 - t0))
-            felt.append(sensor.step(0.005 / parts, normal_n=ends[0], shear_n=(ends[1], 0.0)))
-    return felt
+            touches.append(sensor.step(0.005 / parts, normal_n=ends[0], shear_n=(ends[1], 0.0)))
+    return touches
 
 
 def test_a_step_may_be_cut() -> None:
@@ -277,12 +277,12 @@ def test_what_cannot_be_built_is_refused(given: dict[str, Any], said: str) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("thing", [BOX, BALL, 14, 20, {**BOX, "shape": "cylinder", "tilt_deg": 5.0}])
-def test_any_course_stays_finite(thing: Any) -> None:
+@pytest.mark.parametrize("held_object", [BOX, BALL, 14, 20, {**BOX, "shape": "cylinder", "tilt_deg": 5.0}])
+def test_any_course_stays_finite(held_object: Any) -> None:
     """Assert finite dots and forces within friction's bound under 200 random steps over the whole range of inputs."""
     drawn = rng(7)
     for options in ({}, {"gel": "closed", "readout": "ideal"}, {"sensor": "randomized"}):
-        sensor = touched(thing, **options)
+        sensor = touched(held_object, **options)
         for _ in range(200):
             asked: dict[str, Any] = {"normal_n": float(drawn.uniform(0.01, 60.0)) * drawn.integers(2)}
             if drawn.uniform() < 0.5:

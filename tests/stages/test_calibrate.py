@@ -138,6 +138,7 @@ def test_every_dot_from_scratch(pressed: Path, truth: Grid) -> None:
     assert table["quality"]["jitter_px_rms"] == row["jitter_px_rms"]
 
 
+@pytest.mark.slow
 def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     """Assert that a calibration that is there is kept, another recipe refused until --force, and nothing is left."""
     short = seen(X >= 0)

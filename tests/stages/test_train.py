@@ -152,6 +152,7 @@ def test_it_goes_on_after_an_interruption(
     assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.h5"]
 
 
+@pytest.mark.slow
 def test_it_does_not_go_on_from_another_run(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +192,7 @@ def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path)
     assert len(probabilities) == 3
 
 
+@pytest.mark.slow
 def test_a_model_needs_neither_torch_nor_pickle(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a model file is run where torch cannot be imported, and opened where pickle does not work."""
     (job,) = train.jobs(trials, small(), tmp_path)
@@ -318,6 +320,7 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     assert [path.name for path in again.output.parent.iterdir()] == ["hist10.model.h5"]
 
 
+@pytest.mark.slow
 def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> None:
     """Assert that the recipe says patience where it is given alone, and that it is refused where it means nothing."""
     (job,) = train.jobs(trials, small(), tmp_path)
@@ -401,6 +404,7 @@ def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) 
     assert str(again) in str(refused.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["hist10-img-6x6", "disp-xy"])
 def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that models of images and of directions train from features that have these."""

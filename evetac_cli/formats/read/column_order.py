@@ -36,7 +36,7 @@ def by_name(names: Sequence[str]) -> Order | None:
     places: dict[str, int] = {}
     us_per_unit: float | None = None
     for place, given in enumerate(names):
-        name = given.strip().strip("\"'").lower()
+        name = given.strip().strip("\"'").lower().partition("@")[0]  # faery: x@640, the frame behind the name
         base, _, unit = name.rpartition("_")
         timed = base in NAMES["t"] and unit in UNITS
         column = "t" if timed else next((key for key, known in NAMES.items() if name in known), None)
@@ -86,7 +86,9 @@ def to_us(t: NDArray[Any], us_per_unit: float) -> NDArray[Any]:
 
 
 def assumption(order: str, us_per_unit: float | None) -> str:
-    """What was assumed of a file, in words; no order or no unit where the file says it."""
+    """What was assumed of a file, in words; no order or no unit where the file says it, nothing where it says both."""
+    if not order and us_per_unit is None:
+        return ""
     parts = [f"columns {order}"] if order else []
     if us_per_unit is not None:
         parts.append(f"time in {SPOKEN[us_per_unit]}")

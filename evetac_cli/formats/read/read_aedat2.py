@@ -26,6 +26,7 @@ WORD = np.dtype([("address", ">u4"), ("t", ">u4")])
 BATCH_WORDS = 1 << 18
 LINE_LIMIT_BYTES = 1 << 16
 HEAD_LIMIT_BYTES = 1 << 24  # jAER writes all its settings there
+NOT_TEXT = re.compile(rb"[^\t\r\n\x20-\xff]")
 LAST_LINE = b"#End Of ASCII Header"
 WRAP_US = 1 << 32
 # DAVIS: words with bit 31 are samples of frames, or of the IMU where both of these bits are set
@@ -79,7 +80,7 @@ def _head(handle: BinaryIO, where: str) -> tuple[tuple[Chip, tuple[int, int]] | 
     while start <= HEAD_LIMIT_BYTES:
         line = handle.readline(LINE_LIMIT_BYTES)
         # Words may begin with the byte of `#`; lines of text hold no control characters.
-        if not line.startswith(b"#") or any(byte < 32 and byte not in b"\t\r\n" for byte in line):
+        if not line.startswith(b"#") or NOT_TEXT.search(line):
             return named, start
         start += len(line)
         key, _, value = line.decode("latin-1").strip("# \t\r\n").partition(":")

@@ -49,7 +49,7 @@ class Packet(NamedTuple):
     source: int
     event_bytes: int
     overflows: int
-    count: int
+    events: int
     at: int
     end: int
 
@@ -62,7 +62,7 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
         counts: Counter[tuple[int, int]] = Counter()
         end = start
         for packet in _packets(handle, start):
-            counts[packet.source, packet.kind] += packet.count
+            counts[packet.source, packet.kind] += packet.events
             end = packet.end
     with_events = sorted(source for source, kind in counts if kind == POLARITY)
     if not with_events:
@@ -88,19 +88,21 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
 def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
     """The sources by their number, and where the packets begin."""
     sources: dict[int, str] = {}
-    while handle.tell() <= HEAD_LIMIT_BYTES:
+    end = 0
+    while end <= HEAD_LIMIT_BYTES:
         line = handle.readline(LINE_LIMIT_BYTES)
+        end += len(line)
         if not line.startswith(b"#"):
             break
         if line.startswith(END):
-            return sources, handle.tell()
+            return sources, end
         text = line.decode("latin-1").strip()
-        if found := re.match(r"#Source ([0-9]{1,4}): *(\S+)", text):
-            sources[int(found[1])] = found[2]
-        if (found := re.match(r"#Format: *(.+)", text)) and found[1] != "RAW":
-            raise InputError("an AEDAT 3 file in another coding", where=where, expected="RAW", found=found[1][:60])
-        if (found := re.match(r"#!AER-DAT(\S+)", text)) and found[1] != "3.1":
-            raise InputError("an AEDAT 3 file of another version", where=where, expected="3.1", found=found[1][:20])
+        if source := re.match(r"#Source ([0-9]{1,4}): *(\S+)", text):
+            sources[int(source[1])] = source[2]
+        if (coding := re.match(r"#Format: *(.+)", text)) and coding[1] != "RAW":
+            raise InputError("an AEDAT 3 file in another coding", where=where, expected="RAW", found=coding[1][:60])
+        if (version := re.match(r"#!AER-DAT(\S+)", text)) and version[1] != "3.1":
+            raise InputError("an AEDAT 3 file of another version", where=where, expected="3.1", found=version[1][:20])
     raise InputError("the head of the file does not end", where=where, expected=f"a line {END.decode()}")
 
 
@@ -133,8 +135,8 @@ def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[
             if (packet.source, packet.kind) != (source, POLARITY):
                 continue
             handle.seek(packet.at)
-            for first in range(0, packet.count, BATCH_EVENTS):
-                rows = np.frombuffer(handle.read(min(BATCH_EVENTS, packet.count - first) * EVENT.itemsize), EVENT)
+            for first in range(0, packet.events, BATCH_EVENTS):
+                rows = np.frombuffer(handle.read(min(BATCH_EVENTS, packet.events - first) * EVENT.itemsize), EVENT)
                 data = rows["data"]
                 valid = (data & 1) == 1
                 invalid += len(rows) - int(np.count_nonzero(valid))

@@ -73,9 +73,11 @@ def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) ->
     if not streams:
         kinds = dict.fromkeys(KINDS.get(stream.kind, stream.kind) for stream in header.streams)
         held = _left_out(handle, header, walk(handle, header, -1))
-        found = ", ".join(f"{name} {count:,}" for name, count in held.items())
-        message = f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream"
-        raise InputError(message, where=where, found=found)
+        raise InputError(
+            f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream",
+            where=where,
+            found=", ".join(f"{name} {count:,}" for name, count in held.items()),
+        )
     several = len({stream.camera for stream in streams}) > 1
     labels = {f"{stream.camera}/{stream.name}" if several else stream.name: stream for stream in streams}
     label = min(labels) if wanted is None else wanted

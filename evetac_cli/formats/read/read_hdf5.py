@@ -168,13 +168,14 @@ def _refuse_own(file: CheckedHdf5) -> None:
 
 def _check_kind(file: CheckedHdf5, dataset: Any, layout: Layout, name: str) -> None:
     """What holds events is a list of numbers, a table of four columns, or a compound with the four fields."""
-    shape, kind = dataset.shape or (), dataset.dtype.kind
+    shape: tuple[int, ...] = dataset.shape or ()
+    kind = dataset.dtype.kind
     if len(layout.paths) == 1:
         expected = f"a table of {layout.order}, shape (N, 4)" if layout.order else "a compound with t, x, y, p"
         good = len(shape) == 2 and shape[1] == 4 and kind in "iuf" if layout.order else _is_compound(dataset)
-        found = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
+        held = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
         if not good:
-            raise InputError("holds no columns of events", where=file.where, expected=expected, found=found)
+            raise InputError("holds no columns of events", where=file.where, expected=expected, found=held)
         return
     timed = name == layout.paths[0]
     kinds = "iub" if name == layout.paths[3] else "iuf" if timed and layout.us_per_unit is None else "iu"

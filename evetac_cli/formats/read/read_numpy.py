@@ -14,7 +14,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -86,7 +86,7 @@ class Stretch(NamedTuple):
     array: Array
     dtype: np.dtype[Any]
     first: int
-    count: int
+    items: int
 
 
 def open_numpy(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
@@ -160,9 +160,9 @@ def _stretches(chosen: list[Array]) -> list[Stretch]:
     return [Stretch(array, np.dtype((array.dtype, (4,))), 0, rows)]
 
 
-def _rows(stretches: list[Stretch]) -> Iterator[list[NDArray[Any]]]:
+def _rows(stretches: list[Stretch]) -> Generator[list[NDArray[Any]], None, None]:
     """All columns as they lie in the file, some rows at a time; at least once, if only without a row."""
-    count = stretches[0].count
+    count = stretches[0].items
     at_once = min(BATCH_ROWS, BATCH_BYTES // max(stretch.dtype.itemsize for stretch in stretches))
     with ExitStack() as opened:
         files = [opened.enter_context(stretch.array.open()) for stretch in stretches]
@@ -283,7 +283,7 @@ class _Bounded(io.FileIO):
 
     def read(self, size: int | None = -1) -> bytes:
         if size is None or size < 0:
-            at = self.tell()
+            at = self.seek(0, io.SEEK_CUR)
             size = self.seek(0, io.SEEK_END) - at
             self.seek(at)
         if size > PIECE_BYTES:
@@ -308,7 +308,7 @@ def _array(content: bytes, open_: Callable[[], Any], where: str) -> Array:
         shape, columns_first, dtype = HEADERS[version](head)
     if not all(0 <= length < 2**62 for length in shape):
         raise InputError("no array of numbers", where=where, found=f"{str(dtype)[:80]} of shape {str(shape)[:80]}")
-    return Array(open_, head.tell(), dtype, shape, bool(columns_first))
+    return Array(open_, head.seek(0, io.SEEK_CUR), dtype, shape, bool(columns_first))
 
 
 @contextmanager

@@ -181,8 +181,12 @@ def _evt21(path: Path, head: Head, skipped: int) -> Iterator[Columns]:
         if unknown.any():
             at = int(np.argmax(unknown))
             place = head.size + skipped + 8 * (done + at)
-            found = f"type {kind[at]:#x} at byte {place}"
-            raise InputError("a word that EVT2.1 does not have", where=str(path), found=found, hint="copy it again")
+            raise InputError(
+                "a word that EVT2.1 does not have",
+                where=str(path),
+                found=f"type {kind[at]:#x} at byte {place}",
+                hint="the file is damaged; copy it again",
+            )
         highs = kind == TIME_HIGH
         times = ((words[highs] >> np.uint64(32)) & np.uint64(HIGH_21 - 1)).astype(np.int64)
         wrapped = np.cumsum(np.diff(times, prepend=high) < -(HIGH_21 // 2)) + turns

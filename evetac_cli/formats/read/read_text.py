@@ -3,8 +3,8 @@
 The order of the columns is what the first line, or a comment before it, says (`x,y,polarity,timestamp`; columns with
 other names are left out), else what fits the first lines (column_order). The unit of time is what the names say (`t_s`,
 `t_us`), else what the first time looks like: an integer is microseconds, with a point or an exponent it is seconds.
-The frame is known where the first line has only two numbers (rpg), or a comment says `%geometry:WIDTH,HEIGHT`
-(Prophesee).
+The frame is known where the first line has only two numbers (rpg) or names like `x@640,y@480` (faery), or a comment
+says `%geometry:640,480` (Prophesee).
 """
 
 import re
@@ -30,6 +30,7 @@ UNIT_HINT = "name the unit in a first line: `t_s x y p` or `t_us x y p`"
 COMMENTS = ("#", "%")
 MOST_COLUMNS = 64
 GEOMETRY = re.compile(r"%\s*geometry:\s*(\d{1,5})\s*[,x]\s*(\d{1,5})\s*$", re.IGNORECASE)
+IN_NAMES = re.compile(r"\bx@(\d{1,5})\b.*\by@(\d{1,5})\b")
 TWO_NUMBERS = re.compile(r"\s*(\d{1,5})[ \t]+(\d{1,5})\s*$")
 
 
@@ -69,7 +70,7 @@ def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
             if said := GEOMETRY.match(line.strip()):
                 frame = int(said[1]), int(said[2])
             line = handle.readline(LINE_LIMIT_CHARS)
-    if frame is None and (said := TWO_NUMBERS.match(line)):
+    if frame is None and (said := TWO_NUMBERS.match(line) or IN_NAMES.search(line)):
         frame = int(said[1]), int(said[2])
     return note, frame
 
@@ -103,7 +104,7 @@ def _batches(path: Path, foreign: Foreign) -> Generator[Columns, None, None]:
         table = _table(path, number, lines, layout)
         if us_per_unit is None:
             us_per_unit = layout.order.us_per_unit or _unit(lines, layout)
-            if foreign.note is None and (layout.guessed or layout.order.us_per_unit is None):
+            if foreign.note is None:
                 foreign.assumed = assumption(layout.guessed, us_per_unit if layout.order.us_per_unit is None else None)
         t, x, y, p = table.T
         if us_per_unit == 1:

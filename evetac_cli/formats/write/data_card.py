@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evetac_cli import __version__
 from evetac_cli.formats.write.episodes import RATE_HZ, Outline, Vectors
+from evetac_cli.store.provenance import made
 
 RULES = {
     "mean": "the mean of the frame's slices",
@@ -48,8 +48,8 @@ def data_card(
         _origin(simulated, len(outlines)),
         "",
         f"{len(outlines)} episodes, {info['total_frames']} frames at {fps} frames a second, as a LeRobotDataset"
-        f" {info['codebase_version']}. Written by evetac {__version__}; meta/evetac.json has the recipe of every file"
-        " that an episode comes from: parameters, seeds, ids.",
+        f" {info['codebase_version']}. Written by evetac {made()['evetac']}; meta/evetac.json has the recipe of every"
+        " file that an episode comes from: parameters, seeds, ids.",
         "",
         "## What a frame holds",
         "",
@@ -72,7 +72,7 @@ def data_card(
         "|---|---|---|---|---|",
         *_episodes(outlines, info["splits"]),
         "",
-        "Tasks: " + "; ".join(dict.fromkeys(_plain(one.task) for one in outlines)) + ".",
+        "Tasks: " + "; ".join(dict.fromkeys(_plain(one.task, 300) for one in outlines)) + ".",
         "",
         *([f"Left out: {_plain('; '.join(left_out), 2000)}.", ""] if left_out else []),
         "## Licence",

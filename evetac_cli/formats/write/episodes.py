@@ -181,7 +181,7 @@ def frames_of(values: Floats, edges: NDArray[np.int64], per_frame: str, stacked:
         sums = np.add.reduceat(values[: ends[-1]].astype(np.float64), begins, axis=0)
         return np.asarray(sums / (ends - begins)[:, None], np.float32)
     rows = ends[:, None] - stacked + np.arange(stacked)
-    return values[rows].reshape(len(begins), -1)
+    return np.asarray(values[rows].reshape(len(begins), -1))
 
 
 def names_of(tactile: Sequence[str], per_frame: str, stacked: int) -> list[str]:

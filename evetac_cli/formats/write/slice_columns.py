@@ -126,13 +126,15 @@ def columns_of(files: TrialFiles) -> list[Columns]:
 
 def read_columns(columns: Sequence[Columns], names: Sequence[str], slices: int) -> Masked:
     """All slices of the columns of these names, (slices, columns), as float32; KeyError for a name that is missing."""
-    found: dict[str, Masked] = {}
+    by_name: dict[str, Masked] = {}
     for group in columns:
         wanted = [name for name in group.names if name in names]
         values = group.read(0, slices) if wanted else None
-        found |= {name: values[:, group.names.index(name)] for name in wanted if values is not None}
-    chosen = [found[name] for name in names]
-    return np.ma.stack(chosen, axis=1).astype(np.float32) if chosen else np.ma.zeros((slices, 0), np.float32)
+        by_name |= {name: values[:, group.names.index(name)] for name in wanted if values is not None}
+    chosen = _none_known(slices, len(names), np.dtype(np.float32))
+    for at, name in enumerate(names):
+        chosen[:, at] = by_name[name]
+    return chosen
 
 
 def not_in_tables(recording: Recording) -> list[str]:
@@ -228,13 +230,18 @@ def _masked(values: NDArray[Any]) -> Masked:
     return np.ma.masked_invalid(values) if values.dtype.kind == "f" else np.ma.array(values)
 
 
+def _none_known(rows: int, columns: int, dtype: np.dtype[Any]) -> Masked:
+    return np.ma.MaskedArray(np.zeros((rows, columns), dtype), mask=np.ones((rows, columns), bool))
+
+
 def _by_slice(file: StageFile, path: str, shape: Sequence[int], start: int, stop: int) -> Masked:
     values = file.read(path, min(start, shape[0]), min(stop, shape[0])).reshape(-1, int(np.prod(shape[1:])))
     short = stop - start - len(values)
     if not short:
         return _masked(values)
-    rest = np.ma.masked_all((short, values.shape[1]), values.dtype)
-    return np.ma.concatenate([_masked(values), rest])
+    longer = _none_known(stop - start, values.shape[1], values.dtype)
+    longer[: len(values)] = _masked(values)
+    return longer
 
 
 def _rows_at(t_us: NDArray[np.int64], start: int, stop: int) -> NDArray[np.int64]:
@@ -255,9 +262,9 @@ def _by_clock(
     at = _rows_at(t_us, start, stop)
     columns = int(np.prod(shape[1:]))
     if not len(at) or at[-1] < 0:
-        return np.ma.masked_all((len(at), columns), dtype)
+        return _none_known(len(at), columns, dtype)
     first = max(int(at[0]), 0)
     values = file.read(path, first, int(at[-1]) + 1).reshape(-1, columns)
-    made = np.ma.array(_masked(values[np.maximum(at - first, 0)]))
-    made[at < 0] = np.ma.masked
+    made = _none_known(len(at), columns, dtype)
+    made[at >= 0] = _masked(values[at[at >= 0] - first])
     return made

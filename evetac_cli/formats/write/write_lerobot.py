@@ -159,8 +159,8 @@ def _video_errors(av: Any, folder: Path) -> Iterator[None]:
     try:
         yield
     except av.FFmpegError as error:
-        where, found = str(folder.parent), str(error)[:200]
-        raise InputError("the video cannot be written", where=where, found=found, hint="is the disk full?") from error
+        where, said = str(folder.parent), str(error)[:200]
+        raise InputError("the video cannot be written", where=where, found=said, hint="is the disk full?") from error
 
 
 def _features(names: Vectors, tactile_key: str, frame_px: tuple[int, int], fps: int) -> dict[str, Any]:

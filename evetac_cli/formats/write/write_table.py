@@ -13,6 +13,7 @@ has nothing to put into one, it is null.
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -89,15 +90,17 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
             raise InputError("two recordings have the same name", where=str(source), found=path.name)
         path.parent.mkdir(parents=True, exist_ok=True)
 
-        def shown(now: float, total: float, doing: str = "", before: int = done) -> None:
-            progress(before + now, sum(slices), doing)
-
         with opened(source) as files:
+            shown = partial(_further, progress, done, sum(slices))
             _write_parquet(arrow, table, files, columns_of(files), named, path, shown)
             said += [f"{named['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
         done += rows
     simulated = any(named["simulated"] for named in facts)
     return WrittenFolder(simulated, said, {"slices": sum(slices), "columns": len(table) + len(PARTITIONS)})
+
+
+def _further(progress: Progress, before: int, of: int, now: float, total: float, doing: str = "") -> None:
+    progress(before + now, of, doing)
 
 
 def typed(facts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -194,4 +197,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str):
         return value
     array = np.asarray(value)
-    return np.where(np.isnan(array), None, array).tolist() if array.dtype.kind == "f" else array.tolist()
+    if array.dtype.kind == "f":
+        array, missing = array.astype(object), np.isnan(array)
+        array[missing] = None
+    return array.tolist()

@@ -143,6 +143,7 @@ def test_time_waits_for_a_world_that_is_late(world: VirtualWorld) -> None:
     assert world.counted["slices_dropped"] == 0
 
 
+@pytest.mark.slow
 def test_time_waits_for_the_reader(world: VirtualWorld) -> None:
     """Assert that a driver whose slices nobody reads holds up the world, and that it goes on once they are read."""
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(world))) as camera:
@@ -214,6 +215,7 @@ def test_close_ends_the_process(made: Made) -> None:
     assert not world.plant.path.exists()
 
 
+@pytest.mark.slow
 def test_death_of_the_world_is_an_error(made: Made) -> None:
     """Assert that a world that died is an error, and not waited for."""
     world = VirtualWorld(short_plan(made), seeds())

@@ -2,7 +2,6 @@
 
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_aedat3
-from tests.importing import assert_equal, drawn, event_rows, refusal
+from tests.importing import assert_equal, drawn, event_rows, refusal, tonic_io
 
 FRAME = (240, 180)
 HEAD = b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#Start-Time: 2026-01-01 10:00:00 (TZ+0000)\r\n"
@@ -127,7 +126,7 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes, words: str) -> 
 
 def test_as_tonic_reads_them(tmp_path: Path) -> None:
     """Assert equal events with tonic, which reads the events of the DVS Gesture data set."""
-    io: Any = pytest.importorskip("tonic.io")
+    io = tonic_io()
     path = write(tmp_path / "a.aedat", packets_of(EVENTS))
     _, theirs = io.read_dvs_red(path)
     imported = read_events(path)

@@ -99,7 +99,7 @@ def test_named_columns(tmp_path: Path, names: str, save: Callable[..., None]) ->
     assert_equal(imported, EVENTS)
     assert imported.left_out == {"values of frames": 2400}
     assert imported.notes[0] == "left out: values of frames 2,400"
-    assert ("microseconds" in imported.notes[1]) == ("t_us" not in names)
+    assert any("microseconds" in note for note in imported.notes) == ("t_us" not in names)
 
 
 @pytest.mark.parametrize(("name", "times"), [("t_s", 1e-6), ("t_ms", 1e-3), ("t_ns", 1000)])
@@ -201,7 +201,7 @@ def test_objects_are_never_loaded(tmp_path: Path) -> None:
 
 def test_an_archive_that_unpacks_to_more_than_events_can(tmp_path: Path) -> None:
     """Assert that zeros packed a thousandfold are refused at once, before any of them is unpacked."""
-    rows = 40_000_000
+    rows = 17_000_000
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as member:
         member.write(npy(b"", "'|u1'", (rows, 4)))

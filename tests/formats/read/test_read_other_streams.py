@@ -89,7 +89,7 @@ def test_a_recording_holds_them(aedat4: Path, tmp_path: Path) -> None:
     params = Record(source=aedat4, frames=True)
     (job,) = record.jobs([], params, out)
     (row,) = record.run(job, params).rows
-    assert row["streams"] == "imu triggers frames"
+    assert row["streams"] == "frames imu triggers"
     assert "IMU samples outside the recording 6" in row["left_out"]
     with open_recording(out) as recording:
         assert recording.read("streams/imu/t_us").tolist() == [1000 * k + 500 for k in range(10)]
@@ -115,7 +115,7 @@ def test_damage_costs_the_samples_it_hits(aedat4: Path, tmp_path: Path) -> None:
     imported = read_events(path)
     assert imported.events.size == 20
     assert imported.left_out["unreadable packets of IMU samples"] == 1
-    assert 0 < len(streams_of(imported)["imu"].t_us) < 10
+    assert len(spans) == 1 and list(streams_of(imported)) == ["triggers"]  # dv-processing packs them together
 
 
 def test_a_file_that_was_never_closed_keeps_them(aedat4: Path, tmp_path: Path) -> None:

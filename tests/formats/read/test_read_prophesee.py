@@ -134,14 +134,31 @@ def test_triggers_are_counted(tmp_path: Path) -> None:
         assert imported.notes == ["left out: triggers 2"]
 
 
+def test_csv_of_faery_is_read(tmp_path: Path) -> None:
+    """Assert that the CSV of another library gives its events: names in its first line, times in microseconds."""
+    events = drawn(3000)
+    array = np.zeros(events.size, faery.EVENTS_DTYPE)
+    for column, name in zip(events, ("t", "x", "y", "on"), strict=True):
+        array[name] = column
+    events_to_file([array], tmp_path / "a.csv", FRAME)
+    imported = read_events(tmp_path / "a.csv")
+    assert_equal(imported, events)
+    assert imported.frame_px == FRAME
+
+
 @pytest.mark.parametrize(("kind", "suffix"), [("EVT2", "raw"), ("EVT3", "raw"), ("DAT", "dat")])
 def test_as_expelliarmus_reads_them(tmp_path: Path, kind: str, suffix: str) -> None:
-    """Assert equal events with another library on one file."""
+    """Assert equal events with another library on one file.
+
+    expelliarmus 1.1.12 counts the high bits of time of EVT3 twice, of the words that evt3() above packs too: of its
+    times only the lower 12 bits are right.
+    """
     wizard = pytest.importorskip("expelliarmus").Wizard(encoding=kind)
     path = write(tmp_path / f"a.{suffix}", drawn(5000), {"EVT2": "evt2", "EVT3": "evt3", "DAT": "dat2"}[kind])
     theirs = wizard.read(path)
     imported = read_events(path)
-    assert np.array_equal(theirs["t"], imported.events.t + imported.t_offset_us)
+    right = 1 << 12 if kind == "EVT3" else 1 << 62
+    assert np.array_equal(theirs["t"] % right, (imported.events.t + imported.t_offset_us) % right)
     for name in "xyp":
         assert np.array_equal(theirs[name], getattr(imported.events, name))
 

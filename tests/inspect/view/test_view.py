@@ -100,6 +100,7 @@ def test_a_part(trial: Path) -> None:
             shown(trial, **wrong)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "levels"), [("dis", 1), ("event-flow", 1), ("truth", 0), ("<b>", 0)])
 def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     """Assert that a page names the method of labels, escaped, draws a threshold of flow, and notes copied truth."""

@@ -36,6 +36,7 @@ def test_the_window_is_that_of_the_ideal_camera() -> None:
     assert np.median(scanned.error_us) > 20 * np.median(agreement.error_us)
 
 
+@pytest.mark.slow
 def test_noise_counts_as_an_error_and_thresholds_do_not() -> None:
     """Assert that noise adds events that the reference lacks, and that uneven thresholds are the reference's too."""
     rows = {}

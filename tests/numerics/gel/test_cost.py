@@ -241,6 +241,7 @@ def test_explicit_rows():
 # -- rows --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_rows_of_all_comparisons(monkeypatch):
     """Assert that every comparison gives rows of one shape, as many as announced, that JSON can hold."""
     small = {"STEPS_US": (10_000, 1_000), "EXPLICIT_US": (1_000, 10), "REFERENCE_US": 100.0, "NODES": ((8, 6),)}

@@ -66,6 +66,7 @@ def test_the_limit_is_that_of_the_servo() -> None:
     assert Drive.current_limit_ma == bounds.CURRENT.most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", stability.QUICK_CONTROLLERS)
 def test_a_fault_in_the_controller_is_seen(controller: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that goals of a real short grasp are in range, and not once the controller gives goals beyond it."""

@@ -111,6 +111,7 @@ def test_trials_have_seeds_of_their_own() -> None:
     assert not {trial.seed for trial in chosen} & {trial.seed for trial in pipeline.CALIBRATION}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", [DEFAULTS, pytest.param(HALF, marks=pytest.mark.slow)], ids=["defaults", "half"])
 def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setting: Setting) -> None:
     """Assert that `evetac record` with the flags of a row makes the trial of the chain: the same recipe and onset."""

@@ -135,6 +135,7 @@ def compare(one: Fired, other: Fired) -> tuple[float, float]:
     return abs(counts[0] / counts[1] - 1), float(np.median(np.abs(np.concatenate(errors))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "slices", "bandwidth_hz", "count_within", "median_us"),
     [

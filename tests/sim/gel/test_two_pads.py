@@ -65,6 +65,7 @@ def test_what_sticks_is_carried_by_stiffness(stiffness: float) -> None:
     assert np.abs(first.twist[:2]).max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.3, 1.5])
 def test_an_object_slides_past_both(factor: float) -> None:
     """Assert m a = m g - mu_k N (1 + factor) where both slide, and no slide where static friction suffices."""

@@ -53,6 +53,7 @@ def same(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return resting(folder, "bare-dvxplorer", 0), resting(folder, "bare-dvxplorer", 1)
 
 
+@pytest.mark.slow
 def test_one_sensor_twice(same: tuple[Path, Path], tmp_path: Path) -> None:
     """Assert that two recordings of one sensor differ by little, and about as its halves do; with a picture."""
     rows, outcome = compared(*same, tmp_path)

@@ -333,6 +333,7 @@ def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monke
     assert len(predictions) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "nonsense", "short", "packed", "large", "unlikely"])
 def test_what_was_kept_and_is_damaged_is_judged_again(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str

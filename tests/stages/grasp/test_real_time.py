@@ -321,6 +321,7 @@ def test_a_gripper_that_is_not_there(
     assert "moves now" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_virtual_grasp(tmp_path: Path) -> None:
     """Assert that it is whole: every slice with its truth, every step with its command and its times, valid."""
     params = Grasp(camera="virtual", **PATIENT)  # type: ignore[arg-type]

@@ -66,6 +66,7 @@ def bounded() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [

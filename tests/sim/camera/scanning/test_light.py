@@ -96,6 +96,7 @@ def cut_place(t_ms: float) -> Place:
     return Place(np.zeros(2), 0.0, np.full(FRAME[1], 68.0 + 0.5 * math.sin(t_ms / 15)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
 @pytest.mark.parametrize("leak_hz", [0.0, 10.0])
 def test_bounds_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
