@@ -45,7 +45,7 @@ class Export:
         "aedat4",
         "aedat4: for DV and dv-processing; dsec: HDF5 as in the DSEC data set; text: `t_us x y p` a line;"
         " raw: Prophesee's RAW, EVT3; raw-evt2: the same, EVT2; dat: Prophesee's DAT;"
-        " mcap: ROS 2 messages, with dots, forces, labels, gripper and control;"
+        " mcap: ROS 2 messages, with dots, forces, labels, gripper, control and other streams;"
         " calibration: the dot grid as JSON, or with -o NAME.pkl as the official software's pickle;"
         " parquet: a table a recording, or with -o FOLDER one data set of all; csv: the same as text;"
         " lerobot: a LeRobotDataset v3.0 in the folder -o.",

@@ -11,7 +11,7 @@ from evetac_cli import stages
 from evetac_cli.devices import replay
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_hdf5
-from evetac_cli.formats.write import pieces, write_table
+from evetac_cli.formats.write import pieces, write_mcap, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.params.grasp import Grasp
@@ -78,6 +78,7 @@ BLOCKS = (
     (replay, "BLOCK_SLICES", 100),
     (replay, "PACKET_EVENTS", 1 << 10),
     (write_table, "BATCH_BYTES", 1 << 18),
+    (write_mcap, "BLOCK_SLICES", 100),
     *CHUNKS,
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
@@ -94,6 +95,8 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "export dsec": lambda folder, out: _export(folder, "dsec", out),
     "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
     "export parquet": lambda folder, out: _export(folder, "parquet", out),
+    "export raw": lambda folder, out: _export(folder, "raw", out),
+    "export mcap": lambda folder, out: _export(folder, "mcap", out),
 }
 SLOW = (
     "grasp again",

@@ -7,6 +7,8 @@
     /evetac/label             std_msgs/Int8 of the labels: 1 slip, 0 none, -1 not examined
     /evetac/gripper           sensor_msgs/JointState: position in rad; effort is the measured current in mA
     /evetac/gripper/goal      sensor_msgs/JointState: the goal position of a grasp, in rad
+    /evetac/streams/NAME      std_msgs/Float64MultiArray of another stream: its columns, named with their units in the
+                              layout; NAME/about std_msgs/String, NAME/image sensor_msgs/Image
     /evetac/gripper/*, control/*, truth/*      numbers of std_msgs; truth, which only a simulation knows, has dots and
                                                force too
 
@@ -22,6 +24,7 @@ mcap-ros2-support packs them byte by byte; its own writer makes folders and not 
 
 import heapq
 import math
+import re
 from collections.abc import Callable, Iterator
 from itertools import repeat
 from pathlib import Path
@@ -36,8 +39,10 @@ from evetac_cli.formats.read.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
 from evetac_cli.formats.write.pieces import note_for, t_offset_us
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.jobs import Progress
+from evetac_cli.store import streams
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import BLOCK_SLICES, Recording
+from evetac_cli.text_files import parse_json
 
 PACKET = "event_camera_msgs/msg/EventPacket"
 DEFINITION = """std_msgs/Header header
@@ -79,8 +84,10 @@ HOLDS = (
     "truth/dot_xy_px",
     "truth/normal_force_n",
     "truth/shear_force_n",
+    "streams",
     *NUMBERS,
 )
+MOST_IMAGE_BYTES = 1 << 24  # of a stream, that are read at once
 
 Messages = Iterator[tuple[int, Any]]  # time in us since the start of the recording, message
 
@@ -104,16 +111,17 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
             (NOTE_TOPIC, "std_msgs/msg/String", iter([(0, make("std_msgs/msg/String", data=note))])),
             (EVENTS_TOPIC, PACKET, make.packets(recording, progress)),
             *make.of_recording(recording),
+            *make.of_streams(recording),
             *make.of_files(files),
         ]
         schemas: dict[str, int] = {}
-        streams = []
+        queues = []
         for topic, kind, messages in topics:
             if kind not in schemas:
                 schemas[kind] = writer.register_schema(kind, "ros2msg", definition_of(kind).encode())
             channel = writer.register_channel(topic, "cdr", schemas[kind])
-            streams.append(zip(repeat((channel, kind)), messages))
-        for (channel, kind), (t_us, message) in heapq.merge(*streams, key=lambda one: one[1][0]):
+            queues.append(zip(repeat((channel, kind)), messages))
+        for (channel, kind), (t_us, message) in heapq.merge(*queues, key=lambda one: one[1][0]):
             time_ns = (offset_us + t_us) * US_NS
             writer.add_message(channel, time_ns, serialise(message, kind), time_ns)
         writer.finish()
@@ -223,6 +231,50 @@ class _Messages:
             )
             yield "/evetac/truth/dots", "sensor_msgs/msg/PointCloud2", self._true_dots(recording)
 
+    def of_streams(self, recording: Recording) -> Iterator[tuple[str, str, Messages]]:
+        """Topics of the other streams of the trial; without samples of times before the source's clock began."""
+        paths = recording.contents()
+        for name in streams.names(paths):
+            group, topic = f"{streams.GROUP}/{name}", f"/evetac/streams/{re.sub('[^A-Za-z0-9_]', '_', name)}"
+            about = recording.read(f"{group}/about")
+            yield f"{topic}/about", "std_msgs/msg/String", iter([(0, self("std_msgs/msg/String", data=about))])
+            columns = [path.rpartition("/")[2] for path in paths if path.startswith(f"{group}/")]
+            columns = [column for column in columns if column not in streams.TAKEN]
+            if columns:
+                units = dict(parse_json(about)).get("units")
+                units = units if isinstance(units, dict) else {}
+                label = ", ".join(f"{column} [{units[column]}]" if column in units else column for column in columns)
+                yield topic, "std_msgs/msg/Float64MultiArray", self._columns(recording, group, columns, label)
+            if f"{group}/frames" in paths:
+                yield f"{topic}/image", "sensor_msgs/msg/Image", self._images(recording, group)
+
+    def _columns(self, recording: Recording, group: str, columns: list[str], label: str) -> Messages:
+        size = len(columns)
+        dimension = self("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=size)
+        layout = self("std_msgs/msg/MultiArrayLayout", dim=[dimension], data_offset=0)
+        for t_us, *row in _timed(recording, group, *columns):
+            if t_us >= -self._offset_us:
+                yield t_us, self("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array(row, np.float64))
+
+    def _images(self, recording: Recording, group: str) -> Messages:
+        _, height, width, channels = recording.contents()[f"{group}/frames"][1]
+        at_once = max(1, MOST_IMAGE_BYTES // max(1, height * width * channels))
+        for t_us, image in _timed(recording, group, "frames", at_once=at_once):
+            if t_us >= -self._offset_us:
+                yield (
+                    t_us,
+                    self(
+                        "sensor_msgs/msg/Image",
+                        header=self._header(t_us),
+                        height=height,
+                        width=width,
+                        encoding="mono8" if channels == 1 else "rgb8",
+                        is_bigendian=0,
+                        step=width * channels,
+                        data=image.reshape(-1),
+                    ),
+                )
+
     def of_files(self, files: TrialFiles) -> Iterator[tuple[str, str, Messages]]:
         """Topics of tracks, forces and labels, as far as there are any."""
         tracks, forces, labels = (files.by_kind.get(kind) for kind in ("tracks", "forces", "labels"))
@@ -309,8 +361,8 @@ def _by_slice(file: StageFile, *paths: str) -> Iterator[tuple[Any, ...]]:
         yield from zip(ends, *columns, strict=True)
 
 
-def _timed(file: StageFile, group: str, *names: str) -> Iterator[tuple[Any, ...]]:
+def _timed(file: StageFile, group: str, *names: str, at_once: int = BLOCK_SLICES) -> Iterator[tuple[Any, ...]]:
     """The time of a row of a group that has its own clock, in us, and its value in each dataset."""
-    for first in range(0, file.length(f"{group}/t_us"), BLOCK_SLICES):
-        t_us, *columns = (file.read(f"{group}/{name}", first, first + BLOCK_SLICES) for name in ("t_us", *names))
+    for first in range(0, file.length(f"{group}/t_us"), at_once):
+        t_us, *columns = (file.read(f"{group}/{name}", first, first + at_once) for name in ("t_us", *names))
         yield from zip(t_us.tolist(), *columns, strict=True)

@@ -26,6 +26,7 @@ from evetac_cli.inspect.export import run as run_export
 from evetac_cli.params.inspection import Export
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
+from evetac_cli.store.streams import Stream
 from tests import small_files
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
@@ -203,6 +204,33 @@ def test_forces_beside_it_are_taken_along(tmp_path: Path) -> None:
     for _, _, message in messages:
         force = store.deserialize_cdr(message.data, "geometry_msgs/msg/WrenchStamped").wrench.force  # type: ignore[attr-defined]
         assert (force.x, force.y) == (0.0, 0.0) and np.isnan(force.z)
+
+
+def test_other_streams_of_the_trial(tmp_path: Path) -> None:
+    """Assert that columns, their units, images and what a stream is are there, without times that ROS does not have."""
+    from rosbags.highlevel import AnyReader
+
+    images = np.arange(3 * 4 * 5 * 3, dtype=np.uint8).reshape(3, 4, 5, 3)
+    t_us = np.array([-2_000_000, -500, 7000])
+    columns = {"x": np.array([0.5, np.nan, 2.0]), "count": np.arange(3.0)}
+    arm = Stream("arm-left", t_us, columns, images, {"x": "m"}, what="an arm")
+    source = write(tmp_path / "a.recording.h5", drawn(5), 9, 10**6, more=arm.datasets())
+    assert exported(source)["left_out"] is None
+    topics: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+    with AnyReader([tmp_path / "a.mcap"]) as reader:
+        for connection, time_ns, content in reader.messages():
+            topics[connection.topic].append((time_ns // 1000, reader.deserialize(content, connection.msgtype)))
+    times = [10**6 - 500, 10**6 + 7000]
+    rows = topics["/evetac/streams/arm_left"]
+    assert [at for at, _ in rows] == times
+    np.testing.assert_array_equal([m.data for _, m in rows], [[1.0, np.nan], [2.0, 2.0]])
+    assert rows[0][1].layout.dim[0].label == "count, x [m]"
+    pictures = topics["/evetac/streams/arm_left/image"]
+    assert [(at, m.encoding, m.height, m.width, m.step) for at, m in pictures] == [
+        (at, "rgb8", 4, 5, 15) for at in times
+    ]
+    np.testing.assert_array_equal([m.data.reshape(4, 5, 3) for _, m in pictures], images[1:])
+    assert '"what": "an arm"' in topics["/evetac/streams/arm_left/about"][0][1].data
 
 
 def test_files_of_another_recording_are_left_out(tmp_path: Path) -> None:
