@@ -55,7 +55,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         topic, kind, others = _choose(reader.connections, ros2, stream, where)
         if others:
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
-        foreign.left_out |= _left_out(reader.connections)
+        foreign.left_out |= _left_out(reader.connections, topic)
         first = next(_messages(reader, topic, kind, where), None)
         if first is None:
             raise InputError(f"no message on the topic {topic}", where=where, hint="a recorder that saw no camera?")
@@ -102,11 +102,11 @@ def _choose(connections: list[Any], ros2: bool, wanted: str | None, where: str) 
     return topic, topics[topic], sorted(set(topics) - {topic})
 
 
-def _left_out(connections: list[Any]) -> dict[str, int]:
-    """How many messages there are of each topic without events."""
+def _left_out(connections: list[Any], topic: str) -> dict[str, int]:
+    """How many messages there are of each other topic."""
     counts: Counter[str] = Counter()
     for one in connections:
-        if one.msgtype not in TYPES and one.msgcount:
+        if one.topic != topic and one.msgcount:
             counts[f"messages on {one.topic} ({one.msgtype})"] += one.msgcount
     return dict(counts)
 
