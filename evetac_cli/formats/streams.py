@@ -24,12 +24,17 @@ def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Str
     source: a file, or FILE:/TOPIC of a bag. folder: on whose disk the samples wait.
     """
     path, topic = _parted(source)
-    if _is_bag(path):
-        stream, notes = read_bag_stream(path, topic, folder)
-    elif topic:
-        raise InputError("only a bag has topics", where=str(path), found=topic)
-    else:
-        stream, notes = read_table(path, folder)
+    try:
+        if _is_bag(path):
+            stream, notes = read_bag_stream(path, topic, folder)
+        elif topic:
+            raise InputError("only a bag has topics", where=str(path), found=topic)
+        else:
+            stream, notes = read_table(path, folder)
+    except OSError as error:
+        raise InputError("cannot be read", where=str(path), found=error.strerror or str(error)) from error
+    except MemoryError as error:
+        raise InputError("does not fit in memory", where=str(path), hint="a damaged file?") from error
     back = np.flatnonzero(stream.t_us[1:] < stream.t_us[:-1])
     if len(back):
         at = int(back[0])

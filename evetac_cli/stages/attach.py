@@ -71,7 +71,7 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,), content=digest.hexdigest())
         made = not up_to_date(job.output, recipe, force=force)
         if made:
-            lengths = {path: shape[0] for path, (_, shape) in recording.contents().items() if shape}
+            lengths = {path: shape[0] for path, shape in _with_rows(recording).items()}
             columns = (item for one in added for item in one.datasets().items())
             lengths |= {path: len(values) for path, values in columns if not isinstance(values, str)}
             write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added, progress), lengths)
@@ -87,16 +87,23 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 
 
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
-    """Numbers and texts: what has no rows."""
-    there = {path: recording.read(path) for path, (_, shape) in recording.contents().items() if not shape}
+    """Numbers and texts, which have no rows, and what is known of the sensor: its frame is what events are held to."""
+    rows = _with_rows(recording)
+    there = {path: recording.read(path) for path in recording.contents() if path not in rows}
     return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+
+
+def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
+    """Shapes of what may be long."""
+    shapes = {path: shape for path, (_, shape) in recording.contents().items()}
+    return {path: shape for path, shape in shapes.items() if shape and not path.startswith("sensor/")}
 
 
 def _blocks(
     recording: Recording, added: Sequence[Stream], progress: Callable[[float, float], None]
 ) -> Iterator[dict[str, Any]]:
     """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
-    there = {path: shape for path, (_, shape) in recording.contents().items() if shape}
+    there = _with_rows(recording)
     new = {path: values for one in added for path, values in one.datasets().items() if not isinstance(values, str)}
     done, total = 0, sum(shape[0] for shape in there.values()) + sum(map(len, new.values()))
     for path in (*there, *new):

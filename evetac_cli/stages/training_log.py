@@ -38,14 +38,14 @@ def for_tensorboard(folder: Path | None, *, simulated: bool) -> Iterator[OnPoint
         return
     from torch.utils.tensorboard import SummaryWriter
 
-    with SummaryWriter(folder) as writer:  # type: ignore[no-untyped-call]
+    with SummaryWriter(folder) as writer:
 
         def point(step: int, loss: float, validation_loss: float | None) -> None:
             losses = {"training": loss, "validation": validation_loss}
             for name, value in losses.items():
                 if value is not None:
-                    writer.add_scalar(_marked(f"loss/{name}", simulated), value, step)  # type: ignore[no-untyped-call]
-            writer.flush()  # type: ignore[no-untyped-call]
+                    writer.add_scalar(_marked(f"loss/{name}", simulated), value, step)
+            writer.flush()
 
         yield point
 
@@ -54,12 +54,12 @@ def add_checkpoints(folder: Path, arrays: dict[str, Any], about: dict[str, Any],
     """Add what is known at the end: how each checkpoint did on the files that validate, and what was trained."""
     from torch.utils.tensorboard import SummaryWriter
 
-    with SummaryWriter(folder) as writer:  # type: ignore[no-untyped-call]
+    with SummaryWriter(folder) as writer:
         for step, score in zip(arrays["checkpoint/step"], arrays["checkpoint/score"], strict=True):
             name = _marked("score on validation trajectories", simulated)
-            writer.add_scalar(name, float(score), int(step))  # type: ignore[no-untyped-call]
+            writer.add_scalar(name, float(score), int(step))
         lines = "".join(f"| {name} | {value} |\n" for name, value in about.items())
-        writer.add_text("training", f"| | |\n|---|---|\n{lines}")  # type: ignore[no-untyped-call]
+        writer.add_text("training", f"| | |\n|---|---|\n{lines}")
 
 
 def _marked(name: str, simulated: bool) -> str:

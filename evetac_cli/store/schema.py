@@ -160,7 +160,8 @@ def _missing(schema: Schema, row: Dataset, stored: Mapping[str, Any]) -> Iterato
     """Paths at which a required dataset is missing."""
     before, star, after = row.path.partition("*/")
     if star:
-        names = {path.removeprefix(before).partition("/")[0] for path in stored if path.startswith(before)}
+        inside = [path.removeprefix(before) for path in stored if path.startswith(before)]
+        names = {path.partition("/")[0] for path in inside if "/" in path}
         yield from (path for name in sorted(names) if (path := f"{before}{name}/{after}") not in stored)
         return
     group = row.path.split("/")[0]

@@ -253,7 +253,7 @@ def test_info_and_view_show_streams(recording: Path, tmp_path: Path) -> None:
     assert row["stream_wrist"] == "sensor_msgs/Image, 5 frames of 2 x 6 px, 100 Hz, 0.000 to 0.040 s"
     assert row["groups"] == "streams"
     page = tmp_path / "a.html"
-    (shown,) = view.run([output], View(), page).rows
+    (shown,) = view.run([output], View(images=20), page).rows
     assert shown["series"] == 3
     text = page.read_text()
     assert "<figcaption>wrist</figcaption>" in text

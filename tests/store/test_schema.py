@@ -262,7 +262,7 @@ def test_tables_are_sound(kind: str) -> None:
         assert row["dtype"] == "utf8" or np.dtype(row["dtype"]).name == row["dtype"], path
         assert row["meaning"], path
         limits = set(schema.Limits.__dataclass_fields__)
-        assert set(row) <= {"dtype", "dims", "unit", "meaning", "optional"} | limits, path
+        assert set(row) <= {"dtype", "dims", "unit", "meaning", "optional", "described_in"} | limits, path
 
 
 @pytest.mark.parametrize(("kind", "path"), EVERY_DATASET)

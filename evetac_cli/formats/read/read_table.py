@@ -143,7 +143,7 @@ class _Rows:
         ticks = TICKS_S[self._unit or "s"]
         self._refuse("a time that cannot be", np.abs(values.astype(np.float64)) * (1e6 / ticks) > MOST_US, values)
         if values.dtype.kind == "f":
-            return np.rint(values * (1e6 / ticks)).astype(np.int64)
+            return np.asarray(np.rint(values * (1e6 / ticks)).astype(np.int64))
         whole = values.astype(np.int64)
         return np.asarray(whole * (10**6 // ticks) if ticks <= 10**6 else whole // (ticks // 10**6))
 

@@ -28,7 +28,8 @@ def stream_panels(trial: Trial, span: tuple[int, int], notes: list[str]) -> list
     if recording is None:
         return []
     paths = recording.contents()
-    panels, left_out = [], 0
+    panels: list[Panel] = []
+    left_out = 0
     for name in streams.names(paths):
         group = f"{streams.GROUP}/{name}"
         t_s, first, _ = timed(recording, f"{group}/t_us", span)
