@@ -135,9 +135,9 @@ def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
         history = file.header["history"]
         models = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") in KINDS]
         if models != [header["id"]]:
-            found = ", ".join(id_[:12] for id_ in models) or "no model"
+            others = ", ".join(id_[:12] for id_ in models) or "no model"
             expected = f"a report of `evetac evaluate slip` on the model {header['id'][:12]} alone"
-            raise InputError("a report on something else", where=str(report), expected=expected, found=found)
+            raise InputError("a report on something else", where=str(report), expected=expected, found=others)
         command, simulated = str(file.read("command")), bool(file.header["simulated"])
         for row in parse_json(file.read("rows")):
             if "seeds" in row and "trajectories" in row:
