@@ -48,8 +48,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
     notes: list[str] = []
     added: list[Stream] = []
     with open_recording(job.inputs[0]) as recording:
-        there = streams.names(recording.contents())
-        twice = next((name for name in sources if name in there), None)
+        taken = streams.names(recording.contents())
+        twice = next((name for name in sources if name in taken), None)
         if twice:
             raise InputError(f"it has a stream {twice}", where=str(job.inputs[0]), hint="give the new one another name")
         for number, (name, source) in enumerate(sources.items()):
@@ -89,8 +89,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts, which have no rows, and what is known of the sensor: its frame is what events are held to."""
     rows = _with_rows(recording)
-    there = {path: recording.read(path) for path in recording.contents() if path not in rows}
-    return there | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+    whole = {path: recording.read(path) for path in recording.contents() if path not in rows}
+    return whole | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
 
 
 def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
@@ -103,11 +103,11 @@ def _blocks(
     recording: Recording, added: Sequence[Stream], progress: Callable[[float, float], None]
 ) -> Iterator[dict[str, Any]]:
     """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
-    there = _with_rows(recording)
+    old = _with_rows(recording)
     new = {path: values for one in added for path, values in one.datasets().items() if not isinstance(values, str)}
-    done, total = 0, sum(shape[0] for shape in there.values()) + sum(map(len, new.values()))
-    for path in (*there, *new):
-        pieces = contents.blocks(recording, path, there[path]) if path in there else _pieces(new[path])
+    done, total = 0, sum(shape[0] for shape in old.values()) + sum(map(len, new.values()))
+    for path in (*old, *new):
+        pieces = contents.blocks(recording, path, old[path]) if path in old else _pieces(new[path])
         for rows in pieces:
             yield {path: rows}
             done += len(rows)

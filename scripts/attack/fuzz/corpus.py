@@ -281,7 +281,8 @@ def _write_streams(folder: Path) -> None:
     png = cv2.imencode(".png", image)[1].reshape(-1)
     with rosbag1.Writer(folder / "trial.bag") as bag:
         for at in t_ms.tolist():
-            header = types["Header"](0, types["Time"](0, at * 10**6 + 1), "base")
+            stamp = store.types["builtin_interfaces/msg/Time"](0, at * 10**6 + 1000)
+            header = types["Header"](0, stamp, "base")
             pose = types["Pose"](types["Point"](at / 60, 0.0, 0.1), types["Quaternion"](0.0, 0.0, 0.0, 1.0))
             messages = {
                 "/pose": types["PoseStamped"](header, pose),
