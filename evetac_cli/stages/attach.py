@@ -8,6 +8,7 @@ the one that they were made from. The hash of all arrays is part of the recipe, 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +73,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         made = not up_to_date(job.output, recipe, force=force)
         if made:
             lengths = {path: shape[0] for path, shape in _with_rows(recording).items()}
-            columns = (item for one in added for item in one.datasets().items())
-            lengths |= {path: len(values) for path, values in columns if not isinstance(values, str)}
+            for one in added:
+                lengths |= one.lengths()
             write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added, progress), lengths)
     return outcome(
         job,
@@ -90,7 +91,7 @@ def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts, which have no rows, and what is known of the sensor: its frame is what events are held to."""
     rows = _with_rows(recording)
     whole = {path: recording.read(path) for path in recording.contents() if path not in rows}
-    return whole | {path: values for one in added for path, values in one.datasets().items() if isinstance(values, str)}
+    return whole | {path: text for one in added for path, text in one.texts().items()}
 
 
 def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
@@ -104,21 +105,12 @@ def _blocks(
 ) -> Iterator[dict[str, Any]]:
     """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
     old = _with_rows(recording)
-    new = {path: values for one in added for path, values in one.datasets().items() if not isinstance(values, str)}
-    done, total = 0, sum(shape[0] for shape in old.values()) + sum(map(len, new.values()))
-    for path in (*old, *new):
-        pieces = contents.blocks(recording, path, old[path]) if path in old else _pieces(new[path])
-        for rows in pieces:
-            yield {path: rows}
-            done += len(rows)
-            progress(done * len(recording) // max(1, total), len(recording))
-
-
-def _pieces(values: Any) -> Iterator[Any]:
-    """An array in pieces that memory holds: it may lie on disk."""
-    at_once = max(1, contents.BLOCK_VALUES // max(1, math.prod(values.shape[1:])))
-    for first in range(0, len(values), at_once):
-        yield values[first : first + at_once]
+    done, total = 0, sum(shape[0] for shape in old.values()) + sum(sum(one.lengths().values()) for one in added)
+    pieces = ({path: rows} for path, shape in old.items() for rows in contents.blocks(recording, path, shape))
+    for block in chain(pieces, *(one.blocks() for one in added)):
+        yield block
+        done += sum(map(len, block.values()))
+        progress(done * len(recording) // max(1, total), len(recording))
 
 
 def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
