@@ -5,6 +5,7 @@ The content decides, not the file's name. What all formats share is checked in o
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -123,7 +124,7 @@ def read_events(
     """
     path = Path(path)
     where = str(path)
-    try:
+    with _reading(where):
         try:
             foreign = _open(path, frame_px, stream)
         except FrameUnknown as unknown:
@@ -142,10 +143,6 @@ def read_events(
         finally:
             if isinstance(foreign.batches, Generator):  # a refusal leaves it with its file open
                 foreign.batches.close()
-    except OSError as error:
-        raise InputError("cannot be read", where=where, found=error.strerror or str(error)) from error
-    except MemoryError as error:
-        raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
     events = normal.stored
     notes = [*foreign.notes, *_losses(foreign, normal)]
     if note is None and not events.size:
@@ -156,7 +153,8 @@ def read_events(
     if note and not foreign.cut_short and not _lacks_events(foreign, normal):
         slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
     t_offset_us = normal.first_us + foreign.clock_us if events.size or note else 0
-    streams = _kept(path, foreign, t_offset_us, slices, frames=frames, folder=folder)
+    with _reading(where):
+        streams = _kept(path, foreign, t_offset_us, slices, frames=frames, folder=folder)
     notes += _unsaid(foreign, streams)
     return Imported(
         stored=events,
@@ -171,6 +169,16 @@ def read_events(
         left_out=foreign.left_out,
         simulated=note is not None and note.simulated,
     )
+
+
+@contextmanager
+def _reading(where: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError("cannot be read", where=where, found=error.strerror or str(error)) from error
+    except MemoryError as error:
+        raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
 
 
 def _kept(

@@ -143,7 +143,8 @@ def _streams(recording: Recording) -> dict[str, str]:
             _, height, width, _ = shapes[f"{group}/frames"][1]
             parts.append(f"{samples} frames of {width} x {height} px")
         else:
-            parts.append(f"{samples} samples of {len(columns) - 2} columns")
+            count = len(columns) - 2  # without t_us and about
+            parts.append(f"{samples} samples of {count} column{'s' * (count != 1)}")
         if samples:
             first_s, last_s = (int(recording.read(f"{group}/t_us", at, at + 1)[0]) / 1e6 for at in (0, samples - 1))
             if last_s > first_s:

@@ -49,8 +49,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
     notes: list[str] = []
     added: list[Stream] = []
     with open_recording(job.inputs[0]) as recording:
-        there = streams.names(recording.contents())
-        twice = next((name for name in sources if name in there), None)
+        taken = streams.names(recording.contents())
+        twice = next((name for name in sources if name in taken), None)
         if twice:
             raise InputError(f"it has a stream {twice}", where=str(job.inputs[0]), hint="give the new one another name")
         for number, (name, source) in enumerate(sources.items()):
@@ -90,8 +90,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
     """Numbers and texts, which have no rows, and what is known of the sensor: its frame is what events are held to."""
     rows = _with_rows(recording)
-    there = {path: recording.read(path) for path in recording.contents() if path not in rows}
-    return there | {path: text for one in added for path, text in one.texts().items()}
+    whole = {path: recording.read(path) for path in recording.contents() if path not in rows}
+    return whole | {path: text for one in added for path, text in one.texts().items()}
 
 
 def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
@@ -104,10 +104,10 @@ def _blocks(
     recording: Recording, added: Sequence[Stream], progress: Callable[[float, float], None]
 ) -> Iterator[dict[str, Any]]:
     """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
-    there = _with_rows(recording)
-    done, total = 0, sum(shape[0] for shape in there.values()) + sum(sum(one.lengths().values()) for one in added)
-    kept = ({path: rows} for path, shape in there.items() for rows in contents.blocks(recording, path, shape))
-    for block in chain(kept, *(one.blocks() for one in added)):
+    old = _with_rows(recording)
+    done, total = 0, sum(shape[0] for shape in old.values()) + sum(sum(one.lengths().values()) for one in added)
+    pieces = ({path: rows} for path, shape in old.items() for rows in contents.blocks(recording, path, shape))
+    for block in chain(pieces, *(one.blocks() for one in added)):
         yield block
         done += sum(map(len, block.values()))
         progress(done * len(recording) // max(1, total), len(recording))

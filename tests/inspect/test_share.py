@@ -50,10 +50,10 @@ def shared(*files: Path, out: Path, force: bool = False, **chosen: Any) -> dict[
 
 @pytest.fixture
 def trials(tmp_path: Path) -> Path:
-    """A data set of one trial."""
+    """A data set of one trial: its recording and tracks."""
     folder = tmp_path / "a trial"
     folder.mkdir()
-    small_files.every_kind(folder)
+    small_files.tracks(folder / "a.tracks.h5", small_files.recording(folder / "a.recording.h5"))
     return folder
 
 
@@ -89,6 +89,7 @@ def test_model_card(made: Made, tmp_path: Path) -> None:
     assert "No license" not in page
 
 
+@pytest.mark.slow
 def test_model_card_with_a_report(made: Made, tmp_path: Path) -> None:
     """Assert that the figures of an evaluation are on the page and among the fields, and no other model's are."""
     chosen = EvaluateSlip(model=made.model)

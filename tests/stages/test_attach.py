@@ -193,7 +193,7 @@ def test_parquet_says_what_csv_says(recording: Path, tmp_path: Path) -> None:
         assert about(file, "again")["clock"] == "column timestamp, whose type says its unit"
 
 
-@pytest.mark.parametrize("kind", BAGS)
+@pytest.mark.parametrize("kind", ["ros1", pytest.param("db3", marks=pytest.mark.slow), "mcap"])
 def test_bags(recording: Path, tmp_path: Path, kind: str) -> None:
     """Assert that poses, joints, plain numbers and images of a bag come out as they were put in, with their units."""
     path = bag(tmp_path, kind)

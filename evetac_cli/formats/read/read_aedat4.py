@@ -34,7 +34,7 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         header = read_header(handle, where)
         label, chosen, others = _choose(handle, header, stream, where)
         packets = walk(handle, header, chosen.number)
-        left_out = _left_out(handle, header, packets)
+        left_out = _left_out(handle, header, packets, others)
     foreign = Foreign("aedat4", choose_frame(chosen.frame_px, frame_px, where), ())
     foreign.note = read_note(chosen.note, where) if chosen.note else None
     if others:
@@ -46,33 +46,36 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     return foreign
 
 
-def _left_out(handle: BinaryIO, header: Header, packets: Packets) -> dict[str, int]:
-    """How much there is of each kind of stream that is no stream of events: by the packet table, else in packets."""
-    others = {stream.number: stream.kind for stream in header.streams if stream.kind != "EVTS"}
+def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[str, int]) -> dict[str, int]:
+    """How much there is of every other stream: by the packet table, else in packets.
+
+    events: numbers of the streams of events that were not chosen, by their labels.
+    """
+    others = {one.number: KINDS.get(one.kind, f"samples of {one.kind}") for one in header.streams if one.kind != "EVTS"}
+    others |= {number: f"events of {label}" for label, number in events.items()}
     if not any(packets.counts.get(number) for number in others):
         return {}
     load_faery("AEDAT4 needs", handle.name)
     rows = packet_table(handle, header)
     counts: Counter[str] = Counter()
-    for number, kind in others.items():
+    for number, name in others.items():
         count = packets.counts.get(number, 0)
-        name = KINDS.get(kind, f"samples of {kind}")
         if rows is not None:
             counts[name] += sum(row.elements_count for row in rows if row.track_id == number)
         elif count:  # a packet holds one frame, but many samples
-            counts[name if kind == "FRME" else f"packets of {name}"] += count
+            counts[name if name == KINDS["FRME"] else f"packets of {name}"] += count
     return {name: count for name, count in counts.items() if count > 0}
 
 
-def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) -> tuple[str, Stream, list[str]]:
-    """Label of the stream, the stream, and the labels of the other event streams.
+def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) -> tuple[str, Stream, dict[str, int]]:
+    """Label of the stream, the stream, and the numbers of the other event streams by their labels.
 
     A label is the stream's name, with the camera before it (`camera/name`) where the file has several cameras.
     """
     streams = [stream for stream in header.streams if stream.kind == "EVTS"]
     if not streams:
         kinds = dict.fromkeys(KINDS.get(stream.kind, stream.kind) for stream in header.streams)
-        held = _left_out(handle, header, walk(handle, header, -1))
+        held = _left_out(handle, header, walk(handle, header, -1), {})
         raise InputError(
             f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream",
             where=where,
@@ -83,7 +86,7 @@ def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) ->
     label = min(labels) if wanted is None else wanted
     if label not in labels:
         raise InputError("no such event stream", where=where, expected=" or ".join(sorted(labels)), found=label)
-    return label, labels[label], sorted(set(labels) - {label})
+    return label, labels[label], {other: labels[other].number for other in sorted(set(labels) - {label})}
 
 
 def _batches(path: Path, header: Header, number: int, packets: Packets, foreign: Foreign) -> Iterator[Columns]:

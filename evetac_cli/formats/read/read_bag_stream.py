@@ -72,15 +72,15 @@ def _of_topic(connections: list[Any], topic: str, where: str) -> list[Any]:
     """The connections of a topic; InputError where it is not there, of two types, or not the only one to choose."""
     others = sorted({one.topic for one in connections if one.msgtype not in TYPES})
     chosen = topic or (others[0] if len(others) == 1 else "")
-    found = [one for one in connections if one.topic == chosen]
-    if not found:
+    of_topic = [one for one in connections if one.topic == chosen]
+    if not of_topic:
         named = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
         message = "no such topic" if topic else "which topic?"
         hint = f"name it after the file, as in FILE:{others[0]}" if others else ""
         raise InputError(message, where=where, expected=named or "a topic", found=topic, hint=hint)
-    if len({one.msgtype for one in found}) > 1:
-        raise InputError("messages of several types", where=where, found=", ".join(one.msgtype for one in found))
-    return found
+    if len({one.msgtype for one in of_topic}) > 1:
+        raise InputError("messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic))
+    return of_topic
 
 
 def _decoder(kind: str, ros2: bool, digests: set[str], where: str) -> Callable[[bytes], Any]:
@@ -94,8 +94,8 @@ def _decoder(kind: str, ros2: bool, digests: set[str], where: str) -> Callable[[
         return lambda message: store.deserialize_cdr(message, kind)
     ours = store.generate_msgdef(kind)[1]
     if digests - {ours, "*"}:
-        found = ", ".join(sorted(digests))[:120]
-        raise InputError(f"{kind} has another definition here", where=where, expected=f"checksum {ours}", found=found)
+        theirs = ", ".join(sorted(digests))[:120]
+        raise InputError(f"{kind} has another definition here", where=where, expected=f"checksum {ours}", found=theirs)
     return lambda message: store.deserialize_ros1(message, kind)
 
 
@@ -129,10 +129,10 @@ class _Reader:
             self.stamped = stamp_us != 0
         return stamp_us if self.stamped else received_ns // 1000
 
-    def refuse(self, message: str, expected: str, found: str) -> None:
+    def refuse(self, message: str, expected: str, what: str) -> None:
         """InputError at the present message."""
         where = f"{self.where}: message {self.number}"
-        raise InputError(message, where=where, expected=expected[:300], found=found[:300])
+        raise InputError(message, where=where, expected=expected[:300], found=what[:300])
 
 
 class _Numbers(_Reader):
@@ -149,15 +149,15 @@ class _Numbers(_Reader):
         rows: list[list[float]] = []
         for received_ns, message in messages:
             times.append(self.time_us(received_ns, message))
-            found: dict[str, tuple[float, str]] = {}
-            _numbers(message, "", "", found)
+            numbers: dict[str, tuple[float, str]] = {}
+            _numbers(message, "", "", numbers)
             if not self._names:
-                self._names, self._units = list(found), [unit for _, unit in found.values()]
-            if list(found) != self._names or not found or len(found) > MOST_NUMBERS:
+                self._names, self._units = list(numbers), [unit for _, unit in numbers.values()]
+            if list(numbers) != self._names or not numbers or len(numbers) > MOST_NUMBERS:
                 expected = f"1 to {MOST_NUMBERS} numbers, always the same: {', '.join(self._names)}"
-                self.refuse("no column can be made of its fields", expected, ", ".join(found) or "no number")
-            rows.append([value for value, _ in found.values()])
-            infinite = next((name for name, value in zip(found, rows[-1], strict=True) if math.isinf(value)), None)
+                self.refuse("no column can be made of its fields", expected, ", ".join(numbers) or "no number")
+            rows.append([value for value, _ in numbers.values()])
+            infinite = next((name for name, value in zip(numbers, rows[-1], strict=True) if math.isinf(value)), None)
             if infinite is not None:
                 self.refuse("an infinite value", "finite values, or NaN", infinite)
             if len(rows) == MESSAGES_AT_ONCE:
@@ -176,9 +176,9 @@ class _Numbers(_Reader):
         return replace(stream, columns=columns, units=units)
 
 
-def _numbers(value: Any, name: str, unit: str, found: dict[str, tuple[float, str]]) -> None:
+def _numbers(value: Any, name: str, unit: str, numbers: dict[str, tuple[float, str]]) -> None:
     """The numbers in a field and below it, with their units, by the path of each; texts and headers are passed over."""
-    if len(found) > MOST_NUMBERS:
+    if len(numbers) > MOST_NUMBERS:
         return
     if is_dataclass(value):
         labels = getattr(value, "name", None)  # of joints, as JointState has them
@@ -188,14 +188,14 @@ def _numbers(value: Any, name: str, unit: str, found: dict[str, tuple[float, str
             path = f"{name}.{item.name}" if name else item.name
             if isinstance(inner, np.ndarray) and isinstance(labels, list) and len(labels) == len(inner):
                 for label, one in zip(labels, inner.tolist(), strict=True):
-                    found[f"{path}.{label}"] = float(one), ""
+                    numbers[f"{path}.{label}"] = float(one), ""
             elif item.name != "header":
-                _numbers(inner, path, units.get(item.name, unit), found)
+                _numbers(inner, path, units.get(item.name, unit), numbers)
     elif isinstance(value, (bool, int, float, np.number)):
-        found[name] = float(value), unit
+        numbers[name] = float(value), unit
     elif isinstance(value, (list, np.ndarray)):
         for at, one in enumerate(value[: MOST_NUMBERS + 1]):
-            _numbers(one, f"{name}.{at}", unit, found)
+            _numbers(one, f"{name}.{at}", unit, numbers)
 
 
 class _Images(_Reader):

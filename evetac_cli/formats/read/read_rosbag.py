@@ -61,7 +61,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
             foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
         if topic == EVENTS_TOPIC and ros2:
             foreign.note = _note(reader, where)
-        foreign.left_out |= _left_out(reader.connections)
+        foreign.left_out |= _left_out(reader.connections, topic)
         first = next(_messages(reader, topic, kind, where), None)
         if first is None and foreign.note is not None and not foreign.note.slices:
             foreign.frame_px = choose_frame(foreign.note.frame_px, frame_px, where)
@@ -121,11 +121,11 @@ def _note(reader: Any, where: str) -> Note | None:
     return read_note(text, where)
 
 
-def _left_out(connections: list[Any]) -> dict[str, int]:
-    """How many messages there are of each topic without events."""
+def _left_out(connections: list[Any], topic: str) -> dict[str, int]:
+    """How many messages there are of each other topic."""
     counts: Counter[str] = Counter()
     for one in connections:
-        if one.msgtype not in TYPES and (one.topic, one.msgtype) != (NOTE_TOPIC, NOTE_TYPE) and one.msgcount:
+        if one.topic not in (topic, NOTE_TOPIC) and one.msgcount:
             counts[f"messages on {one.topic} ({one.msgtype})"] += one.msgcount
     return dict(counts)
 

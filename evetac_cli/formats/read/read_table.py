@@ -68,8 +68,8 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
     with _in_words(where, pyarrow.ArrowException):
         names, types, batches = _parquet(path) if is_parquet(path) else _csv(path)
         if len(names) > MOST_COLUMNS:
-            found = f"{len(names)} columns"
-            raise InputError("too wide a table", where=where, expected=f"at most {MOST_COLUMNS} columns", found=found)
+            width = f"{len(names)} columns"
+            raise InputError("too wide a table", where=where, expected=f"at most {MOST_COLUMNS} columns", found=width)
         times = _find_times(names, where)
         numbers = [
             at
@@ -127,8 +127,8 @@ class _Rows:
             stamps = columns[0].cast(pyarrow.timestamp("us", columns[0].type.tz), safe=False)
             return np.asarray(stamps.cast("int64").to_numpy(zero_copy_only=False))
         if not (pyarrow.types.is_integer(columns[0].type) or pyarrow.types.is_floating(columns[0].type)):
-            found = f"{self._times.clock} holds {columns[0].type}"
-            raise InputError("the times are no numbers", where=self._where, found=found)
+            what = f"{self._times.clock} holds {columns[0].type}"
+            raise InputError("the times are no numbers", where=self._where, found=what)
         if len(columns) > 1:
             seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
             self._refuse("a time that cannot be", np.abs(seconds) > MOST_US // 10**6, seconds)
@@ -158,20 +158,20 @@ def _find_times(names: list[str], where: str) -> _Times:
     """The columns of times, by name: one that says its unit rather than one that does not."""
     plain = [_unit(name) for name in names]
     parts = {match["part"][0]: at for at, (name, _) in enumerate(plain) if (match := PARTS.fullmatch(name.lower()))}
-    found = []
+    candidates = []
     for at, (name, unit) in enumerate(plain):
         match = TIME.fullmatch(name.lower())
         if match:
-            found.append((match["unit"] or (unit if unit in TICKS_S else ""), at))
-    named = next((pair for pair in found if pair[0]), None)
+            candidates.append((match["unit"] or (unit if unit in TICKS_S else ""), at))
+    named = next((pair for pair in candidates if pair[0]), None)
     if named is None and len(parts) == 2:
         columns = parts["s"], parts["n"]
         return _Times(columns, "ns", " and ".join(f"column {names[at].strip()}" for at in columns))
-    if not found:
+    if not candidates:
         raise InputError(
             "no column of times", where=where, expected=f"a column named {NAMES}", found=", ".join(names)[:200]
         )
-    unit, at = named or found[0]
+    unit, at = named or candidates[0]
     return _Times((at,), unit, f"column {plain[at][0]}" + (f", in {unit}" if unit else ""))
 
 
@@ -217,21 +217,21 @@ def _csv(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
         raise InputError("its first line does not name the columns", where=where, found=line[:80])
     how = csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES), csv.ParseOptions(delimiter=delimiter)
     with csv.open_csv(where, *how) as first:
-        found = first.schema
-    times = _find_times(found.names, where).columns
+        columns = first.schema
+    times = _find_times(columns.names, where).columns
     # A column may begin with whole numbers and go on with others, so all but the times are read as floats.
     as_floats = {
         name: pyarrow.float64()
-        for at, (name, kind) in enumerate(zip(found.names, found.types, strict=True))
+        for at, (name, kind) in enumerate(zip(columns.names, columns.types, strict=True))
         if at not in times and (pyarrow.types.is_integer(kind) or pyarrow.types.is_null(kind))
     }
-    types = [as_floats.get(name, kind) for name, kind in zip(found.names, found.types, strict=True)]
+    types = [as_floats.get(name, kind) for name, kind in zip(columns.names, columns.types, strict=True)]
 
     def batches() -> Iterator[Any]:
         with csv.open_csv(where, *how, csv.ConvertOptions(column_types=as_floats)) as reader:
             yield from reader
 
-    return list(found.names), types, batches()
+    return list(columns.names), types, batches()
 
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
@@ -242,9 +242,9 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
         groups = (file.metadata.row_group(number).total_byte_size for number in range(file.metadata.num_row_groups))
         largest = max(groups, default=0)
         if not 0 <= largest <= MOST_GROUP_BYTES:
-            found = f"{largest / 1e6:,.0f} MB"
+            size = f"{largest / 1e6:,.0f} MB"
             expected = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB"
-            raise InputError("too much of it has to be read at once", where=str(path), expected=expected, found=found)
+            raise InputError("too much of it has to be read at once", where=str(path), expected=expected, found=size)
         schema = file.schema_arrow
 
     def batches() -> Iterator[Any]:

@@ -79,7 +79,8 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
     ]
-    return Card(fields, [part for part in page if part], about, {path.name: path}, written)
+    written[path.name] = path.read_bytes()  # no link: a copy of a model costs little, and may be changed
+    return Card(fields, [part for part in page if part], about, {}, written)
 
 
 NOT_EVALUATED = "No evaluation was added to this card. `evetac share MODEL REPORT` adds those of `evetac evaluate`."
@@ -110,23 +111,38 @@ def _data(header: Header) -> Iterator[dict[str, Any]]:
         made = recording["parameters"]
         scene = made.get("scene")
         name = scene.get("name") if isinstance(scene, dict) else made.get("source") and "imported"
-        key = (ROLES[number >= learned], str(name or "unknown"), str(made.get("sensor") or "unknown"))
+        labels = next((history[id_] for id_ in file["parents"] if history.get(id_, {}).get("kind") == "labels"), None)
+        labelled = str(labels["parameters"].get("method", "farneback")) if labels is not None else "none"
+        key = (ROLES[number >= learned], str(name or "unknown"), str(made.get("sensor") or "unknown"), labelled)
         groups.setdefault(key, []).append(recording)
-    for (role, scene_name, sensor), recordings in groups.items():
+    for (role, scene_name, sensor, labelled), recordings in groups.items():
         objects = {one["parameters"].get("object") for one in recordings} - {None}
         seeds = {one["seed"] for one in recordings} - {None}
         yield {
             "used": role,
             "scene": scene_name,
             "sensor": sensor,
+            "labels": labelled,
             "trajectories": len(recordings),
             "objects": ", ".join(sorted(map(str, objects), key=lambda text: (len(text), text))) or "unknown",
-            "seeds": f"{min(seeds)} to {max(seeds)}" if seeds else "none",
+            "seeds": _range(seeds),
             "simulated": "yes" if any(one["simulated"] for one in recordings) else "no",
         }
     adapted = [parent for parent in parents if parent["kind"].endswith("model")]
     for model in adapted:
-        yield {"used": "adapted from", "scene": f"model {model['id'][:12]}", "sensor": "", "trajectories": None}
+        yield {
+            "used": "adapted from",
+            "scene": f"model {model['id'][:12]}",
+            "sensor": None,
+            "labels": None,
+            "trajectories": None,
+        }
+
+
+def _range(seeds: set[int]) -> str:
+    if not seeds:
+        return "none"
+    return f"{min(seeds)}" if len(seeds) == 1 else f"{min(seeds)} to {max(seeds)}"
 
 
 def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
@@ -135,9 +151,9 @@ def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
         history = file.header["history"]
         models = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") in KINDS]
         if models != [header["id"]]:
-            found = ", ".join(id_[:12] for id_ in models) or "no model"
+            others = ", ".join(id_[:12] for id_ in models) or "no model"
             expected = f"a report of `evetac evaluate slip` on the model {header['id'][:12]} alone"
-            raise InputError("a report on something else", where=str(report), expected=expected, found=found)
+            raise InputError("a report on something else", where=str(report), expected=expected, found=others)
         command, simulated = str(file.read("command")), bool(file.header["simulated"])
         for row in parse_json(file.read("rows")):
             if "seeds" in row and "trajectories" in row:

@@ -74,6 +74,7 @@ _RECORDING = (
     "record --camera replay:{f} --out {o}/a.recording.h5",
 )
 _INSPECT = ("validate {f}", "info {f}")
+_FRAMES = "record --from {f} --frames --sort --out {o}/a.recording.h5"
 _IMPORT = ("record --from {f} --frame-size 640x480 --out {o}/a.recording.h5", "record --from {f} --sort --out {o}/")
 _ATTACH = ("attach piece.recording.h5 --out {o}/a.recording.h5 --stream arm={f}",)
 KINDS = (
@@ -167,7 +168,10 @@ KINDS = (
     Kind("AEDAT4", "events.aedat4", "bytes", _IMPORT),
     Kind("Prophesee RAW", "events.raw", "bytes", _IMPORT),
     Kind("Prophesee DAT", "events.dat", "bytes", _IMPORT),
-    *(Kind(name, file, mutation, _IMPORT) for name, (file, mutation) in event_files.FILES.items()),
+    *(
+        Kind(name, file, mutation, (*_IMPORT, *([_FRAMES] if file.endswith(".aedat4") else [])))
+        for name, (file, mutation) in event_files.FILES.items()
+    ),
     Kind("camera words", "words.bin", "bytes", ("wire words {f}",)),
     Kind("servo answers", "answers.bin", "bytes", ("wire answers {f}",)),
     Kind(
@@ -277,7 +281,8 @@ def _write_streams(folder: Path) -> None:
     png = cv2.imencode(".png", image)[1].reshape(-1)
     with rosbag1.Writer(folder / "trial.bag") as bag:
         for at in t_ms.tolist():
-            header = types["Header"](0, types["Time"](0, at * 10**6 + 1), "base")
+            stamp = store.types["builtin_interfaces/msg/Time"](0, at * 10**6 + 1000)
+            header = types["Header"](0, stamp, "base")
             pose = types["Pose"](types["Point"](at / 60, 0.0, 0.1), types["Quaternion"](0.0, 0.0, 0.0, 1.0))
             messages = {
                 "/pose": types["PoseStamped"](header, pose),

@@ -1,4 +1,4 @@
-"""Small files of events in the formats of other programs that need no library to be written: for damaging."""
+"""Small files of events in the formats of other programs, for damaging; dv-processing writes the one with an IMU."""
 
 import struct
 from pathlib import Path
@@ -23,6 +23,7 @@ FILES = {
     "AEDAT 2": ("jaer.aedat", "bytes"),
     "AEDAT 3": ("caer.aedat", "bytes"),
     "EVT2.1": ("evt21.raw", "bytes"),
+    "AEDAT4 with IMU": ("imu.aedat4", "bytes"),
 }
 
 
@@ -42,6 +43,7 @@ def write(folder: Path, events: Events) -> None:
     _hdf5(folder, table, rows)
     _aedat(folder, table)
     _evt21(folder / "evt21.raw", table)
+    _with_imu(folder / "imu.aedat4", table[:500])
 
 
 def _hdf5(folder: Path, table: np.ndarray, rows: np.ndarray) -> None:
@@ -88,3 +90,25 @@ def _evt21(path: Path, table: np.ndarray) -> None:
         words.append(p << 60 | (t & 63) << 54 | x // 32 * 32 << 43 | y << 32 | 1 << x % 32)
     head = b"% format EVT21;height=480;width=640\n% geometry 640x480\n% end\n"
     path.write_bytes(head + np.array(words, "<u8").tobytes())
+
+
+def _with_imu(path: Path, table: np.ndarray) -> None:
+    """AEDAT4 with events, IMU samples, triggers and frames."""
+    import dv_processing as dv
+
+    config = dv.io.MonoCameraWriter.Config("DAVIS")
+    config.addEventStream((640, 480))
+    config.addImuStream()
+    config.addTriggerStream()
+    config.addFrameStream((40, 30))
+    writer = dv.io.MonoCameraWriter(str(path), config)
+    for first in range(0, len(table), 100):
+        events = dv.EventStore()
+        for t, x, y, p in table[first : first + 100].tolist():
+            events.push_back(t + 1, x, y, bool(p))
+        writer.writeEventPacket(events.toPacket())
+        t = int(table[first, 0]) + 1
+        writer.writeImu(dv.IMU(t, 20.0, *range(9)))
+        writer.writeTrigger(dv.Trigger(t, dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE))
+        writer.writeFrame(dv.Frame(t, np.full((30, 40), first % 256, np.uint8)))
+    del writer

@@ -221,7 +221,10 @@ def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
     del writer
     first = read_events(path)
     assert (first.events.size, first.frame_px) == (5, (60, 50))
-    assert first.notes == ["took the event stream cam_1/events; also there: cam_10/events (choose with --stream)"]
+    assert first.notes == [
+        "took the event stream cam_1/events; also there: cam_10/events (choose with --stream)",
+        "left out: events of cam_10/events 3",
+    ]
     other = read_events(path, stream="cam_10/events")
     assert (other.events.size, other.frame_px) == (3, (100, 80))
     assert "expected: cam_1/events or cam_10/events" in refusal(path, stream="events")
