@@ -4,6 +4,9 @@ What lerobot itself makes of them: test_lerobot_library.py.
 """
 
 import json
+import resource
+import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -305,3 +308,37 @@ def test_lerobot_from_the_command_line(sources: list[Path], tmp_path: Path) -> N
     assert (result["simulated"], result["rows"][0]["episodes"], result["rows"][0]["test"]) == (True, 3, "2:3")
     run = CliRunner().invoke(app, arguments)
     assert run.exit_code == 2 and json.loads(run.stdout)["error"]["where"] == "--out"
+
+
+FULL = """
+import json, sys
+from pathlib import Path
+from evetac_cli.errors import InputError
+from evetac_cli.formats.exports import export_folder
+from evetac_cli.inspect.export import trial_files
+source, format_, out, options = sys.argv[1:]
+try:
+    export_folder([Path(source)], format_, Path(out), json.loads(options), opened=trial_files)
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("format_", "options", "most_bytes"),
+    [("lerobot", {"fps": FPS}, 1000), ("lerobot", {"fps": FPS}, 6000), ("parquet", {}, 6000)],
+)
+def test_a_full_disk_is_said_and_leaves_no_folder(
+    sources: list[Path], tmp_path: Path, format_: str, options: dict[str, int], most_bytes: int
+) -> None:
+    """Assert that a disk without room for video or tables gives words, and no part of a data set."""
+    call = [sys.executable, "-c", FULL, str(sources[0]), format_, str(tmp_path / "new" / "out"), json.dumps(options)]
+
+    def little_room() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
+
+    done = subprocess.run(call, capture_output=True, text=True, preexec_fn=little_room, check=False)
+    assert "File too large" in done.stdout, done.stderr
+    assert list(tmp_path.iterdir()) == []
