@@ -277,13 +277,13 @@ def test_what_cannot_be_built_is_refused(given: dict[str, Any], said: str) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("held_object", [BOX, BALL, 14, 20, {**BOX, "shape": "cylinder", "tilt_deg": 5.0}])
+@pytest.mark.parametrize("held_object", [BOX, BALL, 14, 20, {**BALL, "shape": "cylinder", "tilt_deg": 5.0}])
 def test_any_course_stays_finite(held_object: Any) -> None:
-    """Assert finite dots and forces within friction's bound under 200 random steps over the whole range of inputs."""
+    """Assert finite dots and forces within friction's bound under 15 random steps over the whole range of inputs."""
     drawn = rng(7)
     for options in ({}, {"gel": "closed", "readout": "ideal"}, {"sensor": "randomized"}):
         sensor = touched(held_object, **options)
-        for _ in range(200):
+        for _ in range(15):
             asked: dict[str, Any] = {"normal_n": float(drawn.uniform(0.01, 60.0)) * drawn.integers(2)}
             if drawn.uniform() < 0.5:
                 asked |= {"place_m": tuple(drawn.uniform(-0.01, 0.01, 2)), "turn_rad": float(drawn.uniform(-1, 1))}
