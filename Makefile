@@ -107,6 +107,7 @@ check: $(READY)  ## ruff, mypy --strict and the documentation, side by side
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python scripts/words.py
 
 types: $(READY)
 	$(BIN)/mypy

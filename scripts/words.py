@@ -1,4 +1,4 @@
-"""Words that the second edition gave up, and where they may not come back: 0 hits is what a test asks for.
+"""Words that the second edition gave up, and where they may not come back: `make check` asks for 0 hits.
 
     python scripts/words.py
 

@@ -1,4 +1,4 @@
-"""scripts/words.py: no word that was given up stands where it may not, and the search would see it."""
+"""scripts/words.py, which `make check` runs: it sees every kind of place."""
 
 import ast
 import sys
@@ -9,11 +9,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import words
-
-
-def test_no_old_word_stands_where_it_may_not() -> None:
-    """Assert that the table has no hit."""
-    assert [(word.old, place) for word, place in words.hits()] == []
 
 
 PLANTED = '''
