@@ -10,7 +10,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import words
 
-
 PLANTED = '''
 def look(thing: int, *, ahead: int = 0) -> None:
     """Prose is free: thing, look, told."""
