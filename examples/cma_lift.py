@@ -25,7 +25,7 @@ from evetac_cli.gym import MOST_TICKS, LiftEnv
 
 TRAINED_ON, JUDGED_ON = "1-9", "10-18"
 JUDGED_FROM = 22_000
-GRIPS = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
+GRIPS = (5.0, 10.0, 15.0, 20.0, 30.0)
 
 
 @dataclass
