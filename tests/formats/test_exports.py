@@ -285,7 +285,10 @@ def _little_room() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
 
-@pytest.mark.parametrize("format_", ["aedat4", "dsec", "text", "raw", "mcap", "csv"])  # raw: as raw-evt2 and dat
+@pytest.mark.parametrize(
+    "format_",
+    ["dsec", *(pytest.param(name, marks=pytest.mark.slow) for name in ("aedat4", "text", "raw", "mcap", "csv"))],
+)
 def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, format_: str) -> None:
     """Assert that a disk without room gives words, and no part of a file."""
     needs(format_)

@@ -195,7 +195,10 @@ def each(stages: list[Stage]) -> pytest.MarkDecorator:
 @pytest.fixture
 def folder(made: Made, tmp_path: Path) -> Path:
     """A copy of everything that was made, in a folder of its own."""
-    work = tmp_path / "work"
+    return copy_of(made, tmp_path / "work")
+
+
+def copy_of(made: Made, work: Path) -> Path:
     shutil.copytree(made.folder, work)
     shutil.copy(made.scene, work / "short.toml")
     (work / "pose.csv").write_text(POSE)
@@ -222,10 +225,8 @@ def first_run(made: Made, tmp_path_factory: pytest.TempPathFactory) -> FirstRun:
 
     @cache
     def first(stage: Stage) -> tuple[Path, Any]:
-        work = tmp_path_factory.mktemp("first") / "work"
-        shutil.copytree(made.folder, work)
-        shutil.copy(made.scene, work / "short.toml")
-        return run(stage, work, work.parent / "out")
+        place = tmp_path_factory.mktemp("first")
+        return run(stage, copy_of(made, place / "work"), place / "out")
 
     return first
 

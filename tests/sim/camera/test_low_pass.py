@@ -160,6 +160,7 @@ def test_motion_stands_for_levels(
     assert compare(plain, wanted)[1] > 0.9 * tau_us(bandwidth_hz)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bandwidth_hz", [1000.0, 3000.0])
 def test_dots_lag_by_the_mean_of_their_levels(bandwidth_hz: float) -> None:
     """Assert that a dot whose pixels are slower where it is dark makes its events as late, in the mean, as they do."""

@@ -85,6 +85,7 @@ def test_an_object_slides_past_both(factor: float) -> None:
             assert measured == pytest.approx(9.81 - 0.64 * normal_n * (1 + factor) / MASS_KG, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_second_pad_needs_its_shares() -> None:
     """Assert that shares that are missing, of another shape or not finite are a ValueError."""
     first, second = pads()
