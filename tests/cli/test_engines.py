@@ -256,6 +256,7 @@ def test_an_error_of_the_system_stays_what_it_is(tmp_path: Path, started: list[s
     assert "No space left on device" in run(started, tmp_path, "dask", "full-1").ended()["ended"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 def test_ctrl_c_of_a_terminal_stops_all(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
     """Assert that Ctrl-C, which reaches workers too, ends all of them in order and keeps what is finished."""

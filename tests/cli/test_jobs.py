@@ -160,6 +160,7 @@ def test_m9_a_signal_to_the_parent_alone_stops_the_work(
     assert not list(tmp_path.glob(".*.tmp"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 def test_a_worker_that_is_killed_is_said_in_words_and_others_go_on(tmp_path: Path, jobs: list[Jobs]) -> None:
     """Assert that each killed worker costs its own job only, also where all of the first ones are killed."""

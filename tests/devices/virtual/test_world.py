@@ -174,6 +174,7 @@ def until(world: VirtualWorld, wanted: Goals, holds: Callable[[Motion], bool]) -
     return motion
 
 
+@pytest.mark.slow
 def test_finger_follows_the_servo(world: VirtualWorld) -> None:
     """Assert that the finger starts where the scene has it, closes under current, and opens towards a goal position."""
     started = world.plant.advance(Goals(), 0.0).position_ticks

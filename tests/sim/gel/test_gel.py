@@ -160,6 +160,7 @@ def test_linear_stick_against_radau():
     assert errors[2] < errors[0] / 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "material", [dataclasses.replace(DRY, shear_modulus_pa=1e12), GelMaterial(shear_modulus_pa=1e12)]
 )

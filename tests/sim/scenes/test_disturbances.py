@@ -235,6 +235,7 @@ def test_what_cannot_be_is_said() -> None:
         rig(lit, np.random.SeedSequence(0))
 
 
+@pytest.mark.slow
 def test_flicker_reaches_the_camera() -> None:
     """Assert that a deep flicker makes all pixels fire both ways in each of its periods, and equally in all."""
     lit = held({"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.3}}})

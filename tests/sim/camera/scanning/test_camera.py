@@ -631,6 +631,7 @@ def test_model_refuses(change: dict[str, Any]) -> None:
         CameraModel(**change)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [pytest.param(None, marks=pytest.mark.slow), STRIP])
 def test_leak_makes_its_rate(window: Any) -> None:
     """Assert sum_k clip((n - k) / 2, 0, 1) ON events a pixel after n / leak_hz seconds, from random phases."""
