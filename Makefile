@@ -15,6 +15,9 @@ LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
+# Modules are kept compiled, whatever the environment says: the tests start hundreds of processes.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
 	data-rate force grasp-table grasp-shipped results film test test-all test-lowest lerobot check lint types docs bench clean
