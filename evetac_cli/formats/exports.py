@@ -24,7 +24,7 @@ from evetac_cli.formats.write import (
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
-from evetac_cli.store.disk import folder_taking_the_place_of, taking_the_place_of
+from evetac_cli.store.disk import folder_taking_the_place_of, require_replaceable, taking_the_place_of
 from evetac_cli.store.files import stem
 from evetac_cli.store.read import Recording
 
@@ -157,7 +157,8 @@ def export_folder(
     require_possible_name(folder)
     row = FORMATS[format_]
     assert row.write_folder is not None
-    with folder_taking_the_place_of(folder, row.suffixes, force=force) as temporary:
+    require_replaceable(folder, row.suffixes, force=force)
+    with folder_taking_the_place_of(folder) as temporary:
         written = row.write_folder(sources, opened, temporary, progress, **options)
         sizes = [path.stat().st_size for path in temporary.rglob("*") if path.is_file()]
     return {

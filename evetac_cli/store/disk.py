@@ -116,13 +116,11 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
 
 
 @contextmanager
-def folder_taking_the_place_of(path: Path, endings: tuple[str, ...], *, force: bool = False) -> Iterator[Path]:
+def folder_taking_the_place_of(path: Path) -> Iterator[Path]:
     """A new folder to write into, which takes the place of `path` when the block ends well, and leaves no trace else.
 
-    InputError where something is there already, but for an empty folder, and with `force` a folder in which all files
-    end in one of `endings`: what somebody else keeps there is never removed.
+    Whether what is there may be replaced, whoever calls it asks before. InputError if the disk does not take it.
     """
-    _check_replaceable(path, endings, force=force)
     made = missing_folders(path.parent)
     temporary = temporary_name(path)
     before = temporary.with_name(f"{temporary.name.removesuffix('.tmp')}.before.tmp")
@@ -145,7 +143,11 @@ def folder_taking_the_place_of(path: Path, endings: tuple[str, ...], *, force: b
             before.replace(path)
 
 
-def _check_replaceable(path: Path, endings: tuple[str, ...], *, force: bool) -> None:
+def require_replaceable(path: Path, endings: tuple[str, ...], *, force: bool) -> None:
+    """InputError where something is there already, but for an empty folder, and with `force` one of ours.
+
+    That is one in which all files end in one of `endings`: what somebody else keeps there is never removed.
+    """
     if not os.path.lexists(path):
         existing_folder(path.parent)
         return

@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
-from evetac_cli.inspect import share
+from evetac_cli.inspect import export, share
 from evetac_cli.params.evaluation import EvaluateSlip
-from evetac_cli.params.inspection import Share
+from evetac_cli.params.inspection import Export, Share
 from evetac_cli.stages.evaluate import slip
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
@@ -135,6 +135,19 @@ def test_data_card(trials: Path, tmp_path: Path) -> None:
     assert about["figures"]["trials"] == 1
     assert about["figures"]["duration_s"] == small_files.SLICES / 1000
     assert {one["kind"]: one["files"] for one in about["files"]}["recording"] == 1
+
+
+@pytest.mark.parametrize("format_", ["parquet", "csv"])
+def test_tables_of_simulated_trials_say_so(trials: Path, tmp_path: Path, format_: str) -> None:
+    """Assert that a folder with nothing but exported tables is simulated where one of them is."""
+    pytest.importorskip("pyarrow")
+    tables = tmp_path / "tables"
+    tables.mkdir()
+    export.run([trials / "a.recording.h5"], Export(format=format_), tables)
+    assert {path.suffix for path in tables.rglob("*") if path.is_file()} == {f".{format_}"}
+    shared(tables, out=tmp_path / "hub")
+    assert "simulated" in fields(tmp_path / "hub")["tags"]
+    assert "**Simulated.**" in (tmp_path / "hub" / "README.md").read_text()
 
 
 def test_other_disks_get_a_copy(trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,9 +12,11 @@ has nothing to put into one, it is null. Where the object or sensor of a trial i
 too: pandas reads no folder that stands for null.
 """
 
+import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -32,6 +34,7 @@ from evetac_cli.formats.write.slice_columns import (
 )
 from evetac_cli.jobs import Progress
 from evetac_cli.store.index import LARGEST
+from evetac_cli.text_files import parse_json
 
 BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
 PARTITIONS = ("object", "sensor")
@@ -67,6 +70,23 @@ def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
         for batch in _batches(arrow, table, files, columns, facts, progress):
             writer.write_batch(batch)
     return [*files.notes, *not_in_tables(files.recording)]
+
+
+def is_simulated(path: Path) -> bool:
+    """Whether a table, Parquet or CSV, was exported from a simulated trial; False of tables of others.
+
+    InputError where a Parquet file cannot be read.
+    """
+    if path.suffix == ".csv":
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
+            first = next(csv.DictReader(islice(file, 2)), {})
+        return first.get("simulated") == "true"
+    arrow = load_pyarrow(str(path))
+    try:
+        said = parse_json((arrow.parquet.read_schema(path).metadata or {}).get(b"evetac", b"{}").decode())
+    except ValueError as error:  # Arrow's errors are such, too
+        raise InputError("no Parquet that can be read", where=str(path), found=str(error)[:200]) from None
+    return isinstance(said, dict) and said.get("simulated") is True
 
 
 def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:

@@ -7,7 +7,6 @@ large one takes no room twice: evetac never changes a file that it has made, it 
 import json
 import os
 import shutil
-from contextlib import suppress
 from pathlib import Path
 
 from evetac_cli.console import plain
@@ -16,7 +15,7 @@ from evetac_cli.inspect.share import data_card, model_card
 from evetac_cli.inspect.share.markdown import Card
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.params.inspection import Share
-from evetac_cli.store.disk import existing_folder, missing_folders, remove_empty, temporary_name
+from evetac_cli.store.disk import existing_folder, folder_taking_the_place_of
 from evetac_cli.store.files import stem
 
 CARD = "card.json"
@@ -62,33 +61,20 @@ def _check_free(target: Path, source: Path, force: bool) -> None:
 
 
 def _lay_out(target: Path, card: Card, progress: Progress) -> int:
-    """Write everything beside its place, then rename; bytes of all files."""
-    made = missing_folders(target.parent)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = temporary_name(target)
+    """Write or link all files of the folder; their bytes."""
+    texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
     size = 0
-    try:
-        temporary.mkdir()
-        texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
+    with folder_taking_the_place_of(target) as folder:
         for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
-            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
-            (temporary / name).write_bytes(content)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
             size += len(content)
         for number, (name, source) in enumerate(card.links.items()):
             progress(number, len(card.links))
-            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(source.resolve(), temporary / name)
+                os.link(source.resolve(), folder / name)
             except OSError:  # another disk, or one that has no links
-                shutil.copyfile(source, temporary / name)
-            size += (temporary / name).stat().st_size
-        if target.is_dir():
-            shutil.rmtree(target)
-        temporary.rename(target)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", where=str(target)) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        with suppress(OSError):
-            remove_empty(made)
+                shutil.copyfile(source, folder / name)
+            size += (folder / name).stat().st_size
     return size

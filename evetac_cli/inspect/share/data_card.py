@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.write.write_table import is_simulated
 from evetac_cli.inspect.share.markdown import Card, inline, opening, shared_fields, table
 from evetac_cli.jobs import Progress
 from evetac_cli.params.inspection import Share
@@ -46,7 +47,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
     links |= {f"data/{path.relative_to(folder)}": path for path in others}
     trials = {row.recording or row.path: row for row in rows if row.kind != "recording" and row.recording}
     trials |= {row.recording or row.path: row for row in rows if row.kind == "recording"}
-    simulated = any(row.simulated for row in rows)
+    simulated = any(row.simulated for row in rows) or any(is_simulated(path) for path in others)
     title = params.title or folder.resolve().name
     seconds = sum(row.slices or 0 for row in trials.values()) / 1000
     figures: dict[str, Any] = {

@@ -9,7 +9,7 @@ from typing import Any
 from evetac_cli.console import format_value
 
 NO_LICENSE = "**No license is chosen.** Before you upload this, write one into the field `license` above."
-SIMULATED = "**Simulated.** All data and every figure on this page come from a simulation."
+SIMULATED = "**Simulated.** Data and figures on this page come from a simulation, all of them or some."
 TAGS = ("tactile", "event-camera", "robotics", "evetac")
 
 

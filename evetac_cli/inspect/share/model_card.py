@@ -75,7 +75,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         *([table([_shown(one) for one in judged])] if judged else [NOT_EVALUATED]),
         *([ON_VALIDATION] if score is not None else []),
         "## Limits",
-        LIMITS_SIMULATED if simulated else LIMITS,
+        LIMITS if any(row.get("simulated") == "no" for row in data) else LIMITS_SIMULATED,
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
     ]
