@@ -14,14 +14,16 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.formats.read import read_aedat2, read_aedat3, read_numpy, read_prophesee, read_rosbag
+from evetac_cli.formats.read import read_numpy, read_prophesee
+from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
+from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
+from evetac_cli.formats.read.bags import read_rosbag
+from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
-from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_prophesee import open_prophesee
-from evetac_cli.formats.read.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.streams import Stream

@@ -11,8 +11,8 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.imports import BAG
-from evetac_cli.formats.read.read_bag_stream import read_bag_stream
-from evetac_cli.formats.read.read_rosbag import is_bag_folder
+from evetac_cli.formats.read.bags.read_bag_stream import read_bag_stream
+from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder
 from evetac_cli.formats.read.read_table import read_table
 from evetac_cli.store.streams import Stream
 from evetac_cli.text_files import open_regular

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.aedat4_packets import (
+from evetac_cli.formats.read.aedat.aedat4_packets import (
     KINDS,
     Header,
     decoded,
@@ -22,9 +22,9 @@ from evetac_cli.formats.read.aedat4_packets import (
     read_header,
     walk,
 )
+from evetac_cli.formats.read.bags.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
+from evetac_cli.formats.read.bags.read_rosbag import open_bag
 from evetac_cli.formats.read.faery_library import scratch_file
-from evetac_cli.formats.read.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
-from evetac_cli.formats.read.read_rosbag import open_bag
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.aedat4_packets import COMPRESSIONS, EVENT, description, is_whole
+from evetac_cli.formats.read.aedat.aedat4_packets import COMPRESSIONS, EVENT, description, is_whole
 from evetac_cli.formats.read.faery_library import load_faery
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress

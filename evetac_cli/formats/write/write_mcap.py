@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, install_hint
 from evetac_cli.events import SLICE_US
-from evetac_cli.formats.read.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
+from evetac_cli.formats.read.bags.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
 from evetac_cli.formats.write.pieces import note_for, t_offset_us
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.jobs import Progress

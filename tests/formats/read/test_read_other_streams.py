@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from evetac_cli.formats.imports import Imported, read_events
-from evetac_cli.formats.read.aedat4_packets import read_header, walk
+from evetac_cli.formats.read.aedat.aedat4_packets import read_header, walk
 from evetac_cli.inspect import info
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
-from tests.formats.read.test_read_aedat4 import store
+from tests.formats.read.aedat.test_read_aedat4 import store
 from tests.importing import real
 
 START_US = 1_600_000_000_000_000

@@ -19,8 +19,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import read_rosbag
-from evetac_cli.formats.read.ros_messages import Packet, mono
+from evetac_cli.formats.read.bags import read_rosbag
+from evetac_cli.formats.read.bags.ros_messages import Packet, mono
 from evetac_cli.formats.write import write_mcap
 from evetac_cli.inspect.export import run as run_export
 from evetac_cli.params.inspection import Export

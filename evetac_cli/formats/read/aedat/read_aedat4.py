@@ -10,7 +10,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import read_note
-from evetac_cli.formats.read.aedat4_packets import (
+from evetac_cli.formats.read.aedat.aedat4_packets import (
     KINDS,
     Header,
     Packets,

@@ -16,10 +16,18 @@ from typing import Any
 from evetac_cli.errors import InputError, install_hint
 from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read import read_prophesee
+from evetac_cli.formats.read.bags.ros_messages import (
+    Fields,
+    Packet,
+    Part,
+    decoder,
+    event_array,
+    event_packet,
+    evetac_image,
+)
+from evetac_cli.formats.read.bags.rosbag_unpacking import limit_unpacking
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
 from evetac_cli.formats.read.faery_library import scratch_file
-from evetac_cli.formats.read.ros_messages import Fields, Packet, Part, decoder, event_array, event_packet, evetac_image
-from evetac_cli.formats.read.rosbag_unpacking import limit_unpacking
 from evetac_cli.text_files import open_regular, read_bytes
 
 SQLITE = b"SQLite format 3\x00"

@@ -14,7 +14,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import aedat4_packets, read_aedat4
+from evetac_cli.formats.read.aedat import aedat4_packets, read_aedat4
 from tests.importing import FRAME, real, refusal, same
 
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import read_rosbag
-from evetac_cli.formats.read.ros_messages import Fields, LibcaerCompressed, Packet, event_array
+from evetac_cli.formats.read.bags import read_rosbag
+from evetac_cli.formats.read.bags.ros_messages import Fields, LibcaerCompressed, Packet, event_array
 from tests.importing import event_rows, refusal
 
 rosbags = pytest.importorskip("rosbags.rosbag1")

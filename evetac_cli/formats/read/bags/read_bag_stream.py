@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, install_hint
-from evetac_cli.formats.read.read_rosbag import TYPES, bag_in_words, open_bag
+from evetac_cli.formats.read.bags.read_rosbag import TYPES, bag_in_words, open_bag
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import LARGEST_FRAME_PX, Stream, free_name
 
