@@ -8,7 +8,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
 from evetac_cli.inspect.share.markdown import Card, inline, opening, shared_fields, table
 from evetac_cli.params.inspection import Share
-from evetac_cli.stages.training_log import course
+from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.index import recording_of
 from evetac_cli.store.provenance import Header

@@ -41,8 +41,8 @@ from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import predict, read_trajectory, read_weights
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
-from evetac_cli.stages.train_networks import Networks, state_file
-from evetac_cli.stages.training_log import add_checkpoints, log_folder, require_tensorboard, write_course
+from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
+from evetac_cli.stages.train.networks import Networks, state_file
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 

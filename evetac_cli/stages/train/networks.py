@@ -22,7 +22,7 @@ from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
 from evetac_cli.stages.splits import Fold
-from evetac_cli.stages.training_log import for_tensorboard
+from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.disk import existing_folder, taking_the_place_of
 from evetac_cli.store.provenance import Recipe
 

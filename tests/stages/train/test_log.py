@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.errors import EvetacError
 from evetac_cli.params.learning import Train
 from evetac_cli.stages import train
-from evetac_cli.stages.training_log import for_tensorboard
+from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.files import StageFile
 from tests.conftest import Made
 
