@@ -165,7 +165,9 @@ def test_the_card_says_what_is_simulated(out: Path, sources: list[Path]) -> None
     """Assert that the card and the file beside it name simulation, rule, objects and recipes, and the split of each."""
     card = (out / "README.md").read_text()
     head, _, text = card.removeprefix("---\n").partition("\n---\n")
-    assert "- LeRobot" in head and "- simulated" in head
+    fields = dict(line.split(": ", 1) for line in head.splitlines())
+    assert {"LeRobot", "simulated"} <= set(json.loads(fields["tags"]))
+    assert json.loads(fields["license_name"]) == "not-chosen"
     assert "**Simulated.** All episodes are from evetac's simulator" in text
     assert "the mean of the frame's slices" in text
     assert "| 8 | evetac | slips | train | 2 |" in text and "| 3 | evetac | slips | test | 1 |" in text

@@ -72,7 +72,7 @@ SECTIONS = (
     Section(
         "vibration",
         "Vibration",
-        "Windows in which the frequency of the tone is evaluation.",
+        "Windows in which the frequency of the tone is found.",
         "evetac evaluate vibration FOLDER",
     ),
     Section(

@@ -12,7 +12,7 @@ from pathlib import Path
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.inspect.share import data_card, model_card
-from evetac_cli.inspect.share.markdown import Card
+from evetac_cli.inspect.share.card import Card
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.params.inspection import Share
 from evetac_cli.store.disk import existing_folder, folder_taking_the_place_of

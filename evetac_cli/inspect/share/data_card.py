@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.write.hub_card import card_fields, inline
 from evetac_cli.formats.write.write_table import is_simulated
-from evetac_cli.inspect.share.markdown import Card, inline, opening, shared_fields, table
+from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.jobs import Progress
 from evetac_cli.params.inspection import Share
 from evetac_cli.store.index import Row, open_index
@@ -78,7 +79,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         "recipe_ids": sorted({row.recipe_id for row in rows if row.kind == "recording" and row.recipe_id}),
     }
     fields = {
-        **shared_fields(simulated, params.license),
+        **card_fields(simulated, params.license),
         "pretty_name": title,
         "task_categories": ["robotics"],
         "size_categories": [next((name for most, name in SIZES if len(trials) < most), LARGER)],

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.write.hub_card import card_fields, inline
 from evetac_cli.inspect import info
-from evetac_cli.inspect.share.markdown import Card, inline, opening, shared_fields, table
+from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.params.inspection import Share
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
@@ -58,7 +59,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "evaluations": judged,
         "made": header.get("made", {}),
     }
-    fields = shared_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
+    fields = card_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
     if judged:
         fields["model-index"] = [{"name": title, "results": [_result(one) for one in judged]}]
     page = [
