@@ -19,7 +19,7 @@ def main() -> None:
         raise KeyboardInterrupt
 
     def show(swallowed: "sys.UnraisableHookArgs") -> None:
-        if not isinstance(swallowed.exc_value, KeyboardInterrupt):
+        if not came and not isinstance(swallowed.exc_value, KeyboardInterrupt):
             sys.__unraisablehook__(swallowed)
 
     sys.unraisablehook = show

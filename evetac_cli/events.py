@@ -60,6 +60,27 @@ def slice_starts(t_us: NDArray[np.int64], slices: int) -> NDArray[np.int64]:
     return np.searchsorted(t_us, np.arange(slices + 1, dtype=np.int64) * SLICE_US).astype(np.int64)
 
 
+class SliceStarts:
+    """What `slice_starts` gives, of events in the order of their time that arrive in blocks."""
+
+    def __init__(self) -> None:
+        self._known: list[NDArray[np.int64]] = []
+        self._slices = self._events = 0  # whose starts are known; that came
+
+    def add(self, t_us: NDArray[np.int64]) -> None:
+        """Take the times of the next events."""
+        if t_us.size:
+            last = int(t_us[-1]) // SLICE_US
+            edges = np.arange(self._slices, last + 1, dtype=np.int64) * SLICE_US
+            self._known.append(self._events + np.searchsorted(t_us, edges))
+            self._slices, self._events = last + 1, self._events + t_us.size
+
+    def finish(self, slices: int) -> NDArray[np.int64]:
+        """Index of the first event of every slice, and the total: shape (slices + 1,)."""
+        rest = np.full(slices + 1 - self._slices, self._events, np.int64)
+        return np.concatenate([*self._known, rest])
+
+
 class Slicer:
     """Cuts a stream that arrives in packets, however they are cut, into slices of 1 ms; empty slices included.
 

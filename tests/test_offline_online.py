@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.events import SLICE_US, Events, Slicer, concatenate, empty, slice_starts
+from evetac_cli.events import SLICE_US, Events, Slicer, SliceStarts, concatenate, empty, slice_starts
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
@@ -128,3 +128,14 @@ def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
         step_slip = recording.read("control/slip")
     slips = np.concatenate([[0], np.cumsum(is_slip(offline, Grasp().slip_threshold))])
     np.testing.assert_array_equal(step_slip, np.diff(slips[last_seen + 1], prepend=0) > 0)
+
+
+@given(st.lists(st.integers(0, 9000), max_size=40), st.lists(st.integers(0, 40), max_size=5), st.integers(0, 3))
+def test_slice_starts_of_blocks(times: list[int], cuts: list[int], empty_slices: int) -> None:
+    """Assert that starts are the same however the events were cut into blocks, with empty slices at the end."""
+    t = np.sort(np.array(times, np.int64))
+    slices = (int(t[-1]) // SLICE_US + 1 if t.size else 0) + empty_slices
+    starts = SliceStarts()
+    for block in np.split(t, sorted(min(cut, t.size) for cut in cuts)):
+        starts.add(block)
+    assert starts.finish(slices).tolist() == slice_starts(t, slices).tolist()

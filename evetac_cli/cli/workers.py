@@ -57,8 +57,11 @@ def _catch(*, every: bool) -> None:
 
 
 def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
-    """Print what was raised where nobody could catch it, but for an interrupt, which is remembered."""
-    if not isinstance(swallowed.exc_value, KeyboardInterrupt):
+    """Print what was raised where nobody could catch it, but for an interrupt, which is remembered, and what follows.
+
+    An object that an interrupt left half made may raise at its own end.
+    """
+    if not _came and not isinstance(swallowed.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(swallowed)
 
 

@@ -8,24 +8,24 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.formats.read import read_numpy, read_prophesee
 from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
 from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder, open_rosbag
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
-from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.jobs import Progress, silent
+from evetac_cli.store.disk import leave_if_interrupted
 from evetac_cli.store.streams import Stream
 
 EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
@@ -77,10 +77,10 @@ OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
 
 
 @dataclass(frozen=True)
-class Imported:
-    """The events of another program's file, in our columns."""
+class Facts:
+    """What is known of another program's file once its events were read."""
 
-    stored: EventsOnDisk  # the first one at t = 0, unless the file says when its recording began
+    size: int  # events; the first one at t = 0, unless the file says when its recording began
     frame_px: tuple[int, int]  # width, height
     t_offset_us: int  # where t = 0 is in the file's own clock
     slices: int  # up to and with the slice of the last event; 0 without events; more where an export of ours had more
@@ -90,87 +90,120 @@ class Imported:
     notes: list[str]  # what the user should know: other streams, losses, what was assumed and what was left out
     streams: list[Stream]  # IMU samples, triggers, frames: in the recording's clock
     left_out: dict[str, int]  # what the file holds beside these events, and how much of it: frames, IMU samples, ...
-    simulated: bool = False  # an export of ours says that its events come from a simulation
-
-    @property
-    def events(self) -> Events:
-        """All events, in memory; `stored.blocks()` gives them in blocks."""
-        return self.stored.all()
+    simulated: bool  # an export of ours says that its events come from a simulation
 
 
-def read_events(
-    path: str | Path,
-    *,
-    frame_px: tuple[int, int] | None = None,
-    sort: bool = False,
-    stream: str | None = None,
-    frames: bool = False,
-    folder: Path | None = None,
-    progress: Progress = silent,
-) -> Imported:
-    """Read another program's event file: all of it or an InputError; of a damaged AEDAT4 file what is intact.
+@dataclass(frozen=True)
+class Imported(Facts):
+    """The events of another program's file, in our columns, in memory."""
 
-    folder: on whose disk the events wait; the one for temporary files otherwise.
-    frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
-    HDF5), that of the smallest known sensor that holds all events, and a note says so.
-    frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
-    path: a file, or the folder of a ROS 2 bag.
-    progress: of the events that were read; how many there will be, no format says.
-    sort: put events whose time goes backwards in order (stable) instead of refusing them.
-    stream: the event stream of an AEDAT4 file, the topic of a bag, the camera of an HDF5 file, or the array of an npz,
-    that has several; the first by name otherwise.
+    events: Events
+
+
+class EventFile:
+    """Another program's event file: its frame at once, then its events in blocks, and with the last of them its facts.
 
     The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms lies in
     the third slice. A file without any event is a recording without any where the format says that it is whole
     (AEDAT4 that was closed, HDF5, an export of ours), and refused elsewhere.
     """
-    path = Path(path)
-    where = str(path)
-    with _reading(where):
-        try:
-            foreign = _open(path, frame_px, stream)
-        except FrameUnknown as unknown:
-            foreign = _open_with_guessed_frame(path, stream, unknown)
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        frame_px: tuple[int, int] | None = None,
+        sort: bool = False,
+        stream: str | None = None,
+        frames: bool = False,
+        folder: Path | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        """Recognize the file and find its frame; InputError for what is no event file.
+
+        folder: on whose disk events wait that are to be sorted; the one for temporary files otherwise.
+        frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
+        HDF5), that of the smallest known sensor that holds all events, and a note says so.
+        frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
+        path: a file, or the folder of a ROS 2 bag.
+        progress: of the events that were read; how many there will be, no format says.
+        sort: put events whose time goes backwards in order (stable) instead of refusing them.
+        stream: the event stream of an AEDAT4 file, the topic of a bag, the camera of an HDF5 file, or the array of an
+        npz, that has several; the first by name otherwise.
+        """
+        self._path, self._where = Path(path), str(path)
+        self._sort, self._frames, self._folder, self._progress = sort, frames, folder, progress
+        with _reading(self._where):
+            try:
+                self._foreign = _open(self._path, frame_px, stream)
+            except FrameUnknown as unknown:
+                self._foreign = _open_with_guessed_frame(self._path, stream, unknown)
+        self.frame_px = self._foreign.frame_px
+
+    def blocks(self) -> Iterator[Events]:
+        """All events in the order of their time; after them there is `facts`.
+
+        InputError, as late as after the last block, where the file cannot be used: then all of them are void. Of a
+        damaged AEDAT4 file what is intact.
+        """
+        foreign, normal = self._foreign, Normal()
         note = foreign.note
+        blocks = normalise(
+            _counted(foreign.batches, self._progress),
+            foreign.frame_px,
+            normal,
+            sort=self._sort,
+            start_us=note.start_us if note else None,
+            may_be_empty=foreign.may_be_empty or (note is not None and not note.events),
+            where=self._where,
+            folder=self._folder,
+        )
         try:
-            normal = normalise(
-                _counted(foreign.batches, progress),
-                foreign.frame_px,
-                sort=sort,
-                start_us=note.start_us if note else None,
-                may_be_empty=foreign.may_be_empty or (note is not None and not note.events),
-                where=where,
-                folder=folder,
-            )
+            while True:
+                with _reading(self._where):
+                    block = next(blocks, None)
+                if block is None:
+                    break
+                yield block
         finally:
             if isinstance(foreign.batches, Generator):  # a refusal leaves it with its file open
                 foreign.batches.close()
-    events = normal.stored
-    notes = [*foreign.notes, *_losses(foreign, normal)]
-    if note is None and not events.size:
-        notes.append("the file holds no events")
-    if normal.sorted:
-        notes.append(f"time went backwards: {normal.sorted} events were put back in order")
-    slices = (events.last_us - normal.first_us) // SLICE_US + 1 if events.size else 0
-    if note and not foreign.cut_short and not _lacks_events(foreign, normal):
-        slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
-    t_offset_us = normal.first_us + foreign.clock_us if events.size or note else 0
-    with _reading(where):
-        streams = _kept(path, foreign, t_offset_us, slices, frames=frames, folder=folder)
-    notes += _unsaid(foreign, streams)
-    return Imported(
-        stored=events,
-        frame_px=foreign.frame_px,
-        t_offset_us=t_offset_us,
-        slices=slices,
-        format=foreign.format,
-        counts=normal.dropped,
-        sorted=normal.sorted,
-        notes=notes,
-        streams=streams,
-        left_out=foreign.left_out,
-        simulated=note is not None and note.simulated,
-    )
+        self.facts = self._facts(normal)
+
+    def _facts(self, normal: Normal) -> Facts:
+        foreign, note = self._foreign, self._foreign.note
+        notes = [*foreign.notes, *_losses(foreign, normal)]
+        if note is None and not normal.size:
+            notes.append("the file holds no events")
+        if normal.sorted:
+            notes.append(f"time went backwards: {normal.sorted} events were put back in order")
+        slices = (normal.last_us - normal.first_us) // SLICE_US + 1 if normal.size else 0
+        if note and not foreign.cut_short and not _lacks_events(foreign, normal):
+            slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
+        t_offset_us = normal.first_us + foreign.clock_us if normal.size or note else 0
+        with _reading(self._where):
+            streams = _kept(self._path, foreign, t_offset_us, slices, frames=self._frames, folder=self._folder)
+        notes += _unsaid(foreign, streams)
+        return Facts(
+            size=normal.size,
+            frame_px=foreign.frame_px,
+            t_offset_us=t_offset_us,
+            slices=slices,
+            format=foreign.format,
+            counts=normal.dropped,
+            sorted=normal.sorted,
+            notes=notes,
+            streams=streams,
+            left_out=foreign.left_out,
+            simulated=note is not None and note.simulated,
+        )
+
+
+def read_events(path: str | Path, **options: Any) -> Imported:
+    """Read another program's event file into memory: all of it or an InputError; options are those of EventFile."""
+    file = EventFile(path, **options)
+    events = concatenate(list(file.blocks()))
+    return Imported(**vars(file.facts), events=events)
 
 
 @contextmanager
@@ -222,9 +255,10 @@ def left_out_text(left_out: dict[str, int]) -> str:
 
 
 def _counted(batches: Iterable[Columns], progress: Progress) -> Iterator[Columns]:
-    """The same batches, with their events counted."""
+    """The same batches, with their events counted. Ctrl-C is heard here."""
     count = 0
     for batch in batches:
+        leave_if_interrupted()
         yield batch
         count += len(batch.t)
         progress(count, 0, "events read")
@@ -233,15 +267,15 @@ def _counted(batches: Iterable[Columns], progress: Progress) -> Iterator[Columns
 def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
     """Whether an export of ours has fewer events than were written into it."""
     written = foreign.note.events if foreign.note else None
-    return written is not None and normal.stored.size + sum(normal.dropped.values()) < written
+    return written is not None and normal.size + sum(normal.dropped.values()) < written
 
 
 def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
     """What is missing and was not said by the reader, in words; of dropped events only where they are many."""
     if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
-        yield f"cut short: {normal.stored.size} events of the {foreign.note.events} that were exported"
+        yield f"cut short: {normal.size} events of the {foreign.note.events} that were exported"
     dropped = normal.dropped
-    read = normal.stored.size + sum(dropped.values())
+    read = normal.size + sum(dropped.values())
     if dropped["out_of_frame"] > LARGE_LOSS * read:
         frame = "{}x{}".format(*foreign.frame_px)
         share = f"{dropped['out_of_frame'] / read:.0%}"

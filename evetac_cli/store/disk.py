@@ -233,6 +233,7 @@ def joined_on_disk(folder: Path | None, parts: Iterable[tuple[NDArray[Any], ...]
         files: list[IO[bytes]] = []
         first: tuple[NDArray[Any], ...] = ()
         for part in parts:
+            leave_if_interrupted()
             try:
                 first = first or part
                 files = files or [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in part]

@@ -9,7 +9,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType
@@ -271,43 +271,87 @@ def write_stage(
     blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets is in some
     block, if only with no rows. lengths: how many rows each will have; one that is not named grows.
     """
-    new = NewContents(path, recipe.kind, arrays)
-    if lengths is None:
-        schema.check(recipe.kind, arrays)
-        new.check_rest()
+    if lengths is not None:
+        with writing(path, recipe.kind, arrays, lengths) as growing:
+            for block in blocks:
+                growing.append(block)
+            return growing.finish(recipe)
+    schema.check(recipe.kind, arrays)
+    NewContents(path, recipe.kind, arrays).check_rest()
     header = recipe.header()
     with replacing(path) as h5:
         for name, value in arrays.items():
             put(h5, name, value)
-        if lengths is not None:
-            new.shapes |= _put_blocks(h5, blocks, lengths, new.check_block)
-            schema.refuse(recipe.kind, schema.problems(schema.load(recipe.kind), new.shapes))
-            new.check_rest(h5)
         put_header(h5, header)
     return header
 
 
-def _put_blocks(
-    h5: h5py.File,
-    blocks: Iterable[Mapping[str, Any]],
-    lengths: Mapping[str, int],
-    check: Callable[[str, Any, int], None],
-) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Check and write datasets block by block; returns the dtype and shape of each. Ctrl-C is heard between blocks."""
-    writers: dict[str, RowWriter] = {}
-    for block in blocks:
+@contextmanager
+def writing(
+    path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int] | None = None
+) -> Iterator["StageWriter"]:
+    """A new file of rows that come block by block; all or nothing, and nothing where it was not finished.
+
+    arrays: the datasets that are known, among them those that others are held to, as events to the frame. lengths: how
+    many rows each of the others will have; one that is not named grows.
+    """
+    try:
+        with replacing(path) as h5:
+            writer = StageWriter(h5, path, kind, arrays, lengths or {})
+            yield writer
+            if not writer.finished:
+                raise _NotFinished
+    except _NotFinished:
+        pass
+
+
+class _NotFinished(Exception):
+    """Whoever wrote a file found that it is not needed."""
+
+
+class StageWriter:
+    """Writes the datasets of a file, of which it may be known at the end alone which recipe they follow."""
+
+    def __init__(
+        self, h5: h5py.File, path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int]
+    ) -> None:
+        self.finished = False
+        self._h5, self._kind, self._lengths = h5, kind, lengths
+        self._arrays = dict(arrays)
+        self._new = NewContents(path, kind, self._arrays)
+        self._rows: dict[str, RowWriter] = {}
+
+    def append(self, block: Mapping[str, Any]) -> None:
+        """Check and write the next rows of some datasets, if only none of them. Ctrl-C is heard here."""
         leave_if_interrupted()
         for name, rows in block.items():
-            if name not in writers:
-                writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:], lengths.get(name))
-            check(name, rows, writers[name].rows)
-            writers[name].append(rows)
-    for writer in writers.values():
-        writer.close()
-    short = [name for name, length in lengths.items() if name not in writers or writers[name].rows != length]
-    if short:
-        raise ValueError(f"blocks: expected all rows of {', '.join(short)}, found others")
-    return {name: (schema.describe_stored(h5[name]), h5[name].shape) for name in writers}
+            if name not in self._rows:
+                self._rows[name] = RowWriter(self._h5, name, rows.dtype, rows.shape[1:], self._lengths.get(name))
+            self._new.check_block(name, rows, self._rows[name].rows)
+            self._rows[name].append(rows)
+
+    def finish(self, recipe: Recipe, arrays: Mapping[str, Any] | None = None) -> Header:
+        """Write the datasets that are known as a whole, more of which are in `arrays`; check all, and end the file."""
+        for writer in self._rows.values():
+            writer.close()
+        short = [
+            name for name, rows in self._lengths.items() if name not in self._rows or self._rows[name].rows != rows
+        ]
+        if short:
+            raise ValueError(f"blocks: expected all rows of {', '.join(short)}, found others")
+        self._new.add(arrays or {})
+        self._arrays |= arrays or {}
+        for name, value in self._arrays.items():
+            put(self._h5, name, value)
+        self._new.shapes |= {
+            name: (schema.describe_stored(self._h5[name]), self._h5[name].shape) for name in self._rows
+        }
+        schema.refuse(self._kind, schema.problems(schema.load(self._kind), self._new.shapes))
+        self._new.check_rest(self._h5)
+        header = recipe.header()
+        put_header(self._h5, header)
+        self.finished = True
+        return header
 
 
 def put_header(h5: h5py.File, header: Header) -> None:

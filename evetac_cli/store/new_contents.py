@@ -30,10 +30,15 @@ class NewContents:
         """`whole`: the datasets in memory; `shapes` of the others are known once all of their blocks have come."""
         self.path, self.kind = path, kind
         self.shapes: Shapes = {name: schema.describe(value) for name, value in whole.items()}
-        self._whole = whole
+        self._whole = dict(whole)
         self._last: dict[str, Any] = {}  # value of a dataset that its next block follows
         self._indices: set[str] = set()  # datasets of blocks that are checked at the end
         self._h5: h5py.File | None = None
+
+    def add(self, whole: Mapping[str, Any]) -> None:
+        """More datasets in memory, that were not known before."""
+        self.shapes |= {name: schema.describe(value) for name, value in whole.items()}
+        self._whole |= whole
 
     def check_block(self, name: str, rows: Any, first: int) -> None:
         """Hold the rows of a dataset from row `first` on to its limits."""

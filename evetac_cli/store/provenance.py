@@ -13,7 +13,9 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -154,20 +156,24 @@ def identity_fault(header: Header) -> str:
 
 def made() -> dict[str, str]:
     """Time, host and versions: recorded, not part of the id."""
-    libraries = {}
-    for name in ("numpy", "numba", "h5py", "scipy", "torch", "opencv-contrib-python-headless", "onnxruntime"):
-        try:
-            libraries[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return {
         "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "host": platform.node(),
         "machine": platform.machine(),
         "python": platform.python_version(),
         "evetac": __version__,
-        **libraries,
+        **_libraries(),
     }
+
+
+@cache
+def _libraries() -> dict[str, str]:
+    """Versions of the libraries that arrays depend on; looking them up takes 15 ms."""
+    versions = {}
+    for name in ("numpy", "numba", "h5py", "scipy", "torch", "opencv-contrib-python-headless", "onnxruntime"):
+        with suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions
 
 
 def first_difference(wanted: Recipe, existing: Header) -> str:
@@ -228,6 +234,11 @@ class ContentDigest:
             self._hashes[path] = hashlib.sha256(what.encode())
         self._hashes[path].update(content)
 
+    def update_all(self, arrays: Mapping[str, Any]) -> None:
+        """Add the next pieces of some arrays."""
+        for path, value in arrays.items():
+            self.update(path, value)
+
     def hexdigest(self) -> str:
         """The digest over all paths, in their sorted order."""
         return hashlib.sha256(
@@ -238,6 +249,5 @@ class ContentDigest:
 def content_digest(arrays: Mapping[str, Any]) -> str:
     """Digest of whole arrays; equal for equal content, whatever the compression or order in a file."""
     digest = ContentDigest()
-    for path, value in arrays.items():
-        digest.update(path, value)
+    digest.update_all(arrays)
     return digest.hexdigest()

@@ -266,7 +266,7 @@ def join(
                 new.check_block(name, rows, writer.rows)
             writer.append(rows)
             digest.update(name, rows)
-            new.shapes[name] = (rows.dtype.name, writer.dataset.shape)
+            new.shapes[name] = (rows.dtype.name, (writer.rows, *rows.shape[1:]))
 
         put_more(STARTS, np.zeros(1, np.int64))
         for part in parts:

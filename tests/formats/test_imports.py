@@ -7,7 +7,7 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import slice_starts
+from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import read_text
-from evetac_cli.formats.read.event_validation import Columns, normalise
+from evetac_cli.formats.read import events_on_disk, read_text
+from evetac_cli.formats.read.event_validation import Columns, Normal, normalise
+from evetac_cli.jobs import Outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
-from evetac_cli.store.files import write_stage
+from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from tests.importing import FRAME, event_rows, real, refusal, same
 
@@ -58,6 +59,12 @@ def integer_batches(draw: st.DrawFn) -> Columns:
     return columns(column(-3000, 3000), column(-2, 12), column(-2, 9), column(0, 1))
 
 
+def normalised(batches: Iterable[Columns], frame_px: tuple[int, int], **options: bool) -> tuple[Events, Normal]:
+    """The events that validation gives out, joined, and what it found."""
+    normal = Normal()
+    return concatenate(list(normalise(batches, frame_px, normal, **options))), normal
+
+
 @settings(max_examples=300)
 @given(integer_batches(), st.booleans())
 def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: bool) -> None:
@@ -76,13 +83,13 @@ def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: boo
     )
     if must_refuse:
         with pytest.raises(InputError):
-            normalise([batch], (width, height), sort=sort)
+            normalised([batch], (width, height), sort=sort)
         return
-    normal = normalise([batch], (width, height), sort=sort)
+    events, normal = normalised([batch], (width, height), sort=sort)
     expected = sorted(inside, key=lambda row: row[0])  # stable, as validation must be
     first_us = expected[0][0] if expected else 0
-    assert [column.dtype for column in normal.events] == [np.int64, np.uint16, np.uint16, np.uint8]
-    assert [tuple(int(value) for value in row) for row in zip(*normal.events, strict=True)] == [
+    assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
+    assert [tuple(int(value) for value in row) for row in zip(*events, strict=True)] == [
         (t - first_us, x, y, int(p > 0)) for t, x, y, p in expected
     ]
     assert normal.first_us == first_us
@@ -98,34 +105,34 @@ def test_cuts_between_batches_do_not_matter(times: list[int], data: st.DataObjec
     p = np.where(np.arange(len(t)) % 2, 1, -1)
     cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(t)), max_size=4))), len(t)]
     parts = [columns(t[a:b], x[a:b], None, p[a:b]) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-    whole = normalise([columns(t, x, None, p)], (4, 4), sort=True)
-    cut = normalise(parts, (4, 4), sort=True)
-    assert same(whole.events, cut.events)
-    assert whole[1:] == cut[1:]
+    whole = normalised([columns(t, x, None, p)], (4, 4), sort=True)
+    cut = normalised(parts, (4, 4), sort=True)
+    assert same(whole[0], cut[0])
+    assert whole[1] == cut[1]
 
 
 def test_time_that_goes_backwards_is_counted_and_placed() -> None:
     """Assert that the refusal counts the events behind the clock, and places the first of them in the file."""
     batches = [columns([10, 20, 30]), columns([1, 30, 5, 29, 31], x=[99, 0, 0, 0, 0], first=3)]
     with pytest.raises(InputError, match="2 of 8 events come after a later one, first at index 5"):
-        normalise(batches, (9, 9))
-    normal = normalise(batches, (9, 9), sort=True)
-    assert normal.events.t.tolist() == [0, 5, 15, 24, 25, 25, 26]
+        normalised(batches, (9, 9))
+    events, normal = normalised(batches, (9, 9), sort=True)
+    assert events.t.tolist() == [0, 5, 15, 24, 25, 25, 26]
     assert (normal.first_us, normal.sorted, normal.dropped["out_of_frame"]) == (5, 2, 1)
 
 
 def test_sorting_keeps_the_order_of_equal_times() -> None:
     """Assert that events of one microsecond stay in the order of the file."""
-    normal = normalise([columns([7, 7, 3, 7], x=[1, 2, 3, 4])], (9, 9), sort=True)
-    assert normal.events.x.tolist() == [3, 1, 2, 4]
+    events, _ = normalised([columns([7, 7, 3, 7], x=[1, 2, 3, 4])], (9, 9), sort=True)
+    assert events.x.tolist() == [3, 1, 2, 4]
 
 
 def test_what_is_no_number_is_dropped_and_counted() -> None:
     """Assert that NaN and infinity in any column cost that event only."""
     t = [0.0, np.nan, 2.0, -np.inf, 4.6]
-    normal = normalise([columns(t, x=[1.0, 1, np.inf, 1, 2], p=[1, 1, 1, 1, -1.0])], (9, 9))
+    events, normal = normalised([columns(t, x=[1.0, 1, np.inf, 1, 2], p=[1, 1, 1, 1, -1.0])], (9, 9))
     assert normal.dropped == {"not_a_number": 3, "out_of_frame": 0}
-    assert (normal.events.t.tolist(), normal.events.x.tolist(), normal.events.p.tolist()) == ([0, 5], [1, 2], [1, 0])
+    assert (events.t.tolist(), events.x.tolist(), events.p.tolist()) == ([0, 5], [1, 2], [1, 0])
 
 
 @pytest.mark.parametrize(
@@ -149,12 +156,12 @@ def test_what_is_no_number_is_dropped_and_counted() -> None:
 def test_columns_that_mean_something_else_are_refused(batch: Columns, words: str) -> None:
     """Assert that validation says what is wrong and where, instead of making something up."""
     with pytest.raises(InputError, match=words):
-        normalise([batch], (10, 10))
+        normalised([batch], (10, 10))
 
 
 def test_the_longest_span_still_passes() -> None:
     """Assert that 6 h are allowed, to the microsecond."""
-    assert normalise([columns([-5, 6 * 3600 * 10**6 - 5])], (1, 1)).events.t[-1] == 6 * 3600 * 10**6
+    assert normalised([columns([-5, 6 * 3600 * 10**6 - 5])], (1, 1))[0].t[-1] == 6 * 3600 * 10**6
 
 
 # --- text ---------------------------------------------------------------------------------------------------------
@@ -397,6 +404,31 @@ def test_what_the_docs_tell_to_write_is_read(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "a.txt").write_text(next(block for block in blocks if block.startswith("t_us x y p")))
     written = [(0, 312, 77, 1), (7, 313, 77, 0)]
     assert event_rows(read_events(tmp_path / "a.txt")) == event_rows(read_events(tmp_path / "touch.npz")) == written
+
+
+def test_an_import_is_all_or_nothing(
+    text: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a file that is refused at its end leaves nothing, and that one imported before is not made anew."""
+    monkeypatch.setattr(events_on_disk, "BLOCK_EVENTS", 3)
+    lines = "".join(f"{1500 * number} {number % 9} 2 1\n" for number in range(10))
+
+    def imported(content: str) -> Outcome:
+        params = Record(source=text(content), frame_size="640x480")
+        (job,) = record.jobs([], params, tmp_path / "out.recording.h5")
+        return record.run(job, params)
+
+    with pytest.raises(InputError, match="1 of 11 events come after a later one"):
+        imported(lines + "100 1 1 1\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+    assert imported(lines).made
+    made = (tmp_path / "out.recording.h5").stat()
+    assert not imported(lines).made
+    assert (tmp_path / "out.recording.h5").stat() == made
+    with StageFile(tmp_path / "out.recording.h5") as file:
+        assert file.read("events/t").tolist() == [1500 * number for number in range(10)]
+        assert file.read("ms_to_idx").tolist() == slice_starts(file.read("events/t"), 14).tolist()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "out.recording.h5"]
 
 
 # --- files that are something else --------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
-"""Events of an import while it is not yet known whether they can be used: on disk, so that memory does not grow.
+"""Events of an import that have to be put in order: on disk until the last has come, so that memory does not grow.
 
-They are in a file without a name, which is gone with the process, whatever ends it. Where they came in disorder they
-are given out in the order of their time, those of one time as they came.
+They are in a file without a name, which is gone with the process, whatever ends it. They are given out in the order of
+their time, those of one time as they came.
 """
 
 import mmap
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, concatenate, empty
+from evetac_cli.events import Events, concatenate
 
 BLOCK_EVENTS = 1 << 18  # some 3 MB
 SAMPLED = 256  # of so many events of a block one time is kept in memory, to divide all events by time
@@ -32,13 +32,10 @@ class _Block(NamedTuple):
 
 
 class EventsOnDisk:
-    """Events that are appended in any pieces, and given out in blocks, as often as asked for."""
+    """Events that are appended in any pieces, and given out in blocks, in the order of their time."""
 
     def __init__(self, folder: Path | None = None) -> None:
         """folder: whose disk is used; the one for temporary files where that cannot be written to."""
-        self.size = 0
-        self.sorted = True  # they came in the order of their time
-        self.shift_us = 0  # taken from every time that is given out
         self._file = _unnamed(folder)
         self._blocks: list[_Block] = []
         self._samples: list[NDArray[np.int64]] = []
@@ -52,15 +49,9 @@ class EventsOnDisk:
 
     @property
     def first_us(self) -> int:
-        """The earliest time, as it was appended."""
+        """The earliest time."""
         self._write()
         return min(block.first_us for block in self._blocks)
-
-    @property
-    def last_us(self) -> int:
-        """The latest time, as it was appended."""
-        self._write()
-        return max(block.last_us for block in self._blocks)
 
     def append(self, events: Events) -> None:
         """Add events; InputError if the disk is full."""
@@ -70,29 +61,17 @@ class EventsOnDisk:
             self._waiting_events += part.size
             if self._waiting_events >= BLOCK_EVENTS:
                 self._write()
-        self.size += events.size
 
     def blocks(self) -> Iterator[Events]:
-        """All events in order, some at a time; at least one block, if only an empty one."""
+        """All events, some at a time: one part of time after the other, from the blocks that have some of it."""
         self._write()
         if not self._blocks:
-            yield empty()
             return
         self._mapped = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
-        if self.sorted:
-            yield from (self._shifted(self._read(block)) for block in self._blocks)
-        else:
-            yield from map(self._shifted, self._by_time())
-
-    def all(self) -> Events:
-        """All events, in memory."""
-        return concatenate(list(self.blocks()))
-
-    def _by_time(self) -> Iterator[Events]:
-        """Events in the order of their time: of one part of time after the other, from the blocks that have some."""
+        last_us = max(block.last_us for block in self._blocks)
         samples = np.sort(np.concatenate(self._samples))
         edges = np.unique(samples[:: BLOCK_EVENTS // SAMPLED])
-        for from_us, to_us in zip(edges, [*edges[1:], self.last_us + 1], strict=True):
+        for from_us, to_us in zip(edges, [*edges[1:], last_us + 1], strict=True):
             parts = []
             for block in self._blocks:
                 if block.first_us < to_us and block.last_us >= from_us:
@@ -101,9 +80,6 @@ class EventsOnDisk:
                     parts.append(_some(events, rows))
             events = concatenate(parts)
             yield _some(events, np.argsort(events.t, kind="stable"))
-
-    def _shifted(self, events: Events) -> Events:
-        return events._replace(t=events.t - self.shift_us)
 
     def _read(self, block: _Block) -> Events:
         columns: list[Any] = []

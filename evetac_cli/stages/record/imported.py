@@ -3,25 +3,27 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import Events, SliceStarts, empty
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages.trials import OUTPUT
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.disk import existing_folder
-from evetac_cli.store.files import up_to_date, write_stage
+from evetac_cli.store.files import up_to_date, writing
 from evetac_cli.store.provenance import ContentDigest, Recipe
 from evetac_cli.store.read import UNKNOWN_SENSOR
 
 if TYPE_CHECKING:  # with the libraries of its format
-    from evetac_cli.formats.imports import Imported
+    from evetac_cli.formats.imports import EventFile
 
 METHOD = 2
+NO_TIMES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,13 @@ class ImportJob(Job):
 
 
 def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> Outcome:
-    """Import an event file of another program as a recording."""
-    from evetac_cli.formats.imports import left_out_text, read_events  # with the libraries of its format
+    """Import an event file of another program as a recording.
 
-    imported = read_events(
+    The events are written as they are read, once; what they are, and whether they can be used, is known at the end.
+    """
+    from evetac_cli.formats.imports import EventFile, left_out_text  # with the libraries of its format
+
+    file = EventFile(
         job.inputs[0],
         frame_px=_frame(params.frame_size),
         sort=params.sort,
@@ -42,65 +47,52 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         folder=existing_folder(job.output.parent),
         progress=progress,
     )
-    digest = ContentDigest()
-    counts = np.zeros(imported.slices, np.int64)
-    for block in _blocks(imported, progress, "events checked"):
-        for name, rows in block.items():
-            digest.update(name, rows)
-        t = block.get("events/t", ())
-        if len(t):
-            first, last = int(t[0]) // SLICE_US, int(t[-1]) // SLICE_US
-            ends = np.searchsorted(t, np.arange(first + 1, last + 2) * SLICE_US)
-            counts[first : last + 1] += np.diff(ends, prepend=0)
-    arrays: dict[str, Any] = {
-        "ms_to_idx": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        "t_offset": np.int64(imported.t_offset_us),
-        "sensor/frame_px": np.array(imported.frame_px, np.int32),
-        "sensor/name": UNKNOWN_SENSOR,
-        **{path: text for stream in imported.streams for path, text in stream.texts().items()},
-    }
+    known: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
     if params.calibration is not None:
-        arrays |= read_calibration(params.calibration, imported.frame_px).arrays()
-    for name, value in arrays.items():
-        digest.update(name, value)
-    notes = list(imported.notes)
-    lost = sum(imported.counts.values())
-    parameters = {
-        "source": job.inputs[0].name,
-        "format": imported.format,
-        "sorted": params.sort,
-        "dropped": dict(imported.counts),
-        "left_out": dict(imported.left_out),
-        "notes": notes,
-    }
-    recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=imported.simulated)
-    made = not up_to_date(job.output, recipe, force=force)
-    if made:
-        lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), imported.stored.size)
-        for stream in imported.streams:
-            lengths |= stream.lengths()
-        write_stage(job.output, recipe, arrays, _blocks(imported, progress, "events written"), lengths)
+        known |= read_calibration(params.calibration, file.frame_px).arrays()
+    digest, starts = ContentDigest(), SliceStarts()
+    made = False
+    with writing(job.output, OUTPUT, known) as recording:
+        for block in _blocks(file):
+            recording.append(block)
+            digest.update_all(block)
+            starts.add(block.get("events/t", NO_TIMES))
+        facts = file.facts
+        late: dict[str, Any] = {
+            "ms_to_idx": starts.finish(facts.slices),
+            "t_offset": np.int64(facts.t_offset_us),
+            **{path: text for stream in facts.streams for path, text in stream.texts().items()},
+        }
+        digest.update_all(known | late)
+        parameters = {
+            "source": job.inputs[0].name,
+            "format": facts.format,
+            "sorted": params.sort,
+            "dropped": dict(facts.counts),
+            "left_out": dict(facts.left_out),
+            "notes": list(facts.notes),
+        }
+        recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=facts.simulated)
+        if made := not up_to_date(job.output, recipe, force=force):
+            recording.finish(recipe, late)
     return outcome(
         job,
         made=made,
-        simulated=imported.simulated,
-        slices=imported.slices,
-        events=imported.stored.size,
-        dropped=lost,
-        streams=" ".join(stream.name for stream in imported.streams) or None,
-        left_out=left_out_text(imported.left_out) or None,
-        notes="; ".join(notes) or None,
+        simulated=facts.simulated,
+        slices=facts.slices,
+        events=facts.size,
+        dropped=sum(facts.counts.values()),
+        streams=" ".join(stream.name for stream in facts.streams) or None,
+        left_out=left_out_text(facts.left_out) or None,
+        notes="; ".join(facts.notes) or None,
     )
 
 
-def _blocks(imported: "Imported", progress: Progress, doing: str) -> Iterator[dict[str, Any]]:
-    """The events in blocks, and then the other streams, as the datasets of a recording."""
-    done = 0
-    for events in imported.stored.blocks():
+def _blocks(file: "EventFile") -> Iterator[dict[str, Any]]:
+    """The events in blocks, and then the other streams, as the datasets of a recording; each dataset is in one."""
+    for events in chain([empty()], file.blocks()):
         yield {f"events/{column}": getattr(events, column) for column in Events._fields}
-        done += events.size
-        progress(done, imported.stored.size, doing)
-    for stream in imported.streams:
+    for stream in file.facts.streams:
         yield from stream.blocks()
 
 

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
 )
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.faery_library import load_faery, scratch_file
+
+BATCH_EVENTS = 1 << 18  # packets hold some thousand each
 
 
 def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
@@ -104,20 +106,33 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
         start = first_bytes(copy, header.compression)
         led_past = listed is not None and len(listed) > len(packets.spans)
         spans = listed if listed is not None and led_past else packets.spans
+        waiting: list[Any] = []
+        count = 0
         for events in decoded(handle, spans, start, copy, file):
             if isinstance(events, str):
                 trouble = trouble or events
                 continue
             intact += 1
-            t, x, y, on = (np.ascontiguousarray(events[name]) for name in ("t", "x", "y", "on"))
-            # faery counts time in uint64; the file in int64
-            yield Columns(t.view(np.int64), x, y, on, partial(at_index, total))
-            total += len(events)
+            waiting.append(events)
+            count += len(events)
+            if count >= BATCH_EVENTS:
+                yield _columns(waiting, total)
+                total, count, waiting = total + count, 0, []
+        if waiting:
+            yield _columns(waiting, total)
+            total += count
     if not intact:
         lost = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble or "no packet"
         raise InputError("no packet of events can be read: the file is broken", where=where, found=lost)
     foreign.notes += _damage(header, packets, size, (total, intact, len(spans)), trouble, listed, led_past=led_past)
     foreign.cut_short = intact < len(spans) or (not packets.whole and not led_past) or header.table < 0
+
+
+def _columns(packets: list[Any], first: int) -> Columns:
+    """The events of some packets; `first` is the place of the first in the file."""
+    t, x, y, on = (np.concatenate([events[name] for events in packets]) for name in ("t", "x", "y", "on"))
+    # faery counts time in uint64; the file in int64
+    return Columns(t.view(np.int64), x, y, on, partial(at_index, first))
 
 
 def _damage(
