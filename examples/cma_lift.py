@@ -118,17 +118,17 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(chosen.jobs) as pool:
         for ticks in chosen.grips:
-            rows.append({"policy": f"fixed, {ticks:g} ticks", **judge(pool, JUDGED_ON, seeds, (ticks,))})
+            rows.append(
+                {"simulated": True, "policy": f"fixed, {ticks:g} ticks", **judge(pool, JUDGED_ON, seeds, (ticks,))}
+            )
             print(rows[-1], flush=True)
         for run in range(chosen.runs):
             theta = search(pool, run, chosen.generations, chosen.candidates, chosen.episodes)
-            row = {"policy": f"CMA-ES, run {run}", **judge(pool, JUDGED_ON, seeds, theta)}
+            row = {"simulated": True, "policy": f"CMA-ES, run {run}", **judge(pool, JUDGED_ON, seeds, theta)}
             law = GripLaw.of(theta)
             row |= {"A": law.first, "B": law.per_px, "C": law.per_slip, "D": law.forget}
             rows.append(row)
             print(row, flush=True)
-    for row in rows:
-        row["simulated"] = True
     if chosen.json:
         chosen.json.write_text(json.dumps(rows, indent=1) + "\n")
 

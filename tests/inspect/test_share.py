@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -110,6 +112,17 @@ def test_model_card_with_a_report(made: Made, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a report on something else"):
         shared(made.model, other, out=tmp_path / "hub2")
     assert not (tmp_path / "hub2").exists()
+
+
+def test_a_model_that_makes_no_sense_is_not_shared(made: Made, tmp_path: Path) -> None:
+    """Assert that what `validate` refuses in a model is refused here, in words, and that nothing is left."""
+    shutil.copy(made.model, tmp_path / "own.model.h5")
+    with h5py.File(tmp_path / "own.model.h5", "r+") as file:
+        file["weights/fc3.weight"][...] = np.nan
+    with pytest.raises(InputError, match="cannot be shared") as refused:
+        shared(tmp_path / "own.model.h5", out=tmp_path / "hub")
+    assert "fc3" in str(refused.value)
+    assert not (tmp_path / "hub").exists()
 
 
 def test_data_card(trials: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import card_fields, inline
-from evetac_cli.inspect import info
+from evetac_cli.inspect import info, validate
 from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.params.inspection import Share
 from evetac_cli.stages.train.log import course
@@ -29,6 +29,10 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
     (row,) = info.run([path]).rows
     if row["kind"] not in KINDS:
         raise InputError("not a model", where=str(path), expected="a model, or a folder", found=row["kind"])
+    (checked,) = validate.run([path]).rows
+    if checked["faults"]:
+        hint = "`evetac validate` names all faults; train it again"
+        raise InputError("cannot be shared", where=str(path), found=checked["faults"], hint=hint)
     with StageFile(path) as file:
         header, what = file.header, WHAT[file.kind]
         written = {"training.csv": course(file).encode()} if file.kind == "model" else {}
