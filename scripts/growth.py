@@ -1,7 +1,8 @@
 """How cost grows, measured: with events a slice, dots, slices, trajectories, workers and files of a data set.
 
     python scripts/growth.py OUT.json events dots                # seconds
-    python scripts/growth.py OUT.json slices --longest-min 60    # a recording of 1 s to 1 h: some minutes
+    python scripts/growth.py OUT.json slices --longest-min 60    # a recording of 1 s to 1 h: half an hour
+    python scripts/growth.py OUT.json slices --stages export,import    # these again, the others stay as they are
     python scripts/growth.py OUT.json trajectories workers files
     python scripts/growth.py OUT.json --draw docs/growth.svg --page docs/cost.md     # all that OUT.json has
 
@@ -27,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from statistics import fmean
 from typing import Any, TypedDict
@@ -178,8 +179,8 @@ def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
     }  # fmt: skip
 
 
-def slices(longest_s: int, events_a_slice: float) -> list[Row]:
-    """A row for every stage and length; up to a minute the mean of several turns, in which start-up weighs."""
+def slices(longest_s: int, events_a_slice: float, stages: Collection[str]) -> list[Row]:
+    """A row for each of some stages and every length; up to a minute the mean of turns, in which start-up weighs."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -191,8 +192,8 @@ def slices(longest_s: int, events_a_slice: float) -> list[Row]:
         # Short ones again before and after every long one: a computer is faster at one time than at another.
         order = [*short * 2, *(length for longer in lengths[len(short) :] for length in (longer, *short * 2))]
         for length_s in order:
-            rows += _stages(folder / str(length_s), repeated, length_s)
-            print(*rows[-len(stage_commands("")) :], sep="\n", file=sys.stderr)
+            rows += _stages(folder / str(length_s), repeated, length_s, stages)
+            print(*rows[-len(stages) :], sep="\n", file=sys.stderr)
     return with_linear(means(rows))
 
 
@@ -212,12 +213,14 @@ def means(rows: list[Row]) -> list[Row]:
     ]
 
 
-def _stages(place: Path, repeated: Repeated, length_s: int) -> list[Row]:
-    """A row for every stage on one recording, in a folder that is made for it and removed."""
+def _stages(place: Path, repeated: Repeated, length_s: int, stages: Collection[str]) -> list[Row]:
+    """A row for each stage on one recording, in a folder that is made for it and removed."""
     place.mkdir()
     repeated.write(place / "long.recording.h5", 1000 * length_s)
     rows: list[Row] = []
     for stage, words in stage_commands("long").items():
+        if stage not in stages:
+            continue
         cpu_s, memory_mb = cpu_of(*words, cwd=place)
         rows.append({"stage": stage, "length_s": length_s, "cpu_s": cpu_s, "memory_mb": memory_mb})
     shutil.rmtree(place)
@@ -331,6 +334,23 @@ def draw(measured: dict[str, list[Row]], path: Path) -> None:
         figure.savefig(path, format="svg", metadata={"Date": None})
 
 
+def replaced(rows: list[Row], new: list[Row]) -> list[Row]:
+    """Rows of all stages, those that were measured again replaced, in the order of lengths and stages."""
+    by_place = {(row["length_s"], row["stage"]): row for row in (*rows, *new)}
+    order = list(stage_commands(""))
+    return [by_place[place] for place in sorted(by_place, key=lambda place: (place[0], order.index(place[1])))]
+
+
+def said(of: Measured) -> str:
+    """By what a table was measured, and which stages later."""
+    later: dict[str, list[str]] = {}
+    for row in of["rows"]:
+        if "commit" in row and row["stage"] not in later.setdefault(row["commit"], []):
+            later[row["commit"]].append(row["stage"])
+    again = "".join(f"; {', '.join(stages)} at commit {name}" for name, stages in later.items())
+    return f"Simulated, by growth.py at commit {of['commit']}{again}"
+
+
 def spread(part: str, rows: list[Row]) -> list[Row]:
     """Rows as they stand in a page: one for each stage or number of events, what varies beside each other."""
     if part == "events":
@@ -357,6 +377,7 @@ def main() -> int:
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"slices, {', '.join(parts)}")
     parser.add_argument("--longest-min", type=float, default=60.0, help="of `slices`; lengths are 1 s to 1 h")
     parser.add_argument("--events-a-slice", type=float, default=50.0, help="of `slices`, at least")
+    parser.add_argument("--stages", help="of `slices`: these, by commas; each needs the files of some before it")
     parser.add_argument("--draw", type=Path, help="write a picture of what OUT has")
     parser.add_argument("--page", type=Path, help="put tables of what OUT has into this page")
     chosen = parser.parse_args()
@@ -364,17 +385,25 @@ def main() -> int:
     if wrong:
         parser.error(f"there is no part {', '.join(wrong)}; choose from slices, {', '.join(parts)}")
     measured: dict[str, Measured] = json.loads(chosen.out.read_text()) if chosen.out.exists() else {}
+    known = list(stage_commands(""))
+    stages = chosen.stages.split(",") if chosen.stages else known
+    if set(stages) - set(known):
+        parser.error(f"--stages: choose from {', '.join(known)}")
     for part in chosen.parts:
-        rows = slices(round(60 * chosen.longest_min), chosen.events_a_slice) if part == "slices" else parts[part]()
-        measured[part] = {"commit": commit()[0], "rows": rows}
+        longest_s = round(60 * chosen.longest_min)
+        rows = slices(longest_s, chosen.events_a_slice, stages) if part == "slices" else parts[part]()
+        if part == "slices" and part in measured and chosen.stages:
+            again = [{**row, "commit": commit()[0]} for row in rows]
+            measured[part]["rows"] = replaced(measured[part]["rows"], again)
+        else:
+            measured[part] = {"commit": commit()[0], "rows": rows}
         chosen.out.write_text(json.dumps(measured, indent=1) + "\n")
         print_table(part, rows, {}, simulated=True)
     if chosen.draw:
         draw({part: of["rows"] for part, of in measured.items()}, chosen.draw)
     if chosen.page:
         for part, of in measured.items():
-            said = f"Simulated, by growth.py at commit {of['commit']}"
-            put_measured(chosen.page, part, spread(part, of["rows"]), said)
+            put_measured(chosen.page, part, spread(part, of["rows"]), said(of))
     lengths = measured["slices"]["rows"] if "slices" in measured else []
     over = [row for row in lengths if abs(row.get("over_linear", 0.0)) > MOST_OVER_LINEAR]
     for row in over:
