@@ -56,3 +56,14 @@ def test_what_is_not_linear() -> None:
     ]
     over = [row.get("over_linear") for row in growth.with_linear(rows)]
     assert over == [None, None, pytest.approx(0.0), pytest.approx(1.0)]
+
+
+def test_stages_are_measured_again() -> None:
+    """Assert that rows of some stages take the place of theirs, in order, and that the page says at which commit."""
+    old = [{"stage": stage, "length_s": length, "cpu_s": 1.0} for length in (1, 60) for stage in ("track", "import")]
+    new = [{"stage": "import", "length_s": length, "cpu_s": 2.0, "commit": "b"} for length in (1, 60)]
+    rows = growth.replaced(old, new)
+    assert [(row["length_s"], row["stage"], row["cpu_s"]) for row in rows] == [
+        (1, "track", 1.0), (1, "import", 2.0), (60, "track", 1.0), (60, "import", 2.0),
+    ]  # fmt: skip
+    assert growth.said({"commit": "a", "rows": rows}) == "Simulated, by growth.py at commit a; import at commit b"
