@@ -413,13 +413,14 @@ def test_an_import_is_all_or_nothing(
     monkeypatch.setattr(events_on_disk, "BLOCK_EVENTS", 3)
     lines = "".join(f"{1500 * number} {number % 9} 2 1\n" for number in range(10))
 
-    def imported(content: str) -> Outcome:
+    def imported(content: str, folder: Path = tmp_path) -> Outcome:
         params = Record(source=text(content), frame_size="640x480")
-        (job,) = record.jobs([], params, tmp_path / "out.recording.h5")
+        (job,) = record.jobs([], params, folder / "out.recording.h5")
         return record.run(job, params)
 
-    with pytest.raises(InputError, match="1 of 11 events come after a later one"):
-        imported(lines + "100 1 1 1\n")
+    for folder in (tmp_path, tmp_path / "new" / "folder"):
+        with pytest.raises(InputError, match="1 of 11 events come after a later one"):
+            imported(lines + "100 1 1 1\n", folder)
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
     assert imported(lines).made
     made = (tmp_path / "out.recording.h5").stat()

@@ -150,7 +150,7 @@ def normalise(
 
 
 def _in_blocks(parts: Iterable[Events]) -> Iterator[Events]:
-    """The same events in blocks of some hundred thousand: each takes a while of its own, whatever its size."""
+    """The same events in blocks of some hundred thousand, so that what is done once a block costs little."""
     waiting: list[Events] = []
     count = 0
     for part in parts:

@@ -2,8 +2,10 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages.trials import OUTPUT
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.store.disk import existing_folder
+from evetac_cli.store.disk import existing_folder, missing_folders, remove_empty
 from evetac_cli.store.files import up_to_date, writing
 from evetac_cli.store.provenance import ContentDigest, Recipe
 from evetac_cli.store.read import UNKNOWN_SENSOR
@@ -51,8 +53,8 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     if params.calibration is not None:
         known |= read_calibration(params.calibration, file.frame_px).arrays()
     digest, starts = ContentDigest(), SliceStarts()
-    made = False
-    with writing(job.output, OUTPUT, known) as recording:
+    made, folders = False, missing_folders(job.output.parent)
+    with _removed_if_refused(folders), writing(job.output, OUTPUT, known) as recording:
         for block in _blocks(file):
             recording.append(block)
             digest.update_all(block)
@@ -86,6 +88,16 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         left_out=left_out_text(facts.left_out) or None,
         notes="; ".join(facts.notes) or None,
     )
+
+
+@contextmanager
+def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
+    """Remove folders that were made for a recording of a file that turned out to be unusable; no other job is there."""
+    try:
+        yield
+    except InputError:
+        remove_empty(folders)
+        raise
 
 
 def _blocks(file: "EventFile") -> Iterator[dict[str, Any]]:
