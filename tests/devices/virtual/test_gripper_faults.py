@@ -73,13 +73,19 @@ def cycles(driver: RhP12Rn, count: int) -> None:
     [("lost-answer", "answers_lost"), ("bad-crc", "answers_damaged"), ("late-answer", "answers_stray")],
 )
 def test_one_spoiled_answer_is_counted(fresh: VirtualGripper, fault: str, counted: str) -> None:
-    """Assert that the driver goes on after one answer that was lost, damaged or late, and counts it."""
+    """Assert that the driver goes on after one answer that was lost, damaged or late, and counts it.
+
+    On a computer that stands still for half a second the late answer is in time: then another is made late.
+    """
     with RhP12Rn(fresh.port, settings=QUICK) as driver:
         cycles(driver, 3)
-        fresh.inject(fault)
-        until_s = time.monotonic() + 10.0
-        while driver.counted[counted] == 0 and time.monotonic() < until_s:
-            cycles(driver, 3)
+        for _ in range(5):
+            fresh.inject(fault)
+            until_s = time.monotonic() + 2.0
+            while driver.counted[counted] == 0 and time.monotonic() < until_s:
+                cycles(driver, 3)
+            if driver.counted[counted]:
+                break
         assert driver.counted[counted] >= 1
     assert is_off(fresh)
 
