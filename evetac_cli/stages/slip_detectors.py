@@ -87,21 +87,31 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_
 
     The labels are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
     """
-    label = shift_labels(trajectory.label, horizon_ms)
-    return Prediction(probabilities(detector, trajectory), label, trajectory.onset, object_name(header))
-
-
-def probabilities(detector: Detector, trajectory: Trajectory) -> NDArray[np.float32]:
-    """The probabilities of a detector for a trajectory, (slices,), NaN before its first labelled slice."""
-    architecture, slices = detector.architecture, len(trajectory.label)
-    examined = np.flatnonzero(trajectory.label >= 0)
+    slices = len(trajectory.label)
     probability = np.full(slices, np.nan, np.float32)
-    if len(examined):
-        # earlier slices count for nothing, and images take long: begin where the first history begins
-        begin = max(0, int(examined[0]) - architecture.history - architecture.every + 2)
-        probability[begin:] = detector.over(inputs.part(trajectory.series, begin, slices), begin)
-        probability[: examined[0]] = np.nan
-    return probability
+    first = first_labelled(trajectory.label)
+    if first < slices:
+        needed = inputs.part(trajectory.series, first_needed(detector.architecture, first), slices)
+        probability[first:] = probabilities(detector, needed, first)
+    label = shift_labels(trajectory.label, horizon_ms)
+    return Prediction(probability, label, trajectory.onset, object_name(header))
+
+
+def first_labelled(label: NDArray[np.int8]) -> int:
+    """The first slice that has a label: earlier ones count for nothing. The number of slices if none has."""
+    examined = label >= 0
+    return int(np.argmax(examined)) if examined.any() else len(label)
+
+
+def first_needed(architecture: Architecture, first: int) -> int:
+    """The slice from which on a detector needs inputs, to know the probability in slice `first` and in later ones."""
+    return max(0, first - architecture.history - architecture.every + 2)
+
+
+def probabilities(detector: Detector, series: inputs.Series, first: int) -> NDArray[np.float32]:
+    """The probabilities of a detector from slice `first` of a trajectory on; the inputs begin where it needs them."""
+    begin = first_needed(detector.architecture, first)
+    return detector.over(series, begin)[first - begin :]
 
 
 def read_horizon_ms(model: StageFile) -> int:

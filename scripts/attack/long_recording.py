@@ -4,9 +4,10 @@
     python scripts/attack/long_recording.py FOLDER --minutes 60 --check [--limit-mb 1000]
 
 The end of a simulated trial, some 300,000 events a second, is repeated with the times that follow each other, and the
-file says so: a load for memory and disk, and no touch that anybody would see. With --check, the stages, a grasp that is
-replayed, validate, repair, trim, export and import run on it; a table says how long each took and how much memory
-(largest resident set, no less than this program's own). Exit code 1 if one failed or took more than the limit.
+file says so: a load for memory and disk, and no touch that anybody would see. With --check, the stages, evaluations, a
+grasp that is replayed, validate, repair, trim, export and import run on it; a table says how long each took and how
+much memory (largest resident set, no less than this program's own). Exit code 1 if one failed or took more than the
+limit.
 
 Why not `train`: it learns from trials, not from hours.
 """
@@ -26,13 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events
+from evetac_cli.resources import MODEL
 from evetac_cli.store import schema
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 from evetac_cli.store.segments import RecordingWriter
 
-TRIAL = ("record", "--scene", "slip", "--object", "2", "--count", "1", "--seed", "0", "-q")
+TRIAL = ("record", "--scene", "slip", "--object", "2", "--count", "1", "--seed", "8000", "-q")
 EVENTS_A_SLICE = 300
 CLOCKS = ("gripper/t_us", "control/t_us")
 TEXT_MINUTES = 6
@@ -141,6 +143,9 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     yield "predict-force", f"{folder / 'long.tracks.h5'}", "--model", f"{folder / 'short.force-model.h5'}"
     yield "grasp", "--camera", f"replay:{long}", "-o", f"{folder / 'replayed.recording.h5'}"
     yield "evaluate", "data-rate", f"{long}", "-o", f"{folder / 'rate.report.h5'}"
+    yield "evaluate", "tracking", f"{folder / 'long.tracks.h5'}", "-o", f"{folder / 'tracking.report.h5'}"
+    features = f"{folder / 'long.features.h5'}"
+    yield "evaluate", "slip", features, "--model", f"{MODEL}", "-o", f"{folder / 'slip.report.h5'}"
     yield "trim", f"{long}", "--from-ms", "500", "-o", f"{folder / 'piece.recording.h5'}"
     yield "repair", f"{broken}"
     yield "export", "--format", "dsec", f"{long}", "-o", f"{folder / 'long.dsec.h5'}"

@@ -14,10 +14,12 @@ from evetac_cli.formats.read import events_on_disk, read_hdf5
 from evetac_cli.formats.write import pieces, write_mcap, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
+from evetac_cli.params.evaluation import EvaluateTracking
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.learning import Featurize, Label, Track, TrackRgb
 from evetac_cli.params.recording import Record, Trim
 from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, trim
+from evetac_cli.stages.evaluate import tracking
 from evetac_cli.store import chunks, contents, read
 from evetac_cli.store.read import open_recording
 from scripts.attack.long_recording import Repeated
@@ -89,6 +91,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "label": lambda folder, out: _run(label, Label(), folder, out),
     "label by flow": lambda folder, out: _run(label, Label(method="farneback"), folder, out),
     "grasp again": _replay,
+    "evaluate tracking": lambda folder, out: _evaluate(folder / "a.tracks.h5", out),
     "import": _import("a.dsec.h5"),
     "import --sort": _import("a.dsec.h5", sort=True),
     "validate": lambda folder, out: _validate(folder / "imported.recording.h5", folder / "a.tracks.h5"),
@@ -111,6 +114,11 @@ SLOW = (
 
 def _export(folder: Path, format_: str, out: Path) -> None:
     export(folder / "a.recording.h5", format_, out.with_suffix(".out"))
+
+
+def _evaluate(tracks: Path, out: Path) -> None:
+    (job,) = tracking.jobs([tracks], EvaluateTracking(), out)
+    assert tracking.run(job, EvaluateTracking()).summary["with_truth"] == 1
 
 
 def _validate(*files: Path) -> None:

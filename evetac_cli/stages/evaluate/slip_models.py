@@ -7,9 +7,10 @@ is new, and one that was broken off goes on. The folder can be removed at any ti
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
@@ -19,15 +20,24 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.stages.slip_detectors import load_detector, probabilities, read_horizon_ms, read_trajectory
+from evetac_cli.stages.slip_detectors import (
+    first_labelled,
+    first_needed,
+    load_detector,
+    probabilities,
+    read_horizon_ms,
+    read_series,
+)
 from evetac_cli.stages.splits import check_disjoint, object_name
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
-AT_ONCE = 8  # trajectories that are in memory, and one task of several
+AT_ONCE = 8  # trajectories of one task of several
+MOST_SLICES = 1 << 17  # that are in memory together: of a trajectory of hours a piece
 JUDGING = 1  # raised when the same model gives the same features other probabilities
 NOT_WEIGHTS = ("input_scale", "input_offset")  # fixed, not trained
 
@@ -166,29 +176,66 @@ def _judge(
     """
     places = [None if folder is None else folder / f"{header['id']}.zip" for header in headers]
     known = [{} if place is None else _read_kept(place) for place in places]
-    by_path: list[list[NDArray[np.float32] | None]] = []
+    spans: list[tuple[int, int]] = []
+    by_path: list[list[NDArray[np.float32]]] = []
+    missing: list[set[int]] = []
     for path, kept in zip(paths, known, strict=True):
         with StageFile(path, "features") as file:
-            slices = file.length("label")
-        by_path.append([_probabilities(kept.get(model.key), slices) for model in models])
-    missing = [{index for index, one in enumerate(of_path) if one is None} for of_path in by_path]
+            label = file.read("label")
+        kept_values = [_probabilities(kept.get(model.key), len(label)) for model in models]
+        missing.append({index for index, one in enumerate(kept_values) if one is None})
+        spans.append((first_labelled(label), len(label)))
+        by_path.append([np.full(len(label), np.nan, np.float32) if one is None else one for one in kept_values])
     for architecture in dict.fromkeys(model.architecture for model in models):
-        members = {index for index, model in enumerate(models) if model.architecture == architecture}
-        new = [number for number, gaps in enumerate(missing) if gaps & members]
-        trajectories = {number: read_trajectory(paths[number], architecture) for number in new}
-        for index in sorted(members):
-            waiting = [number for number in new if index in missing[number]]
-            if waiting:
-                detector = models[index].detector()
-                for number in waiting:
-                    by_path[number][index] = judged = probabilities(detector, trajectories[number])
-                    known[number][models[index].key] = judged.tobytes()
-    for place, kept, gaps in zip(places, known, missing, strict=True):
+        members = [index for index, model in enumerate(models) if model.architecture == architecture]
+        new = {number: spans[number] for number, gaps in enumerate(missing) if gaps.intersection(members)}
+        for pieces in _pieces(new):
+            series = [_read_piece(paths[piece.number], architecture, piece) for piece in pieces]
+            for index in members:
+                waiting = [(*one, part) for one, part in zip(pieces, series, strict=True) if index in missing[one[0]]]
+                if waiting:
+                    detector = models[index].detector()
+                for number, first, stop, part in waiting:
+                    by_path[number][index][first:stop] = probabilities(detector, part, first)
+    for place, kept, of_path, gaps in zip(places, known, by_path, missing, strict=True):
         if place is not None and gaps:
+            kept |= {models[index].key: of_path[index].tobytes() for index in sorted(gaps)}
             with taking_the_place_of(place) as temporary, ZipFile(temporary, "w") as archive:
                 for key, values in kept.items():
                     archive.writestr(key, values)
-    return [[one for one in of_path if one is not None] for of_path in by_path]
+    return by_path
+
+
+class _Piece(NamedTuple):
+    """The slices [first, stop) of the trajectory with this number."""
+
+    number: int
+    first: int
+    stop: int
+
+
+def _pieces(spans: Mapping[int, tuple[int, int]]) -> Iterator[list[_Piece]]:
+    """Slices [begin, end) of trajectories in pieces; those that are yielded together are in memory together."""
+    together: list[_Piece] = []
+    room = MOST_SLICES
+    for number, (begin, end) in spans.items():
+        done = begin
+        while done < end:
+            piece = _Piece(number, done, min(end, done + room))
+            together.append(piece)
+            room -= piece.stop - done
+            done = piece.stop
+            if room == 0:
+                yield together
+                together, room = [], MOST_SLICES
+    if together:
+        yield together
+
+
+def _read_piece(path: Path, architecture: Architecture, piece: _Piece) -> Series:
+    """What a detector needs to judge a piece: the history before it, too."""
+    with StageFile(path, "features") as file:
+        return read_series(file, architecture, first_needed(architecture, piece.first), piece.stop)
 
 
 def _read_kept(path: Path) -> dict[str, bytes]:

@@ -7,6 +7,8 @@ no consistency. Tracks of the same recordings by several presets are compared ro
 """
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +20,15 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.evaluation import EvaluateTracking
 from evetac_cli.params.parameter import recipe_of
+from evetac_cli.stages import row_blocks
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 4
+METHOD = 5
+DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # the paper's
 BIN_MS = 20  # of the picture's time axis
 LEAST_PX = 1e-3  # that the picture shows
@@ -49,10 +53,11 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     known = 0
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks:
-            if not len(tracks.read("dot_xy_px")):
+            if not tracks.length(DOTS):
                 raise InputError("the tracks have no slices", where=str(path))
             _check_preset(path, tracks.header["parameters"])
-            known += _truth(tracks, params.recordings) is not None
+            with _truth(tracks, params.recordings) as truth:
+                known += truth is not None
             headers.append(tracks.header)
     names = _preset_names([header["parameters"] for header in headers])
     over_time: dict[str, list[Floats]] = {}
@@ -60,8 +65,8 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows: Rows = []
         for number, (path, name) in enumerate(zip(job.inputs, names, strict=True)):
-            with StageFile(path, "tracks") as tracks:
-                row, squares = _trajectory(tracks, _truth(tracks, params.recordings))
+            with StageFile(path, "tracks") as tracks, _truth(tracks, params.recordings) as truth:
+                row, squares = _trajectory(tracks, truth)
             rows.append({"file": path.name, "preset": name, **row})
             over_time.setdefault(name, []).extend([squares] if squares is not None else [])
             progress(number + 1, len(job.inputs))
@@ -102,32 +107,34 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
     return rows, lines
 
 
-def _truth(tracks: StageFile, folder: Path | None) -> NDArray[np.float32] | None:
-    """True dots (slices, dots, 2) from the recording beside the tracks, or in a folder; None without truth.
+@contextmanager
+def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]:
+    """The recording beside the tracks, or in a folder, that knows the true dots; None without truth.
 
     InputError if the recording is another one, or if it is missing in the folder that is named.
     """
     path = output_path(tracks.path, "recording", folder)
     if not path.exists():
         if folder is None:
-            return None
+            yield None
+            return
         raise InputError(
             "no such recording", where=str(path), hint="name the folder of the recordings with --recordings"
         )
     with open_recording(path) as recording:
         check_made_from(tracks, recording)
         if not recording.has("truth"):
-            return None
-        true: NDArray[np.float32] = recording.read("truth/dot_xy_px")
-    dots = tracks.contents()["dot_xy_px"][1][1]
-    if true.shape[1] != dots:
-        raise InputError(
-            "the tracks follow another number of dots than the truth has",
-            where=str(tracks.path),
-            expected=f"{true.shape[1]} dots, as {path}",
-            found=f"{dots} dots",
-        )
-    return true
+            yield None
+            return
+        true, dots = (file.contents()[name][1][1] for file, name in ((recording, TRUE_DOTS), (tracks, DOTS)))
+        if true != dots:
+            raise InputError(
+                "the tracks follow another number of dots than the truth has",
+                where=str(tracks.path),
+                expected=f"{true} dots, as {path}",
+                found=f"{dots} dots",
+            )
+        yield recording
 
 
 def _check_preset(path: Path, parameters: dict[str, Any]) -> None:
@@ -156,36 +163,49 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
     return names
 
 
-def _trajectory(tracks: StageFile, true: NDArray[np.float32] | None) -> tuple[dict[str, Any], Floats | None]:
+def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, Any], Floats | None]:
     """The row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
     rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     present = np.isfinite(rest).all(axis=1)
-    rest, dots = rest[present], tracks.read("dot_xy_px")[:, present]
-    end_px = np.linalg.norm(dots[-1] - rest, axis=1)
+    rest, slices = rest[present], tracks.length(DOTS)
+    end_px = np.linalg.norm(tracks.read(DOTS, slices - 1)[0, present] - rest, axis=1)
     row: dict[str, Any] = {
         "consistent": bool((end_px <= CONSISTENT_PX).all()),
         "dots_lost": int((end_px > CONSISTENT_PX).sum()),
-        "dots_flagged_lost": int(tracks.read("lost")[-1].sum()),
+        "dots_flagged_lost": int(tracks.read("lost", slices - 1).sum()),
         "end_distance_px_worst": float(end_px.max()),
-        "events_per_dot": float(tracks.read("events_per_dot")[:, present].mean()),
+        "events_per_dot": _mean_events(tracks, present),
         "error_px_rms": None,
         "error_px_worst": None,
         "still_px_rms": None,
     }
-    if true is None:
+    if truth is None:
         return row, None
-    error = np.linalg.norm(dots - true[:, present], axis=2).astype(np.float64)
-    still = np.linalg.norm(rest - true[:, present], axis=2)
-    squares = np.mean(error**2, axis=1)
-    if (still[-1] > CONSISTENT_PX).any():
+    still_px = np.linalg.norm(rest - truth.read(TRUE_DOTS, slices - 1)[0, present], axis=1)
+    if (still_px > CONSISTENT_PX).any():
         row |= {"consistent": None, "dots_lost": None}
+    squares, still_squares, worst_px = np.empty(slices), np.empty(slices), 0.0
+    for first, stop in row_blocks(slices):
+        true = truth.read(TRUE_DOTS, first, stop)[:, present]
+        error = np.linalg.norm(tracks.read(DOTS, first, stop)[:, present] - true, axis=2).astype(np.float64)
+        still = np.linalg.norm(rest - true, axis=2).astype(np.float64)
+        squares[first:stop] = np.mean(error**2, axis=1)
+        still_squares[first:stop] = np.mean(still**2, axis=1)
+        worst_px = max(worst_px, float(error.max()))
     row |= {
         "error_px_rms": float(np.sqrt(squares.mean())),
-        "error_px_worst": float(error.max()),
-        "still_px_rms": float(np.sqrt(np.mean(still**2))),
+        "error_px_worst": worst_px,
+        "still_px_rms": float(np.sqrt(still_squares.mean())),
     }
-    edges = np.arange(0, len(squares), BIN_MS)
-    return row, np.add.reduceat(squares, edges) / np.diff(np.append(edges, len(squares)))
+    edges = np.arange(0, slices, BIN_MS)
+    return row, np.add.reduceat(squares, edges) / np.diff(np.append(edges, slices))
+
+
+def _mean_events(tracks: StageFile, present: NDArray[np.bool_]) -> float:
+    """Events a dot and slice, over the dots that are there."""
+    slices = tracks.length(DOTS)
+    blocks = (tracks.read("events_per_dot", first, stop) for first, stop in row_blocks(slices))
+    return float(sum(int(block[:, present].sum(dtype=np.int64)) for block in blocks) / (slices * present.sum()))
 
 
 def _lengths(rows: Rows) -> dict[str, Any]:

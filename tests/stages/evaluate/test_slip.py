@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
@@ -17,7 +18,7 @@ from evetac_cli.inspect import validate
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.learning import Train
@@ -302,9 +303,9 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The architectures of the detectors that are run on a trajectory from now on."""
     calls: list[str] = []
 
-    def counted(detector: Detector, trajectory: Trajectory) -> NDArray[np.float32]:
+    def counted(detector: Detector, series: Series, first: int) -> NDArray[np.float32]:
         calls.append(detector.architecture.name)
-        return slip_detectors.probabilities(detector, trajectory)
+        return slip_detectors.probabilities(detector, series, first)
 
     monkeypatch.setattr(slip_models, "probabilities", counted)
     return calls
@@ -356,6 +357,25 @@ def test_what_was_kept_and_is_damaged_is_judged_again(
     (tmp_path / "r.report.h5").unlink()
     assert evaluated(files, tmp_path / "r.report.h5")[0] == rows
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize("model", ["fast-slow", "down5"])
+def test_piece_by_piece_as_a_whole(
+    world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: str
+) -> None:
+    """Assert that a long trajectory is judged as it is in one piece, whatever the number of slices in memory."""
+    files = [*world["known"], *trained(world["learn"], tmp_path / "models", model=model)]
+    rows, _ = evaluated(files, tmp_path / "whole.report.h5")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "whole.judged").iterdir()}
+    calls = judged(monkeypatch)
+    monkeypatch.setattr(slip_models, "MOST_SLICES", 37)
+    assert evaluated(files, tmp_path / "pieces.report.h5")[0] == rows
+    assert len(calls) > len(world["known"])
+    for path in (tmp_path / "pieces.judged").iterdir():
+        with ZipFile(path) as archive, ZipFile(BytesIO(before[path.name])) as whole:
+            assert {name: archive.read(name) for name in archive.namelist()} == {
+                name: whole.read(name) for name in whole.namelist()
+            }
 
 
 def test_parts_of_a_report(world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

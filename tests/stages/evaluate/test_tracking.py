@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from evetac_cli import stages
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.evaluation import EvaluateTracking
@@ -67,6 +68,22 @@ def test_presets_side_by_side(recording: Path) -> None:
     assert presets[1]["error_px_rms"] < presets[0]["error_px_rms"]
     assert outcome.simulated
     assert outcome.summary["with_truth"] == 2
+
+
+def test_block_by_block_as_a_whole(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that figures are those over all slices, whatever the number that are in memory together."""
+    path = tracked(recording, "one")
+    with StageFile(recording, "recording") as truth, StageFile(path, "tracks") as tracks:
+        true, dots = truth.read("truth/dot_xy_px").astype(float), tracks.read("dot_xy_px").astype(float)
+        rest, events = tracks.read("sensor/dot_xy_px").reshape(-1, 2), tracks.read("events_per_dot")
+    monkeypatch.setattr(stages, "BLOCK_ROWS", 7)
+    row = evaluate(path, recordings=recording.parent).rows[1]
+    assert len(dots) > 7
+    assert row["events_per_dot"] == pytest.approx(events.mean(), rel=1e-12)
+    errors, still = np.linalg.norm(dots - true, axis=2), np.linalg.norm(rest - true, axis=2)
+    assert row["error_px_rms"] == pytest.approx(np.sqrt((errors**2).mean()), rel=1e-6)
+    assert row["error_px_worst"] == pytest.approx(errors.max(), rel=1e-6)
+    assert row["still_px_rms"] == pytest.approx(np.sqrt((still**2).mean()), rel=1e-6)
 
 
 @pytest.mark.parametrize(("px", "asked"), [(19.0, True), (30.0, False)])
