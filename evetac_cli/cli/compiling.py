@@ -5,6 +5,7 @@ an update of what has changed. `evetac doctor --compile`, which `make setup` run
 """
 
 import gc
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,8 +18,13 @@ AGAIN_S = 5.0
 
 
 @contextmanager
-def announced(*, quiet: bool, say: Callable[[str], None] = console.say) -> Iterator[None]:
+def announced(
+    *, quiet: bool, interrupted: Callable[[], bool] = lambda: False, say: Callable[[str], None] = console.say
+) -> Iterator[None]:
     """Say that functions are being compiled, and every few seconds how many are, while this lasts.
+
+    interrupted: whether Ctrl-C was pressed. A callback of the compiler may swallow what that raises: then it is raised
+    again after the function that was being compiled, and not after all of them.
 
     Why so: Python's collector of garbage looks at all that the compiler holds again and again. It waits until a
     function is compiled, which saves a seventh of the time.
@@ -52,6 +58,8 @@ def announced(*, quiet: bool, say: Callable[[str], None] = console.say) -> Itera
             if spent_s >= self.next_s and not quiet:
                 self.next_s = spent_s + AGAIN_S
                 say(f"compiling, once after installing: {self.done} functions so far, {spent_s:.0f} s")
+            if interrupted() and sys.exc_info()[1] is None:  # else it was not swallowed, or something is cleaned up
+                raise KeyboardInterrupt
 
     with event.install_listener("numba:compile", Announcer()):
         yield

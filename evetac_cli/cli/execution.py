@@ -43,7 +43,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             quiet = running["quiet"]
             with (
                 console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
-                compiling.announced(quiet=quiet),
+                compiling.announced(quiet=quiet, interrupted=workers.interrupted),
             ):
                 shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
             as_json, simulated = running["as_json"], shown.simulated
@@ -179,5 +179,8 @@ def run_jobs(
         if job.output not in results:
             which = f" {number + 1} of {len(jobs)}:" if len(jobs) > 1 else ""
             name = f"{command.name}{which} {job.output.name}"
-            with console.progress_bar(name, command.unit, quiet=quiet) as progress, compiling.announced(quiet=quiet):
+            with (
+                console.progress_bar(name, command.unit, quiet=quiet) as progress,
+                compiling.announced(quiet=quiet, interrupted=workers.interrupted),
+            ):
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)

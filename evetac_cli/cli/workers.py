@@ -56,6 +56,11 @@ def _catch(*, every: bool) -> None:
     sys.unraisablehook = _show_unless_interrupt
 
 
+def interrupted() -> bool:
+    """Whether an interrupt came since, even if what it raised was swallowed."""
+    return _came
+
+
 def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
     """Print what was raised where nobody could catch it, but for an interrupt, which is remembered, and what follows.
 
@@ -119,7 +124,7 @@ def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
-    with compiling.announced(quiet=quiet, say=lambda text: _send_whole(pipe, text)):
+    with compiling.announced(quiet=quiet, interrupted=interrupted, say=lambda text: _send_whole(pipe, text)):
         _work_off(pipe, module, chosen, force)
 
 

@@ -47,3 +47,22 @@ def test_quiet_is_quiet(clock: list[float], capsys: pytest.CaptureFixture[str]) 
         compile_for(clock, 60.0, 60.0)
         assert gc.isenabled()
     assert capsys.readouterr().err == ""
+
+
+def test_an_interrupt_that_was_swallowed_comes_up_after_the_function(clock: list[float]) -> None:
+    """Assert that it is raised again by the next function, but neither while it ends the command nor in cleaning up."""
+    pressed: list[bool] = []
+    ended = []
+    with pytest.raises(KeyboardInterrupt), compiling.announced(quiet=True, interrupted=lambda: bool(pressed)):
+        compile_for(clock, 1.0, 1.0)
+        ended.append("before")
+        with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
+            pressed.append(True)
+        ended.append("after")
+    assert ended == ["before"]
+    with compiling.announced(quiet=True, interrupted=lambda: True):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            compile_for(clock, 1.0, 1.0)
+    assert gc.isenabled()
