@@ -113,8 +113,6 @@ def slip_data_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("label", "learn/*.recording.h5", "--method", "truth", "--out", "truth")
     yield evetac("featurize", "learn/*.recording.h5", "--tracks", "learn", "--labels", "truth", "--out", "truth")
 
-    yield from travel_data_steps(sizes)
-
 
 def travel_data_steps(sizes: Sizes) -> Iterator[Command]:
     """Of the detector that travels: what it learns from is labelled by the truth, from the first slice on."""
@@ -329,7 +327,8 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def ship_steps(sizes: Sizes) -> Iterator[Command]:
-    """Train the detector that travels, judge it on unseen objects, and put it into the package."""
+    """Record for the detector that travels, train it, judge it on unseen objects, and put it into the package."""
+    yield from travel_data_steps(sizes)
     yield evetac("train", "travel/learn/*.features.h5", "--model", "disp-xy", "--horizon-ms", 10, "--preset", "adamw",
                  "--max-steps", min(sizes["steps"], 10_000), "--validate", "travel/choose", "--seed", sizes["seed"],
                  "--networks", sizes["networks"], "--out", "travel.model.h5")  # fmt: skip

@@ -35,7 +35,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.DEMO,),
     ),
     Experiment(
-        "slip-data", "simulated slips to learn from and to be judged on", "data/slip", 1.0,
+        "slip-data", "simulated slips to learn from and to be judged on", "data/slip", 0.3,
         full=SLIP, small=SMALL_SLIP, steps=steps.slip_data_steps,
     ),
     Experiment(
@@ -53,7 +53,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.SLIP_TRAINING_OBJECTS, tables.SLIP_UNSEEN_OBJECTS, tables.MODEL_COST),
     ),
     Experiment(
-        "ship", "a detector for sensors unlike each other, 10 ms ahead, put into the package", "data/slip", 0.2,
+        "ship", "a detector for sensors unlike each other, 10 ms ahead, put into the package", "data/slip", 0.4,
         full=SLIP, small=SMALL_SLIP, steps=steps.ship_steps, after=("slip-data",),
     ),
     Experiment(
