@@ -45,10 +45,10 @@ slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in da
 slip-models: $(READY)  ## ... train slip detectors on them
 	@$(REPRODUCE) --only $@
 
-slip-images: $(READY)  ## ... train those that see images, the slowest part
+slip-table: $(READY)  ## ... and judge these on unseen slips
 	@$(REPRODUCE) --only $@
 
-slip-table: $(READY)  ## ... and judge all of these on unseen slips
+slip-images: $(READY)  ## ... train and judge those that see images, the slowest part
 	@$(REPRODUCE) --only $@
 
 ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, and put it into the package

@@ -74,7 +74,7 @@ SMALL_SLIP: Sizes = {
     "test": 1,
     "seeds": 1,
     "models": ("hist10", "fast-slow"),
-    "image_models": (),
+    "image_models": ("hist10-img-6x6",),
     "horizon_ms": ("10",),
     "folds": 2,
     "steps": 200,
@@ -160,9 +160,7 @@ def slip_model_steps(sizes: Sizes) -> Iterator[Command]:
 def slip_image_steps(sizes: Sizes) -> Iterator[Command]:
     """Image baselines on images summed over 6 x 6 px, for a CPU, and beside them hist10 for as many steps."""
     steps = min(sizes["steps"], 3_000)
-    if sizes["image_models"]:
-        yield learn(sizes, "learn", "images", sizes["seeds"], "adamw", steps, "--model", "hist10")
-    for model in sizes["image_models"]:
+    for model in ("hist10", *sizes["image_models"]):
         yield learn(sizes, "learn", "images", sizes["seeds"], "adamw", steps, "--model", model)
     for model in (name for name in sizes["image_models"] if name.startswith("hist10-img")):
         for horizon_ms in sizes["horizon_ms"]:
@@ -171,14 +169,23 @@ def slip_image_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def slip_evaluations(sizes: Sizes) -> dict[str, Command]:
-    unseen = ("models/*/hist20*.model.h5", "models/*/fast-slow*.model.h5", "models/images*/hist10-img*.model.h5",
-              "models/*/disp-xy*.model.h5")  # fmt: skip
-    known = ("models/paper/*.model.h5", "models/adamw/*.model.h5", "models/images/*.model.h5")
+    unseen = ("models/*/hist20*.model.h5", "models/*/fast-slow*.model.h5", "models/*/disp-xy*.model.h5")
+    known = ("models/paper/*.model.h5", "models/adamw/*.model.h5")
     return {
         "slip-training-objects": evetac("evaluate", "slip", "known/*.features.h5", "--model", *known),
         "slip-unseen-objects": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", *unseen),
         "model-cost": evetac("evaluate", "cost", "model", "slip-unseen-objects.report.h5", "--model", *unseen),
     }
+
+
+def slip_image_evaluations(sizes: Sizes) -> dict[str, Command]:
+    known, unseen = "models/images/*.model.h5", "models/images*/hist10-img*.model.h5"
+    return {
+        "slip-images-training-objects": evetac("evaluate", "slip", "known/*.features.h5", "--model", known),
+        "slip-images-unseen-objects": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", unseen),
+        "image-model-cost": evetac("evaluate", "cost", "model", "slip-images-unseen-objects.report.h5",
+                                   "--model", unseen),
+    }  # fmt: skip
 
 
 TRACKING_SCENES = (

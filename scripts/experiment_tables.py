@@ -225,6 +225,14 @@ MODEL_COST = Table(
     ),
     notes=("Detectors that warn 0, 10 and 20 ms ahead have a front each.",),
 )
+IMAGES_TRAINING_OBJECTS, IMAGES_UNSEEN_OBJECTS, IMAGE_MODEL_COST = (
+    replace(table, name=name, evaluations=(name,))
+    for table, name in (
+        (SLIP_TRAINING_OBJECTS, "slip-images-training-objects"),
+        (SLIP_UNSEEN_OBJECTS, "slip-images-unseen-objects"),
+        (MODEL_COST, "image-model-cost"),
+    )
+)
 
 LABELS = Table(
     "labels",

@@ -10,8 +10,8 @@ times how many of these it has, measured on one core. One command begins when th
 reproduce.py, so that a command of 5 trainings uses 5 cores; tasks of one command are taken to be equal. Beside it: how
 long it takes at least, however a schedule orders the tasks, which is the longest chain of tasks that wait for each
 other (record, label, track, featurize, train, judge), or the work over the cores. Training may stop earlier than
-planned, by its validation. Pictures and reports of costs are left out. Storage, transfers and the cluster's own time
-are not in it.
+planned, by its validation. To a training belong the files that it reads and those on which its checkpoints are judged.
+Pictures and reports of costs are left out. Storage, transfers and the cluster's own time are not in it.
 
 --trajectories: record, label, track and featurize of so many trajectories of `slip`, all of them independent.
 """
@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
+from statistics import median
 from typing import Any
 
 from experiment_steps import Command
@@ -34,6 +35,7 @@ from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
+from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS
 
 Row = dict[str, Any]
 Costs = dict[str, dict[str, float]]
@@ -44,8 +46,6 @@ VIBRATION_S = 102.2  # of the scene `vibration`, which is the other one but for 
 TOUCH_S = 1.5  # of a grasp, before it lifts
 LIFT_S, BALANCE_S = 10.0, 20.0
 PRESETS = ("unregularised", "paper", "official", "stable")
-MODELS = ("no-hist", "hist10", "events-only", "disp-only", "hist20", "down5", "fast-slow", "disp-xy")
-IMAGE_MODELS = ("no-hist-img-6x6", "hist10-img-6x6")
 RECORDED = ("slip", "slip-varied", "handling", "edge", "shear", "data-rate", "vibration-randomized")
 EPOCH_STEPS = 100  # a guess, of the demo: all other trainings are planned in steps
 STEPS = (50, 250)  # of two short trainings: their difference is what a step costs
@@ -107,6 +107,22 @@ def steps(costs: Costs) -> Iterator[Step]:
                 yield from _step(experiment.name, words[1:], made, costs)
 
 
+def trainings() -> list[tuple[str, str]]:
+    """The networks that the experiments train, each with its presets."""
+    commands = [words for experiment in EXPERIMENTS for words in experiment.steps(experiment.full)]
+    found = {
+        (option(words, "--model", "hist10"), option(words, "--preset", "adamw"))
+        for words in commands
+        if words[:2] == ["evetac", "train"]
+    }
+    return sorted(found)
+
+
+def judging(model: str, costs: Costs) -> float:
+    """Seconds that a model takes for a file: one that sees images takes longer."""
+    return costs["evaluate slip, images" if "-img" in model else "evaluate slip"]["cpu_s"]
+
+
 def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> Iterator[Step]:
     command = words[0]
     if command in ("record", "grasp"):
@@ -115,18 +131,21 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
     end = next((number for number, word in enumerate(words) if word.startswith("--")), len(words))
     if command == "evaluate":
         what, patterns = words[1], [word for word in words[2:end] if "*" in word]
-        models = matching([word for word in words[end:] if "*" in word], made)
+        models = matching(words[end:], made)
         judged = sum(files.count for files in matching(patterns, made))
-        each = costs[f"evaluate {what}"]
+        if what == "slip":  # each model is judged by itself
+            seconds = [judging(files.name, costs) * judged for files in models for _ in range(files.count)]
+            for cpu_s in sorted(set(seconds)):
+                yield Step(experiment, "evaluate slip", seconds.count(cpu_s), cpu_s, 0.0)
+            return
         many = sum(files.count for files in models) or 1
-        tasks = many if what == "slip" else 1  # of which each model is judged by itself
-        yield Step(experiment, f"evaluate {what}", tasks, each["cpu_s"] * judged * many / tasks, 0.0)
+        yield Step(experiment, f"evaluate {what}", 1, costs[f"evaluate {what}"]["cpu_s"] * judged * many, 0.0)
         return
     inputs = matching(words[1:end], made)
     if not inputs:
         raise SystemExit(f"{experiment}: nothing made before fits {' '.join(words)}")
     if command.startswith("train"):
-        yield _trained(experiment, words, made, costs)
+        yield _trained(experiment, words, inputs, made, costs)
         return
     kind = {"track": f"track {option(words, '--preset', 'stable')}", "featurize": "featurize", "label": "label",
             "track-rgb": "track-rgb"}[command] + (" --images" if "--images" in words else "")  # fmt: skip
@@ -165,7 +184,7 @@ def _recorded(experiment: str, words: Command, made: list[Files], costs: Costs) 
     return Step(experiment, f"record {scene}", count, each["cpu_s"] * share, each["size_bytes"] * share)
 
 
-def _trained(experiment: str, words: Command, made: list[Files], costs: Costs) -> Step:
+def _trained(experiment: str, words: Command, inputs: list[Files], made: list[Files], costs: Costs) -> Step:
     out = option(words, "--out")
     if words[0] == "train-force":
         made.append(Files(out, 1, 0.0))
@@ -177,8 +196,12 @@ def _trained(experiment: str, words: Command, made: list[Files], costs: Costs) -
     each = costs[f"train {model} {preset}"]
     planned = int(option(words, "--max-steps", "0")) or int(option(words, "--epochs")) * EPOCH_STEPS
     name = out if out.endswith(".h5") else f"{out}/{model}-s0.model.h5"
+    validated = sum(files.count for files in matching([f"{option(words, '--validate')}/*.features.h5"], made))
+    read_s = costs["train: a file read"]["cpu_s"] * (sum(files.count for files in inputs) + validated)
+    judged_s = judging(name, costs) * validated * LAST_CHECKPOINTS * networks
+    cpu_s = each["cpu_s"] * planned * networks + read_s + judged_s
     made.append(Files(name, seeds, 0.0))
-    return Step(experiment, f"train {model}", seeds, each["cpu_s"] * planned * networks, each["size_bytes"] * networks)
+    return Step(experiment, f"train {model}", seeds, cpu_s, each["size_bytes"] * networks)
 
 
 # --- what is planned from it ------------------------------------------------------------------------------------------
@@ -190,7 +213,7 @@ def chain_s(planned: list[Step]) -> float:
     for name in dict.fromkeys(step.experiment for step in planned):
         kinds: dict[str, float] = {}
         for step in planned:
-            if step.experiment in (name, "slip-data") or (name == "slip-table" and step.experiment.startswith("slip")):
+            if step.experiment in (name, "slip-data") or (name, step.experiment) == ("slip-table", "slip-models"):
                 kind = step.command.split()[0]
                 kinds[kind] = max(kinds.get(kind, 0.0), step.cpu_s)
         longest = max(longest, sum(kinds.values()))
@@ -299,13 +322,27 @@ def measure(folder: Path) -> Costs:
         print(model, preset, costs[f"train {model} {preset}"], flush=True)
 
     features = sorted((folder / "slip").glob("*.features.h5"))
-    for _ in range(2):  # the first loads torch
-        trained("hist10", "adam")
-    for model in MODELS:
-        for preset in ("adamw", "paper"):
-            trained(model, preset)
-    for model in IMAGE_MODELS:
-        trained(model, "adamw")
+    trained("hist10", "adamw")  # loads torch; measured again below
+    for model, preset in trainings():
+        trained(model, preset)
+
+    def per_file(name: str, kind: str, words: tuple[object, ...], options: tuple[object, ...]) -> None:
+        """What a file costs, without the start of the command: all files less one, medians of three."""
+
+        def took(paths: list[Path]) -> float:
+            outputs = [folder / f"{turn}-of-{len(paths)}.{kind}.h5" for turn in range(3)]
+            return median(cpu_of(*words, *paths, *options, "--out", output) for output in outputs)
+
+        costs[name] = {"cpu_s": (took(features) - took(features[:1])) / (len(features) - 1), "size_bytes": 0.0}
+        print(name, costs[name], flush=True)
+
+    learn, validate = sorted((folder / "warm").glob("slip*.features.h5"))
+    how = ("--max-steps", STEPS[0], "--validate", validate)
+    per_file("train: a file read", "model", ("train",), ("--model", "hist10", *how))
+    for name, network in (("evaluate slip", "hist10"), ("evaluate slip, images", "hist10-img-6x6")):
+        judge = folder / f"judge-{network}.model.h5"
+        cpu_of("train", learn, "--model", network, *how, "--out", judge)
+        per_file(name, f"{network}.report", ("evaluate", "slip"), ("--model", judge, "--jobs", 1))
 
     def judged(what: str, count: int, *words: object) -> None:
         cpu_of("evaluate", what, *words, "--out", folder / "warm" / f"{what}.report.h5")
@@ -313,9 +350,6 @@ def measure(folder: Path) -> Costs:
         costs[f"evaluate {what}"] = {"cpu_s": cpu_s / count, "size_bytes": size(f"{what}.report.h5")}
 
     tracks = sorted((folder / "slip").glob("*.tracks.h5"))
-    judged(
-        "slip", len(warm), *sorted((folder / "warm").glob("slip*.features.h5")), "--model", folder / "hist10.model.h5"
-    )
     judged("labels", len(slips), *sorted((folder / "slip").glob("*.labels.h5")))
     judged("tracking", len(slips), *tracks)
     judged("data-rate", 1, *sorted((folder / "data-rate").glob("*.recording.h5")))

@@ -161,7 +161,7 @@ def test_dry_run_prints_and_runs_nothing(
     printed = capsys.readouterr().out
     assert f"cd {tmp_path}/small/data/slip" in printed
     commands = [line.split()[1] for line in printed.splitlines() if line.startswith("evetac")]
-    assert list(dict.fromkeys(commands)) == ["record", "label", "track", "featurize", "grasp", "train", "evaluate"]
+    assert list(dict.fromkeys(commands)) == ["record", "label", "track", "featurize", "train", "evaluate"]
     assert "--max-steps 7" in printed
     assert list(tmp_path.iterdir()) == []
 
