@@ -134,9 +134,9 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
         models = matching(words[end:], made)
         judged = sum(files.count for files in matching(patterns, made))
         if what == "slip":  # each model is judged by itself
-            seconds = [judging(files.name, costs) * judged for files in models for _ in range(files.count)]
-            for cpu_s in sorted(set(seconds)):
-                yield Step(experiment, "evaluate slip", seconds.count(cpu_s), cpu_s, 0.0)
+            each_s = [judging(files.name, costs) * judged for files in models for _ in range(files.count)]
+            for cpu_s in sorted(set(each_s)):
+                yield Step(experiment, "evaluate slip", each_s.count(cpu_s), cpu_s, 0.0)
             return
         many = sum(files.count for files in models) or 1
         yield Step(experiment, f"evaluate {what}", 1, costs[f"evaluate {what}"]["cpu_s"] * judged * many, 0.0)
@@ -357,12 +357,13 @@ def measure(folder: Path) -> Costs:
            "--windows", "10,2,1,0.25")  # fmt: skip
     judged("grasp", 1, *sorted((folder / "grasp").glob("*.recording.h5")))
     stage("track-rgb", "rgb/*.tracks", "track-rgb", "--out", folder / "slip" / "rgb")
-    model = folder / "dots.force-model.h5"
+    force_model = folder / "dots.force-model.h5"
     shears = sorted((folder / "shear").glob("*.recording.h5"))
     cpu_of("track", *shears)
     *learnt, unseen = sorted((folder / "shear").glob("*.tracks.h5"))
-    costs["train-force"] = {"cpu_s": cpu_of("train-force", *learnt, "--out", model), "size_bytes": size(model.name)}
-    judged("force", 1, unseen, "--model", model)
+    costs["train-force"] = {"cpu_s": cpu_of("train-force", *learnt, "--out", force_model),
+                            "size_bytes": size(force_model.name)}  # fmt: skip
+    judged("force", 1, unseen, "--model", force_model)
     return costs
 
 
