@@ -110,12 +110,8 @@ def steps(costs: Costs) -> Iterator[Step]:
 def trainings() -> list[tuple[str, str]]:
     """The networks that the experiments train, each with its presets."""
     commands = [words for experiment in EXPERIMENTS for words in experiment.steps(experiment.full)]
-    found = {
-        (option(words, "--model", "hist10"), option(words, "--preset", "adamw"))
-        for words in commands
-        if words[:2] == ["evetac", "train"]
-    }
-    return sorted(found)
+    training = [words for words in commands if words[:2] == ["evetac", "train"]]
+    return sorted({(option(words, "--model", "hist10"), option(words, "--preset", "adamw")) for words in training})
 
 
 def judging(model: str, costs: Costs) -> float:
