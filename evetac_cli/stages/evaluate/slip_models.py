@@ -8,6 +8,7 @@ is new, and one that was broken off goes on. The folder can be removed at any ti
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +21,6 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.slip_detectors import (
@@ -55,31 +55,36 @@ class Model:
     threshold: float
     dot_shape: tuple[int, int]
     parameters: int  # number of trained weights and biases
+    over_dots: Detector | None  # None for networks on images
 
     @classmethod
     def read(cls, path: Path) -> "Model":
         """Read a model file; InputError if it is another kind of file, or damaged."""
         with StageFile(path, "model") as file:
             rows, columns = (int(size) for size in file.read("dot_shape"))
+            detector = load_detector(file)
             shapes = {name: shape for name, (_, shape) in file.contents().items() if name.startswith("weights/")}
             return cls(
                 path,
                 file.header,
-                load_detector(file).architecture,
+                detector.architecture,
                 file.length("onnx"),
                 hashlib.sha256(f"{JUDGING} {file.header['id']} ".encode() + file.read("onnx").tobytes()).hexdigest(),
                 read_horizon_ms(file),
                 float(file.read("threshold")),
                 (rows, columns),
                 sum(int(np.prod(shape)) for name, shape in shapes.items() if not name.endswith(NOT_WEIGHTS)),
+                None if detector.networks is None else detector,
             )
 
     def detector(self) -> Detector:
         """The network, ready to run.
 
-        Why so: made when it is needed, because onnxruntime, which runs those on images, keeps the memory of its
-        largest batch for each network: a gigabyte.
+        Why so: those on images are made when they are needed, because onnxruntime, which runs them, keeps the memory of
+        its largest batch for each network: a gigabyte.
         """
+        if self.over_dots is not None:
+            return self.over_dots
         with StageFile(self.path, "model") as file:
             return load_detector(file)
 
@@ -156,19 +161,20 @@ def predict_all(
     by_model: list[list[Prediction]] = [[] for _ in models]
     for begin in range(0, len(paths), AT_ONCE):
         chunk = slice(begin, begin + AT_ONCE)
-        probabilities = _judge(models, paths[chunk], headers[chunk], folder)
-        for path, header, of_models in zip(paths[chunk], headers[chunk], probabilities, strict=True):
-            with StageFile(path, "features") as file:
+        with ExitStack() as stack:
+            files = [stack.enter_context(StageFile(path, "features")) for path in paths[chunk]]
+            probabilities = _judge(models, files, headers[chunk], folder)
+            for file, header, of_models in zip(files, headers[chunk], probabilities, strict=True):
                 label, onset = file.read("label"), int(file.read("onset_slice"))
-            for model, predictions, probability in zip(models, by_model, of_models, strict=True):
-                shifted = shift_labels(label, model.horizon_ms)
-                predictions.append(Prediction(probability, shifted, onset, object_name(header)))
+                for model, predictions, probability in zip(models, by_model, of_models, strict=True):
+                    shifted = shift_labels(label, model.horizon_ms)
+                    predictions.append(Prediction(probability, shifted, onset, object_name(header)))
         progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
 
 
 def _judge(
-    models: Sequence[Model], paths: Sequence[Path], headers: Sequence[Header], folder: Path | None
+    models: Sequence[Model], files: Sequence[StageFile], headers: Sequence[Header], folder: Path | None
 ) -> list[list[NDArray[np.float32]]]:
     """The probabilities of each model for a few trajectories, by trajectory; kept in `folder`, if there is one.
 
@@ -179,9 +185,8 @@ def _judge(
     spans: list[tuple[int, int]] = []
     by_path: list[list[NDArray[np.float32]]] = []
     missing: list[set[int]] = []
-    for path, kept in zip(paths, known, strict=True):
-        with StageFile(path, "features") as file:
-            label = file.read("label")
+    for file, kept in zip(files, known, strict=True):
+        label = file.read("label")
         kept_values = [_probabilities(kept.get(model.key), len(label)) for model in models]
         missing.append({index for index, one in enumerate(kept_values) if one is None})
         spans.append((first_labelled(label), len(label)))
@@ -190,7 +195,10 @@ def _judge(
         members = [index for index, model in enumerate(models) if model.architecture == architecture]
         new = {number: spans[number] for number, gaps in enumerate(missing) if gaps.intersection(members)}
         for pieces in _pieces(new):
-            series = [_read_piece(paths[piece.number], architecture, piece) for piece in pieces]
+            series = [
+                read_series(files[number], architecture, first_needed(architecture, first), stop)
+                for number, first, stop in pieces
+            ]
             for index in members:
                 waiting = [(*one, part) for one, part in zip(pieces, series, strict=True) if index in missing[one[0]]]
                 if waiting:
@@ -230,12 +238,6 @@ def _pieces(spans: Mapping[int, tuple[int, int]]) -> Iterator[list[_Piece]]:
                 together, room = [], MOST_SLICES
     if together:
         yield together
-
-
-def _read_piece(path: Path, architecture: Architecture, piece: _Piece) -> Series:
-    """What a detector needs to judge a piece: the history before it, too."""
-    with StageFile(path, "features") as file:
-        return read_series(file, architecture, first_needed(architecture, piece.first), piece.stop)
 
 
 def _read_kept(path: Path) -> dict[str, bytes]:
