@@ -1,5 +1,6 @@
 """scripts/plan.py: what the reproduction costs, from counts and the cost of a task."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -30,12 +31,19 @@ def test_every_command_is_counted(costs: Costs) -> None:
     assert images == [9 * 12, 9 * 2, 9 * 10, 8 * 10]
     folds = [step.tasks for step in planned if step.experiment == "slip-models" and step.command == "train fast-slow"]
     assert folds[-1] == 5 * 3
+    (trained,) = {step.cpu_s for step in planned if step.command == "train no-hist" and step.cpu_s < 40_000}
+    assert trained == 10_000 + (9 * 12 + 9 * 2) + 9 * 2 * 3  # steps, files read, files judged by three checkpoints
     tracked = [step for step in planned if step.experiment == "tracking" and step.command.startswith("track ")]
     assert sum(step.tasks for step in tracked) == 4 * (50 + 5 + 2 * (5 + 1))
     (labels,) = [step for step in planned if step.command == "evaluate labels" and step.experiment == "labels"]
     assert (labels.tasks, labels.cpu_s) == (1, 100.0)
     force = [step for step in planned if step.experiment == "force" and step.command.startswith("track")]
     assert [step.tasks for step in force] == [10, 10]
+
+
+def test_no_cost_is_missing() -> None:
+    """Assert that the costs that come with the script are those of today's experiments."""
+    assert all(step.cpu_s > 0 for step in plan.steps(json.loads(plan.COSTS.read_text())))
 
 
 def test_cores_without_tasks_are_of_no_use() -> None:
