@@ -66,6 +66,7 @@ USUAL_EVENTS = 1_000
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14, 16)
 DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would be hot, and left out
 REPEAT, WARM_UP = 300, 20
+EVALUATED = ("label", "track", "featurize")  # what evaluations read
 LENGTHS_S = (1, 60, 600, 3600)
 SLOPE = 1.1  # how much more than 1 s a minute has to cost, to say what an hour should
 TRAJECTORIES = (20, 60, 180)
@@ -218,11 +219,12 @@ def _stages(place: Path, repeated: Repeated, length_s: int, stages: Collection[s
     place.mkdir()
     repeated.write(place / "long.recording.h5", 1000 * length_s)
     rows: list[Row] = []
+    evaluated = EVALUATED if any(stage.startswith("evaluate") for stage in stages) else ()
     for stage, words in stage_commands("long").items():
-        if stage not in stages:
-            continue
-        cpu_s, memory_mb = cpu_of(*words, cwd=place)
-        rows.append({"stage": stage, "length_s": length_s, "cpu_s": cpu_s, "memory_mb": memory_mb})
+        if stage in stages or stage in evaluated:
+            cpu_s, memory_mb = cpu_of(*words, cwd=place)
+        if stage in stages:
+            rows.append({"stage": stage, "length_s": length_s, "cpu_s": cpu_s, "memory_mb": memory_mb})
     shutil.rmtree(place)
     return rows
 
