@@ -66,7 +66,10 @@ USUAL_EVENTS = 1_000
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14, 16)
 DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would be hot, and left out
 REPEAT, WARM_UP = 300, 20
-EVALUATED = ("label", "track", "featurize")  # what evaluations read
+BEFORE = {  # the stages whose files a stage reads, beside the recording
+    "featurize": ("label", "track"), "evaluate labels": ("label",), "evaluate tracking": ("track",),
+    "evaluate slip": ("label", "track", "featurize"), "import": ("export",),
+}  # fmt: skip
 LENGTHS_S = (1, 60, 600, 3600)
 SLOPE = 1.1  # how much more than 1 s a minute has to cost, to say what an hour should
 TRAJECTORIES = (20, 60, 180)
@@ -219,9 +222,9 @@ def _stages(place: Path, repeated: Repeated, length_s: int, stages: Collection[s
     place.mkdir()
     repeated.write(place / "long.recording.h5", 1000 * length_s)
     rows: list[Row] = []
-    evaluated = EVALUATED if any(stage.startswith("evaluate") for stage in stages) else ()
+    before = {earlier for stage in stages for earlier in BEFORE.get(stage, ())}
     for stage, words in stage_commands("long").items():
-        if stage in stages or stage in evaluated:
+        if stage in stages or stage in before:
             cpu_s, memory_mb = cpu_of(*words, cwd=place)
         if stage in stages:
             rows.append({"stage": stage, "length_s": length_s, "cpu_s": cpu_s, "memory_mb": memory_mb})
