@@ -42,6 +42,10 @@ class Events(NamedTuple):
         """Views of the events [start, stop)."""
         return Events(self.t[start:stop], self.x[start:stop], self.y[start:stop], self.p[start:stop])
 
+    def at(self, rows: NDArray[np.bool_ | np.intp]) -> "Events":
+        """Copies of the events at some rows, by index or mask."""
+        return Events(self.t[rows], self.x[rows], self.y[rows], self.p[rows])
+
 
 def empty() -> Events:
     """No events, with the right dtypes."""

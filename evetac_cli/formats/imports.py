@@ -3,10 +3,12 @@
 The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
 """
 
+import math
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,11 +21,13 @@ from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
 from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder, open_rosbag
+from evetac_cli.formats.read.column_order import assumption
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
-from evetac_cli.formats.read.read_other_streams import aedat4_streams, bag_streams
+from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_text import open_text
+from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.disk import leave_if_interrupted
 from evetac_cli.store.streams import Stream
@@ -40,23 +44,31 @@ MOST_NAMED = 12  # of what was left out
 LARGE_LOSS = 0.02  # share of events dropped for one reason, above which a note says so
 
 
+# What a user may say of a file, by name, and which files it is for.
+SAID = {
+    "stream": ("--stream", "files that may hold several streams of events: AEDAT4, HDF5, npz and bags"),
+    "columns": ("--columns", "files of four columns without names: text, numpy and HDF5"),
+    "time_unit": ("--time-unit", "files that do not say their unit of time: text, numpy and HDF5"),
+}
+
+
 class Format(NamedTuple):
-    """How a file of the format begins, at one of which places, who reads it, and whether it may hold many streams."""
+    """How a file of the format begins, at one of which places, who reads it, and what a user may say of it (SAID)."""
 
     begins: tuple[bytes, ...]
     read: Callable[..., Foreign]
-    many_streams: bool = False
+    said: tuple[str, ...] = ()
     at: tuple[int, ...] = (0,)
 
 
-TEXT = Format((), open_text)  # begins with anything, so it is tried last
-BAG = Format((read_rosbag.ROS1, read_rosbag.SQLITE, read_rosbag.MCAP), open_rosbag, many_streams=True)
+TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
+BAG = Format((read_rosbag.ROS1, read_rosbag.SQLITE, read_rosbag.MCAP), open_rosbag, ("stream",))
 FORMATS = (
-    Format((b"#!AER-DAT4",), open_aedat4, many_streams=True),
+    Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
     Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
     Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
-    Format((HDF5_SIGNATURE,), open_hdf5, many_streams=True, at=HDF5_SIGNATURE_AT),
-    Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, many_streams=True),
+    Format((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
+    Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
     Format(read_prophesee.SIGNS, open_prophesee),
     BAG,
 )
@@ -114,30 +126,41 @@ class EventFile:
         *,
         frame_px: tuple[int, int] | None = None,
         sort: bool = False,
+        drop_late: bool = False,
+        from_restart: int | None = None,
         stream: str | None = None,
+        columns: str | None = None,
+        time_unit: str | None = None,
         frames: bool = False,
         folder: Path | None = None,
         progress: Progress = silent,
     ) -> None:
         """Recognize the file and find its frame; InputError for what is no event file.
 
+        columns: names of four columns that have none, as in "x y t p"; without it, the first known order that fits.
         folder: on whose disk events wait that are to be sorted; the one for temporary files otherwise.
         frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
         HDF5), that of the smallest known sensor that holds all events, and a note says so.
         frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
+        drop_late: leave out events that come 1 ms or more after a later one, instead of refusing their file.
+        from_restart: of a file whose clock begins anew, only the part from this restart to the next; 0: before the first.
         path: a file, or the folder of a ROS 2 bag.
         progress: of the events that were read; how many there will be, no format says.
-        sort: put events whose time goes backwards in order (stable) instead of refusing them.
+        sort: put all events in the order of their time (stable), instead of refusing a file where it goes back.
         stream: the event stream of an AEDAT4 file, the topic of a bag, the camera of an HDF5 file, or the array of an
         npz, that has several; the first by name otherwise.
+        time_unit: s, ms, us or ns, where the file does not say it; without it, us if all times are whole, else s.
         """
         self._path, self._where = Path(path), str(path)
-        self._sort, self._frames, self._folder, self._progress = sort, frames, folder, progress
+        self._order = OrderOptions(sort, drop_late, from_restart)
+        self._frames, self._folder, self._progress = frames, folder, progress
+        options = {"stream": stream, "columns": columns, "time_unit": time_unit}
+        said = {name: value for name, value in options.items() if value is not None}
         with _reading(self._where):
             try:
-                self._foreign = _open(self._path, frame_px, stream)
+                self._foreign = _open(self._path, frame_px, said)
             except FrameUnknown as unknown:
-                self._foreign = _open_with_guessed_frame(self._path, stream, unknown)
+                self._foreign = _open_with_guessed_frame(self._path, said, unknown)
         self.frame_px = self._foreign.frame_px
 
     def blocks(self) -> Iterator[Events]:
@@ -147,17 +170,9 @@ class EventFile:
         damaged AEDAT4 file what is intact.
         """
         foreign, normal = self._foreign, Normal()
-        note = foreign.note
-        blocks = normalise(
-            _counted(foreign.batches, self._progress),
-            foreign.frame_px,
-            normal,
-            sort=self._sort,
-            start_us=note.start_us if note else None,
-            may_be_empty=foreign.may_be_empty or (note is not None and not note.events),
-            where=self._where,
-            folder=self._folder,
-        )
+        batches = foreign.batches
+        counted = replace(foreign, batches=_counted(batches, self._progress))
+        blocks = normalise(counted, normal, order=self._order, where=self._where, folder=self._folder)
         try:
             while True:
                 with _reading(self._where):
@@ -166,8 +181,8 @@ class EventFile:
                     break
                 yield block
         finally:
-            if isinstance(foreign.batches, Generator):  # a refusal leaves it with its file open
-                foreign.batches.close()
+            if isinstance(batches, Generator):  # a refusal leaves it with its file open
+                batches.close()
         self.facts = self._facts(normal)
 
     def _facts(self, normal: Normal) -> Facts:
@@ -175,14 +190,18 @@ class EventFile:
         notes = [*foreign.notes, *_losses(foreign, normal)]
         if note is None and not normal.size:
             notes.append("the file holds no events")
-        if normal.sorted:
-            notes.append(f"time went backwards: {normal.sorted} events were put back in order")
+        notes += normal.notes
+        notes += foreign.times.notes if foreign.times else []
         slices = (normal.last_us - normal.first_us) // SLICE_US + 1 if normal.size else 0
         if note and not foreign.cut_short and not _lacks_events(foreign, normal):
             slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
         t_offset_us = normal.first_us + foreign.clock_us if normal.size or note else 0
         with _reading(self._where):
-            streams = _kept(self._path, foreign, t_offset_us, slices, frames=self._frames, folder=self._folder)
+            if self._order.from_restart is None:
+                streams = _kept(self._path, foreign, t_offset_us, slices, frames=self._frames, folder=self._folder)
+            else:  # their times do not say which part they belong to
+                streams = []
+                foreign.left_out |= {stream.name: len(stream.t_us) for stream in foreign.streams}
         notes += _unsaid(foreign, streams)
         return Facts(
             size=normal.size,
@@ -221,11 +240,10 @@ def _kept(
 ) -> list[Stream]:
     """The other streams of the file that are kept, in the recording's clock; what came is no longer left out."""
     read = OTHER_STREAMS.get(foreign.format)
-    if read is None or not foreign.left_out:
-        return []
     streams = []
     counts: Counter[str] = Counter()
-    for stream, name, unreadable in read(path, frames=frames, folder=folder):
+    others = read(path, frames=frames, folder=folder) if read is not None and foreign.left_out else ()
+    for stream, name, unreadable in chain((Other(one, one.name) for one in foreign.streams), others):
         for counted in (name, f"packets of {name}"):
             foreign.left_out.pop(counted, None)
         within = replace(stream, t_us=stream.t_us - t_offset_us).within(slices)
@@ -243,8 +261,9 @@ def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
         yield "kept: " + ", ".join(f"{len(stream.t_us):,} samples of {stream.name}" for stream in streams)
     if foreign.left_out:
         yield f"left out: {left_out_text(foreign.left_out)}"
-    if foreign.assumed:
-        yield f"assumed: {foreign.assumed}"
+    unit = foreign.times.assumed if foreign.times else None
+    if assumed := ": ".join(filter(None, (foreign.assumed, assumption(foreign.guessed_order, unit)))):
+        yield f"assumed: {assumed}"
 
 
 def left_out_text(left_out: dict[str, int]) -> str:
@@ -284,25 +303,19 @@ def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
         yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: not all of t, x, y, p are numbers"
 
 
-def _open(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
-    """Recognize the format by the first bytes and hand over to its reader."""
+def _open(path: Path, frame_px: tuple[int, int] | None, said: Mapping[str, str]) -> Foreign:
+    """Recognize the format by the first bytes and hand over to its reader, with what the user says of the file."""
     format_ = BAG if path.is_dir() and is_bag_folder(path) else _format(path)
-    if format_.many_streams:
-        return format_.read(path, frame_px, stream)
-    if stream is not None:  # an option that would do nothing is an error
-        raise InputError(
-            "--stream only applies to files that hold several streams of events",
-            where=str(path),
-            found=stream,
-            hint="leave it out",
-        )
-    return format_.read(path, frame_px)
+    for name in said.keys() - set(format_.said):  # an option that would do nothing is an error
+        flag, files = SAID[name]
+        raise InputError(f"{flag} is for {files}", where=str(path), found=said[name], hint="leave it out")
+    return format_.read(path, frame_px, **said)
 
 
-def _open_with_guessed_frame(path: Path, stream: str | None, unknown: FrameUnknown) -> Foreign:
+def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: FrameUnknown) -> Foreign:
     """The file with the frame of the smallest known sensor that holds all its events; `unknown` where none does."""
     width = height = 0
-    batches = _open(path, ANY_FRAME_PX, stream).batches
+    batches = _open(path, ANY_FRAME_PX, said).batches
     try:
         for batch in batches:
             x, y = batch.x.astype(np.float64), batch.y.astype(np.float64)
@@ -315,13 +328,24 @@ def _open_with_guessed_frame(path: Path, stream: str | None, unknown: FrameUnkno
     fitting = [frame for frame in FRAMES_PX if 0 < width <= frame[0] and 0 < height <= frame[1]]
     if not fitting:
         raise unknown
-    foreign = _open(path, fitting[0], stream)
+    foreign = _open(path, fitting[0], said)
     frame = "{}x{}".format(*fitting[0])
     foreign.notes.append(
         f"the file does not say its frame: took {frame}, the smallest of a known sensor that holds all events"
         f" ({width}x{height}); --frame-size says another"
     )
+    if swapped := _swapped(width, height, fitting[0]):
+        foreign.notes.append(swapped)
     return foreign
+
+
+def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:
+    """A note where the events fill a smaller sensor with columns and rows exchanged; empty otherwise."""
+    exchanged = next(((w, h) for w, h in FRAMES_PX if w >= height and h >= width), None)
+    if width >= height or exchanged is None or math.prod(exchanged) >= math.prod(frame_px):
+        return ""
+    sensor = "{}x{}".format(*exchanged)
+    return f"columns reach {width - 1} and rows {height - 1}: are x and y exchanged? then they fit {sensor}"
 
 
 def _format(path: Path) -> Format:

@@ -46,10 +46,32 @@ class Record(Trials):
         panel=IMPORT,
     )
     sort: bool = parameter(
-        False, "Sort imported events whose time goes backwards, instead of refusing them.", panel=IMPORT
+        False,
+        "Sort imported events by time, instead of refusing a file whose time goes back by 1 ms or more.",
+        panel=IMPORT,
+    )
+    drop_late: bool = parameter(
+        False, "Leave out imported events that come 1 ms or more after a later one, instead of refusing.", panel=IMPORT
+    )
+    from_restart: int | None = parameter(
+        None,
+        "Of an imported file whose clock begins anew, take the part from this restart to the next; 0: before the first.",
+        low=0,
+        high=1000,
+        panel=IMPORT,
     )
     stream: str | None = parameter(
         None, "Which event stream, topic, camera or array of the imported file, where it has several.", panel=IMPORT
+    )
+    columns: str | None = parameter(
+        None, "Four columns of the imported file that have no names, as in `x y t p`.", panel=IMPORT
+    )
+    time_unit: str | None = parameter(
+        None,
+        "Unit of time of the imported text, numpy or HDF5 file, where it does not say it: s, ms, us or ns; default: us"
+        " if all times are whole, s otherwise.",
+        choices=("s", "ms", "us", "ns"),
+        panel=IMPORT,
     )
     frames: bool = parameter(
         False,

@@ -35,7 +35,10 @@ RECORD: dict[str, tuple[Source, ...]] = {
     "tones": (Source.STEPPED,),
     **dict.fromkeys(("count", "seed", "live", "preview"), (Source.SCENE, Source.DEVICE)),
     "live_in": (Source.SHOWN,),
-    **dict.fromkeys(("frame_size", "sort", "stream", "frames"), (Source.IMPORT,)),
+    **dict.fromkeys(
+        ("frame_size", "sort", "drop_late", "from_restart", "stream", "columns", "time_unit", "frames"),
+        (Source.IMPORT,),
+    ),
     "calibration": (Source.IMPORT, Source.RECORDED, Source.PREVIEW),
     "gripper": (Source.SCENE, Source.DEVICE),
     "seconds": (Source.DEVICE, Source.PREVIEW),

@@ -23,7 +23,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import events_on_disk, read_text
-from evetac_cli.formats.read.event_validation import Columns, Normal, normalise
+from evetac_cli.formats.read.event_validation import Columns, Foreign, Normal, normalise
+from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
@@ -59,10 +60,12 @@ def integer_batches(draw: st.DrawFn) -> Columns:
     return columns(column(-3000, 3000), column(-2, 12), column(-2, 9), column(0, 1))
 
 
-def normalised(batches: Iterable[Columns], frame_px: tuple[int, int], **options: bool) -> tuple[Events, Normal]:
+def normalised(
+    batches: Iterable[Columns], frame_px: tuple[int, int], may_be_empty: bool = False, **options: Any
+) -> tuple[Events, Normal]:
     """The events that validation gives out, joined, and what it found."""
-    normal = Normal()
-    return concatenate(list(normalise(batches, frame_px, normal, **options))), normal
+    normal, foreign = Normal(), Foreign("", frame_px, batches, may_be_empty=may_be_empty)
+    return concatenate(list(normalise(foreign, normal, order=OrderOptions(**options)))), normal
 
 
 @settings(max_examples=300)
@@ -72,13 +75,13 @@ def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: boo
     width, height = 10, 7
     rows = [tuple(int(value) for value in row) for row in zip(*batch[:4], strict=True)]
     inside = [row for row in rows if 0 <= row[1] < width and 0 <= row[2] < height]
-    late = [i for i in range(1, len(inside)) if inside[i][0] < max(row[0] for row in inside[:i])]
+    back = [max(row[0] for row in inside[:i]) - inside[i][0] for i in range(1, len(inside))]
     polarities = {row[3] for row in rows}
     must_refuse = (
         not (polarities <= {0, 1} or polarities <= {-1, 1})
         or any(abs(row[0]) >= 2**53 for row in rows)
         or not inside
-        or (late and not sort)
+        or (any(us >= 1000 for us in back) and not sort)
         or (inside and max(row[0] for row in inside) - min(row[0] for row in inside) > 6 * 3600 * 10**6)
     )
     if must_refuse:
@@ -94,7 +97,7 @@ def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: boo
     ]
     assert normal.first_us == first_us
     assert normal.dropped == {"not_a_number": 0, "out_of_frame": len(rows) - len(inside)}
-    assert normal.sorted == len(late)
+    assert normal.sorted == sum(us > 0 for us in back)
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=30), st.data())
@@ -112,13 +115,28 @@ def test_cuts_between_batches_do_not_matter(times: list[int], data: st.DataObjec
 
 
 def test_time_that_goes_backwards_is_counted_and_placed() -> None:
-    """Assert that the refusal counts the events behind the clock, and places the first of them in the file."""
-    batches = [columns([10, 20, 30]), columns([1, 30, 5, 29, 31], x=[99, 0, 0, 0, 0], first=3)]
-    with pytest.raises(InputError, match="2 of 8 events come after a later one, first at index 5"):
+    """Assert that the refusal places steps back of 1 ms in the file and says what each option keeps, and these do."""
+    batches = [columns([10, 20, 3000]), columns([1, 3000, 2500, 2900, 3100], x=[99, 0, 1, 2, 3], first=3)]
+    events, normal = normalised(batches, (9, 9))
+    assert events.t.tolist() == [0, 10, 2490, 2890, 2990, 2990, 3090]
+    assert (normal.first_us, normal.sorted, normal.dropped["out_of_frame"]) == (10, 2, 1)
+    assert normal.notes == ["2 events came up to 500 us after a later one and were put in order"]
+    batches = [columns([10, 20, 3000]), columns([5, 3000, 2000, 2500, 3100], first=3)]
+    with pytest.raises(InputError) as refused:
         normalised(batches, (9, 9))
-    events, normal = normalised(batches, (9, 9), sort=True)
-    assert events.t.tolist() == [0, 5, 15, 24, 25, 25, 26]
-    assert (normal.first_us, normal.sorted, normal.dropped["out_of_frame"]) == (5, 2, 1)
+    words = str(refused.value)
+    assert "at index 3 from 0.003000 s to 0.000005 s, at index 5 from 0.003000 s to 0.002000 s" in words
+    assert "--from-restart N keeps one part: 0 has 3 events, 1 has 2 events, 2 has 3 events" in words
+    assert "--drop-late leaves out the 2 events (25.0%)" in words
+    events, normal = normalised(batches, (9, 9), drop_late=True)
+    assert (events.t.tolist(), normal.dropped["late"]) == ([0, 10, 2490, 2990, 2990, 3090], 2)
+    for part, kept in enumerate([[0, 10, 2990], [0, 2995], [0, 500, 1100]]):
+        events, normal = normalised(batches, (9, 9), from_restart=part)
+        assert (events.t.tolist(), normal.dropped["other_parts"]) == (kept, 8 - len(kept))
+    with pytest.raises(InputError, match="no such restart"):
+        normalised(batches, (9, 9), from_restart=3)
+    with pytest.raises(InputError, match="time never goes back"):
+        normalised(batches[:1], (9, 9), from_restart=1)
 
 
 def test_sorting_keeps_the_order_of_equal_times() -> None:
@@ -139,7 +157,9 @@ def test_what_is_no_number_is_dropped_and_counted() -> None:
     ("batch", "words"),
     [
         (columns([0, 1], p=[1, 2]), "unknown polarity.*\n.*\n.*2 at index 1"),
-        (columns([0, 1], p=np.array([1, 255], np.uint8)), "unknown polarity"),
+        (columns([0, 1], p=np.array([0, 255], np.uint8)), "polarity mixes two codes.*\n.*\n.*0 and 255"),
+        (columns([0, 1], p=np.array([255, 255], np.uint8)), "unknown polarity"),
+        (columns([0, 1], p=np.array([1, 254], np.uint8)), "unknown polarity"),
         (columns([0, 1], p=[0.5, 1.0]), "unknown polarity"),
         (columns([0, 1, 2], p=[-1, 0, 1]), "polarity mixes two codes"),
         (columns([0, 1], x=[3.0, 3.5]), "x lies between pixels.*\n.*\n.*3.5 at index 1"),
@@ -301,13 +321,16 @@ def test_text_holds_microseconds_exactly(
         ("0 1 2 1\n5 1 ?? 1\n", 2, "4 numbers"),
         ("0 1 2 1\n1_0 1 2 1\n", 2, "4 numbers"),
         (b"0 1 2 1\n5 1 2 1\n\x07\x00\xff\xfe garbled\n", 3, "4 numbers"),
-        ("zeit x y p\n0 1 2 1\n", 1, "4 numbers"),
+        ("zeit x y p\n0 1 2 1\n", 1, "no column is named as t"),
+        ("secs,nsecs,x,y,polarity\n1,2,3,4,1\n", 1, "no column is named as t"),
+        ("t;x;y;polarität\n0;1;2;1\n", 1, "no column is named as p"),
+        ("t;x;y;p\n0;1;2\n", 2, "separated by semicolons"),
         ("0 1 2 1\n0.5 1 2 1\n", 2, "time changes its unit"),
         ("# c\n0 1 2 1\n5 1 2 7\n", 3, "unknown polarity"),
         ("0 1 2 1\n\n5 1.5 2 1\n", 3, "between pixels"),
         (f"0 1 2 1\n{2**63} 1 2 1\n", 2, "time out of range"),
         (f"0 1 2 1\n{10**400} 1 2 1\n5 5.5 1 1\n", 3, "between pixels"),
-        ("0 1 2 1\n10 1 2 1\n4 1 2 1\n", 3, "first in line 3"),
+        ("0 1 2 1\n9000 1 2 1\n4 1 2 1\n", 3, "time goes backwards"),
     ],
 )
 def test_bad_lines_are_refused_by_number(
@@ -383,11 +406,14 @@ def test_slices_reach_to_the_last_event(text: Callable[..., Path]) -> None:
 
 def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     """Assert that time that goes backwards is refused with a way out, which then says what it did."""
-    path = text("10 1 2 1\n4 3 4 0\n")
-    assert "--sort" in refusal(path, frame_px=FRAME)
+    jumbled = np.random.default_rng(0).permutation(4000) * 1000
+    path = text("".join(f"{t} {t % 7} 2 1\n" for t in jumbled.tolist()))
+    assert "--sort puts all events in the order of their time" in refusal(path, frame_px=FRAME)
     imported = read_events(path, frame_px=FRAME, sort=True)
-    assert (event_rows(imported), imported.sorted) == ([(0, 3, 4, 0), (6, 1, 2, 1)], 1)
-    assert "time went backwards: 1 events were put back in order" in imported.notes
+    assert imported.events.t.tolist() == list(range(0, 4_000_000, 1000))
+    back = np.maximum.accumulate(jumbled) - jumbled
+    words = f"{np.count_nonzero(back):,} events came up to {back.max() / 1e6:.6g} s after a later one"
+    assert f"{words} and were put in order" in imported.notes
 
 
 def test_what_the_docs_tell_to_write_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -419,7 +445,7 @@ def test_an_import_is_all_or_nothing(
         return record.run(job, params)
 
     for folder in (tmp_path, tmp_path / "new" / "folder"):
-        with pytest.raises(InputError, match="1 of 11 events come after a later one"):
+        with pytest.raises(InputError, match="line 11 from 0.013500 s to 0.000100 s"):
             imported(lines + "100 1 1 1\n", folder)
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
     assert imported(lines).made
@@ -473,9 +499,7 @@ def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
 
 def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
     """Assert that an option of another format is an error."""
-    assert "--stream only applies to files that hold several" in refusal(
-        text("0 1 2 1\n"), frame_px=FRAME, stream="events"
-    )
+    assert "--stream is for files that may hold several" in refusal(text("0 1 2 1\n"), frame_px=FRAME, stream="events")
     assert "no --stream: the file holds one stream" in refusal(dsec(), frame_px=FRAME, stream="events")
 
 
@@ -529,7 +553,7 @@ def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.
     """Assert that batches join without loss, and places are counted through them."""
     monkeypatch.setattr("evetac_cli.formats.read.read_hdf5.BATCH_ROWS", 2)
     assert event_rows(read_events(dsec(), frame_px=FRAME)) == ROWS
-    assert "first at index 2" in refusal(dsec(t=np.array([5, 6, 4])), frame_px=FRAME)
+    assert "at index 2 from" in refusal(dsec(t=np.array([5000, 6000, 4000])), frame_px=FRAME)
 
 
 def test_hdf5_without_events_in_it(dsec: Callable[..., Path]) -> None:

@@ -1,8 +1,8 @@
-"""Which column of a table is t, x, y or p, and in what unit its times are, where text, numpy and HDF5 leave it unsaid.
+"""Which column of a table is t, x, y or p, where text, numpy and HDF5 leave it unsaid.
 
 Names decide where there are any: those that data sets use (NAMES), with a unit behind the name of the time (`t_us`).
-Four columns without names are in the first order of ORDERS that fits: polarities are a code, pixels are whole, and time
-does not go backwards. Times that are whole are microseconds, others are seconds. What was assumed is said.
+Four columns without names are in the order that the user says (`--columns`), or in the first of ORDERS that fits:
+polarities are a code, pixels are whole, and time does not go backwards. What was assumed is said.
 """
 
 from collections.abc import Sequence
@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.column_times import FLAG, SPOKEN, UNITS
+
 NAMES = {
     "t": ("t", "ts", "time", "times", "timestamp", "timestamps"),
     "x": ("x", "xs"),
     "y": ("y", "ys"),
     "p": ("p", "ps", "pol", "polarity", "polarities", "on"),
 }
-UNITS = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}  # us in one of them
-SPOKEN = {1e6: "seconds", 1e3: "milliseconds", 1.0: "microseconds", 1e-3: "nanoseconds"}
-# Places of t, x, y, p: rpg and v2e, MVSEC and most arrays, Prophesee's CSV.
-ORDERS = {"t x y p": (0, 1, 2, 3), "x y t p": (2, 0, 1, 3), "x y p t": (3, 0, 1, 2)}
+ORDERS = ("t x y p", "x y t p", "x y p t")  # of rpg and v2e, of MVSEC and most arrays, of Prophesee's CSV
 POLARITY = "polarity 1 brighter, 0 or -1 darker"
 
 
@@ -36,27 +36,76 @@ def by_name(names: Sequence[str]) -> Order | None:
     places: dict[str, int] = {}
     us_per_unit: float | None = None
     for place, given in enumerate(names):
-        name = given.strip().strip("\"'").lower().partition("@")[0]  # faery: x@640, the frame behind the name
-        base, _, unit = name.rpartition("_")
-        timed = base in NAMES["t"] and unit in UNITS
-        column = "t" if timed else next((key for key, known in NAMES.items() if name in known), None)
+        column, unit = _column(given)
         if column is None:
             continue
         if column in places:
             return None
         places[column] = place
-        if timed:
-            us_per_unit = UNITS[unit]
+        us_per_unit = unit or us_per_unit
     if len(places) < len(NAMES):
         return None
     return Order((places["t"], places["x"], places["y"], places["p"]), us_per_unit)
+
+
+def _column(given: str) -> tuple[str | None, float | None]:
+    """Which of t, x, y, p a name stands for, and how many us the unit has that it ends with; None where it does not."""
+    name = given.strip().strip("\"'").lower().partition("@")[0]  # faery: x@640, the frame behind the name
+    base, _, unit = name.rpartition("_")
+    if base in NAMES["t"] and unit in UNITS:
+        return "t", UNITS[unit]
+    return next((column for column, known in NAMES.items() if name in known), None), None
+
+
+def lacking_columns(names: Sequence[str]) -> list[str]:
+    """Which of t, x, y, p none of the names stands for."""
+    known = {_column(name)[0] for name in names}
+    return [column for column in NAMES if column not in known]
+
+
+def said_order(text: str, where: str) -> str:
+    """The order that a user says, as in "t y x p"; InputError unless it names each of t, x, y, p once."""
+    names = text.replace(",", " ").split()
+    if sorted(names) != sorted(NAMES):
+        raise InputError(
+            "--columns does not name four columns", where=where, expected='as in "x y t p"', found=text[:80]
+        )
+    return " ".join(names)
+
+
+def refuse_columns(columns: str | None, where: str) -> None:
+    """InputError where a user names columns that have names."""
+    if columns is not None:
+        raise InputError("--columns is for columns without names", where=where, found=columns[:80], hint="leave it out")
+
+
+def unit_said(time_unit: str | None, own: float | None, where: str) -> float | None:
+    """How many us the unit of time has that the user says or the file; None where neither does.
+
+    InputError where they differ.
+    """
+    if time_unit is None:
+        return own
+    if time_unit not in UNITS:
+        raise InputError(f"{FLAG}: no such unit", where=where, expected=" or ".join(UNITS), found=time_unit[:20])
+    if own is not None and own != UNITS[time_unit]:
+        raise InputError(
+            "the file says another unit of time", where=where, expected=SPOKEN[own], found=f"{FLAG} {time_unit}"
+        )
+    return UNITS[time_unit]
+
+
+def places_of(order: str) -> tuple[int, int, int, int]:
+    """Places of t, x, y, p in an order of their names."""
+    names = order.split()
+    return names.index("t"), names.index("x"), names.index("y"), names.index("p")
 
 
 def guess_order(rows: NDArray[Any]) -> str:
     """The name, in ORDERS, of the first order that some rows of four columns fit; `t x y p` where none fits."""
     values = rows.astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
-    return next((name for name, places in ORDERS.items() if len(values) and _fits(values, places)), "t x y p")
+    return next((order for order in ORDERS if len(values) and _fits(values, places_of(order))), ORDERS[0])
 
 
 def _fits(values: NDArray[np.float64], places: tuple[int, ...]) -> bool:
@@ -65,24 +114,6 @@ def _fits(values: NDArray[np.float64], places: tuple[int, ...]) -> bool:
         return False
     # Of a few events, any column may rise by chance: whole times have to be larger than any pixel's place.
     return places[0] == 0 or bool((t != np.rint(t)).any()) or float(t[-1]) > float(max(x.max(), y.max()))
-
-
-def unit_of(t: NDArray[Any]) -> float:
-    """How many us the unit of some times has: 1 where all are whole, a million (seconds) elsewhere."""
-    if t.dtype.kind != "f":
-        return 1.0
-    finite = t[np.isfinite(t)]
-    return 1.0 if (finite == np.rint(finite)).all() else 1e6
-
-
-def to_us(t: NDArray[Any], us_per_unit: float) -> NDArray[Any]:
-    """Times in us: as they are, if that is their unit."""
-    if us_per_unit == 1:
-        return t
-    if us_per_unit < 1 and t.dtype.kind in "iu":  # a clock in ns has more digits than a float
-        whole: NDArray[Any] = t // 1000
-        return whole
-    return t.astype(np.float64) * us_per_unit
 
 
 def assumption(order: str, us_per_unit: float | None) -> str:

@@ -4,6 +4,7 @@ Readers differ in everything (unsigned times, polarity -1/+1, floats), so none o
 hand over batches of raw columns, which are checked and converted here.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,16 +18,25 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.formats.note import CLOCK_LIMIT_US as CLOCK_LIMIT_US
 from evetac_cli.formats.note import Note
 from evetac_cli.formats.read import events_on_disk
+from evetac_cli.formats.read.column_times import FLAG, ColumnTimes
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
+from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, TimeOrder
+from evetac_cli.store.streams import Stream
 
 # Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
 SPAN_LIMIT_US = 6 * 3600 * 1_000_000  # 8 bytes a millisecond, some copies at a time: below 1 GB
 # uint16 coordinates
 FRAME_LIMIT_PX = 2**16
+MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 in a column without signs
+LIT_EVENTS = 1 << 20  # of so many events, which pixels they came from is kept
+LIT_PIXELS = 1 << 24  # of larger frames, several pixels count as one
 
 
 class Columns(NamedTuple):
-    """A batch of raw events: t in us, x and y in px, p as in the file; `place` says where the user finds row i."""
+    """A batch of raw events: t in us, x and y in px, p as in the file; `place` says where the user finds row i.
+
+    t is on the clock of the file, without its wraps (clock.py), but may go back.
+    """
 
     t: NDArray[Any]
     x: NDArray[Any]
@@ -49,6 +59,9 @@ class Foreign:
     note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
     cut_short: bool = False  # its end is known to be missing
     may_be_empty: bool = False  # the file is whole, also where it holds no event
+    streams: list[Stream] = field(default_factory=list)  # read with the events, on their clock
+    times: ColumnTimes | None = None  # of files whose times are a column of plain numbers
+    guessed_order: str = ""  # of columns without names
 
 
 def at_index(start: int, row: int) -> str:
@@ -69,6 +82,7 @@ class Normal:
     last_us: int = 0  # of the last event, in the file's clock; 0 without events
     dropped: dict[str, int] = field(default_factory=dict)  # events left out, by reason
     sorted: int = 0  # events put back in order: those that came after a later one
+    notes: list[str] = field(default_factory=list)  # what was done about order and polarity, in words
 
 
 def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tuple[int, int]:
@@ -106,44 +120,44 @@ def choose_frame(
 
 
 def normalise(
-    batches: Iterable[Columns],
-    frame_px: tuple[int, int],
-    normal: Normal,
-    *,
-    sort: bool = False,
-    start_us: int | None = None,
-    may_be_empty: bool = False,
-    where: str = "",
-    folder: Path | None = None,
+    foreign: Foreign, normal: Normal, *, order: OrderOptions = IN_ORDER, where: str = "", folder: Path | None = None
 ) -> Iterator[Events]:
-    """Turn raw batches into one stream of events that starts at t = 0: with its first event, or at `start_us`.
+    """Turn the batches of a file into one stream of events that starts at t = 0: the first event, or what a note says.
 
     Events outside the frame and events that are no numbers are dropped and counted; at the end `normal` is filled. What
     was given out counts only then: InputError comes as late as at the end, where columns differ in length, a
-    coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond 2^53 us or before
-    `start_us`, time goes backwards and sort is off, the events span more than 6 h, none of them can be used, or the
-    file holds none at all and that was not expected (`may_be_empty`). With `sort` nothing is given out before the end,
-    and events wait on the disk of `folder`.
+    coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond 2^53 us or before the
+    start of the recording, time goes backwards in a way that `order` does not say what to do about (time_order), the
+    unit of time was guessed and makes no sense, the events span more than 6 h, none of them can be used, or the file
+    holds none at all and that was not expected. With `order.sort` nothing is given out before the end, and events wait
+    on the disk of `folder`.
     """
-    seen, first_us = _Seen(), 0
-    waiting = EventsOnDisk(folder) if sort else None
-    for part in _in_blocks(_checked(batches, frame_px, seen, where)):
-        if not normal.size:
-            first_us = int(part.t[0])
+    seen, in_order, first_us, last_us = _Seen(foreign.frame_px), TimeOrder(order), 0, 0
+    start_us = foreign.note.start_us if foreign.note and not order.from_restart else None
+    waiting = EventsOnDisk(folder) if order.sort else None
+    for part in _in_blocks(in_order.ordered(_checked(foreign, seen, where))):
+        first_us = first_us if normal.size else int(part.t[0])
+        last_us = max(last_us, int(part.t[-1])) if normal.size else int(part.t[-1])
         normal.size += part.size
         if waiting is not None:
             waiting.append(part)
             continue
         zero_us = first_us if start_us is None else start_us
-        if not seen.late and zero_us <= first_us and seen.latest_us - zero_us <= SPAN_LIMIT_US:
+        if not in_order.refused and zero_us <= first_us and last_us - zero_us <= SPAN_LIMIT_US:
             yield part._replace(t=part.t - zero_us)
-    _refuse_all(seen, normal.size, frame_px, sort=sort, may_be_empty=may_be_empty, where=where)
-    normal.dropped, normal.sorted = seen.dropped, seen.late
+    _refuse_all(seen, foreign, where)
+    in_order.refuse(where)
+    normal.dropped, normal.sorted = seen.dropped | in_order.dropped, in_order.small
+    normal.notes = [*seen.notes(), *in_order.notes]
     if not normal.size:
         normal.first_us = normal.last_us = start_us or 0
         return
-    normal.last_us = seen.latest_us
-    normal.first_us = _start(first_us if waiting is None else waiting.first_us, normal.last_us, start_us, where)
+    if waiting is not None:
+        first_us, last_us = waiting.first_us, waiting.last_us
+    if foreign.times is not None:
+        foreign.times.check(normal.size, last_us - first_us, foreign.frame_px, seen.lit_hz_us())
+    normal.last_us = last_us
+    normal.first_us = _start(first_us, last_us, start_us, where, foreign)
     if waiting is not None:
         for part in waiting.blocks():
             yield part._replace(t=part.t - normal.first_us)
@@ -164,104 +178,123 @@ def _in_blocks(parts: Iterable[Events]) -> Iterator[Events]:
         yield concatenate(waiting)
 
 
-def _refuse_all(
-    seen: "_Seen", usable: int, frame_px: tuple[int, int], *, sort: bool, may_be_empty: bool, where: str
-) -> None:
+def _refuse_all(seen: "_Seen", foreign: Foreign, where: str) -> None:
     """InputError where all batches together are none that can be used."""
-    if not seen.total and not may_be_empty:
+    note = foreign.note
+    if not seen.total and not (foreign.may_be_empty or (note is not None and not note.events)):
         raise no_events(where)
-    if seen.negative and seen.zero:
-        raise InputError("polarity mixes two codes", where=where, expected="0 and 1, or -1 and 1", found="-1 and 0")
+    seen.check_polarities(where)
     dropped = seen.dropped
-    if seen.total and not usable:
+    if seen.total and seen.total == sum(dropped.values()):
+        frame = "{}x{}".format(*foreign.frame_px)
         raise InputError(
             "none of the events can be used",
             where=where,
-            expected=f"events inside the frame of {frame_px[0]}x{frame_px[1]} px",
+            expected=f"events inside the frame of {frame} px",
             found=f"{dropped['out_of_frame']} outside, {dropped['not_a_number']} that are no numbers",
             hint="check the frame size and the order of the columns" if dropped["out_of_frame"] else "",
         )
-    if seen.late and not sort:
-        raise InputError(
-            "time goes backwards",
-            where=where,
-            expected="events in the order of their time",
-            found=f"{seen.late} of {seen.total} events come after a later one, first {seen.first_late}",
-            hint="--sort puts them back in order",
-        )
 
 
-@dataclass
 class _Seen:
     """What was noticed so far of a stream of batches."""
 
-    dropped: dict[str, int] = field(default_factory=lambda: {"not_a_number": 0, "out_of_frame": 0})
-    total: int = 0
-    late: int = 0  # events that came after a later one
-    first_late: str = ""
-    latest_us: int = -CLOCK_LIMIT_US + 1  # before any that is allowed
-    negative: bool = False
-    zero: bool = False
+    def __init__(self, frame_px: tuple[int, int]) -> None:
+        self.dropped = {"not_a_number": 0, "out_of_frame": 0}
+        self.total = 0
+        self._polarities: set[int] = set()
+        self._width = frame_px[0]
+        self._lit = np.zeros(min(frame_px[0] * frame_px[1], LIT_PIXELS), bool)
+        self._lit_events = 0
+        self._lit_us = (0, 0)
+
+    def pixels(self, part: Events) -> None:
+        """Remember, of the first events, which pixels they came from and from when to when they were."""
+        if self._lit_events < LIT_EVENTS and part.size:
+            self._lit[(part.y * np.int64(self._width) + part.x) % len(self._lit)] = True
+            first_us = self._lit_us[0] if self._lit_events else int(part.t[0])
+            self._lit_us = first_us, int(part.t[-1])
+            self._lit_events += part.size
+
+    def lit_hz_us(self) -> float:
+        """Events per us of the pixels that made one."""
+        span_us = self._lit_us[1] - self._lit_us[0]
+        lit = int(np.count_nonzero(self._lit))
+        return self._lit_events / span_us / lit if span_us > 0 and lit else math.inf
+
+    def polarities(self, p: NDArray[Any]) -> None:
+        """Remember which values stand for polarity; all of them are known ones."""
+        if p.dtype.kind == "b" or not len(p):
+            return
+        codes = (0, 1) if p.min() >= 0 and p.max() <= 1 else (-1, 0, 1, *MINUS_ONES)
+        self._polarities.update(code for code in codes if code not in self._polarities and (p == code).any())
+
+    def check_polarities(self, where: str) -> None:
+        """InputError where the values are of more than one code, or may be."""
+        found = sorted(self._polarities)
+        unsigned = [value for value in found if value in MINUS_ONES]
+        if (-1 in found and 0 in found) or (unsigned and found != [1, unsigned[0]]):
+            raise InputError(
+                "polarity mixes two codes" if len(found) > 1 else "unknown polarity",
+                where=where,
+                expected="0 and 1, or -1 and 1",
+                found=" and ".join(map(str, found)),
+                hint="write 1 where it got brighter and 0 where darker" if unsigned else "",
+            )
+
+    def notes(self) -> list[str]:
+        """What was taken for a polarity of -1."""
+        return [f"polarity {value} is taken as -1, darker" for value in sorted(self._polarities) if value in MINUS_ONES]
 
 
-def _checked(batches: Iterable[Columns], frame_px: tuple[int, int], seen: _Seen, where: str) -> Iterator[Events]:
-    """The events of each batch that can be used, in our types."""
-    for given in batches:
+def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
+    """The events of each batch that can be used, in our types, and where the user finds them."""
+    width, height = foreign.frame_px
+    for given in foreign.batches:
         check_lengths([len(column) for column in given[:4]], where)
         seen.total += len(given.t)
-        if (events := _without_fault(given, frame_px, seen.latest_us)) is not None:
-            seen.latest_us = int(events.t[-1])
-            seen.zero = seen.zero or not events.p.all()
-            yield events
+        if (events := _without_fault(given, foreign.frame_px)) is not None:
+            seen.pixels(events)
+            seen.polarities(given.p)
+            yield events, given.place
             continue
         finite = _finite(given)
         numbers = int(np.count_nonzero(finite))
         seen.dropped["not_a_number"] += len(given.t) - numbers
         batch = _at(given, np.flatnonzero(finite)) if numbers < len(given.t) else given
-        _check_values(batch, where)
-        t, x, y, p, place = batch
-        seen.negative = seen.negative or (p.dtype.kind != "b" and bool(np.any(p == -1)))
-        seen.zero = seen.zero or bool(np.any(p == 0))
-
-        inside = (x >= 0) & (x < frame_px[0]) & (y >= 0) & (y < frame_px[1])
-        outside = len(t) - int(np.count_nonzero(inside))
-        if outside:
+        _check_values(batch, where, foreign)
+        seen.polarities(batch.p)
+        inside = (batch.x >= 0) & (batch.x < width) & (batch.y >= 0) & (batch.y < height)
+        if outside := len(batch.t) - int(np.count_nonzero(inside)):
             seen.dropped["out_of_frame"] += outside
-            t, x, y, p = (column[inside] for column in (t, x, y, p))
+            batch = _at(batch, np.flatnonzero(inside))
+        t, x, y, p, place = batch
         part = Events(
             (np.rint(t) if t.dtype.kind == "f" else t).astype(np.int64),
             x.astype(np.uint16),
             y.astype(np.uint16),
-            (p > 0).view(np.uint8),
+            (p == 1).view(np.uint8),
         )
-        if part.size and part.t[0] >= seen.latest_us and (part.t[1:] >= part.t[:-1]).all():
-            seen.latest_us = int(part.t[-1])
-        elif part.size:
-            latest_so_far = np.maximum(np.maximum.accumulate(part.t), seen.latest_us)
-            seen.latest_us = int(latest_so_far[-1])
-            is_late = part.t < latest_so_far
-            if not seen.late:
-                seen.first_late = place(int(np.flatnonzero(inside)[is_late][0]))
-            seen.late += int(np.count_nonzero(is_late))
-        yield part
+        seen.pixels(part)
+        yield part, place
 
 
-def _without_fault(batch: Columns, frame_px: tuple[int, int], latest_us: int) -> Events | None:
-    """The events of a batch, where they are whole numbers and all of them inside the frame and in order: most are.
+def _without_fault(batch: Columns, frame_px: tuple[int, int]) -> Events | None:
+    """The events of a batch, where they are whole numbers and all of them inside the frame: most are.
 
     These few comparisons take a tenth of what it takes to look at every number for itself. None for other batches.
     """
     t, x, y, p, _ = batch
     fine = (
-        (t.dtype.kind, x.dtype.kind, y.dtype.kind) in (("i", "u", "u"), ("u", "u", "u"))
+        t.dtype.kind in "iu"
+        and x.dtype.kind == y.dtype.kind == "u"
         and p.dtype.kind in "bu"
         and len(t)
         and x.max() < frame_px[0]
         and y.max() < frame_px[1]
-        and p.max() <= 1
-        and latest_us <= int(t[0])
-        and int(t[-1]) < CLOCK_LIMIT_US
-        and (t[1:] >= t[:-1]).all()
+        and (p.dtype.kind == "b" or p.max() <= 1)
+        and t.min() > -CLOCK_LIMIT_US
+        and t.max() < CLOCK_LIMIT_US
     )
     if not fine:
         return None
@@ -296,7 +329,7 @@ def _at(batch: Columns, rows: NDArray[np.intp]) -> Columns:
     return Columns(t, x, y, p, lambda row: batch.place(int(rows[row])))
 
 
-def _check_values(batch: Columns, where: str) -> None:
+def _check_values(batch: Columns, where: str, foreign: Foreign) -> None:
     """Refuse values that mean the columns are not what we take them for; comparisons only, so nothing can wrap."""
 
     def refuse(bad: NDArray[np.bool_], column: NDArray[Any], message: str, expected: str, hint: str = "") -> None:
@@ -308,17 +341,27 @@ def _check_values(batch: Columns, where: str) -> None:
 
     t, x, y, p, _ = batch
     known = np.ones(len(p), bool) if p.dtype.kind == "b" else (p == 0) | (p == 1) | (p == -1)
-    refuse(~known, p, "unknown polarity", "0 and 1, or -1 and 1", "is the order t x y p?")
+    if not known.all():
+        for value in MINUS_ONES:
+            known |= p == value
+        other = next((name for name, column in (("t", t), ("x", x), ("y", y)) if np.isin(column, (-1, 0, 1)).all()), "")
+        hint = f"the column taken for {other} looks like polarities: name the columns with --columns" if other else ""
+        refuse(~known, p, "unknown polarity", "0 and 1, or -1 and 1", hint if foreign.guessed_order else "")
     for name, column in (("x", x), ("y", y)):
         if column.dtype.kind == "f":
             refuse(
                 column != np.rint(column), column, f"{name} lies between pixels", "whole pixels, before undistortion"
             )
     far = (t >= CLOCK_LIMIT_US) | (t <= -CLOCK_LIMIT_US)
-    refuse(far, t, "time out of range", "microseconds within 285 years of 0", "is the unit of time right?")
+    refuse(far, t, "time out of range", "microseconds within 285 years of 0", _unit_hint(foreign))
 
 
-def _start(earliest_us: int, last_us: int, start_us: int | None, where: str) -> int:
+def _unit_hint(foreign: Foreign) -> str:
+    """What to do about times that are too large, where a wrong unit may be the cause."""
+    return f"is the unit of time right? {FLAG} says another" if foreign.times is not None else ""
+
+
+def _start(earliest_us: int, last_us: int, start_us: int | None, where: str, foreign: Foreign) -> int:
     """The time that becomes 0: the start of the recording, or without one the first event."""
     first_us = earliest_us if start_us is None else start_us
     if earliest_us < first_us:
@@ -335,6 +378,6 @@ def _start(earliest_us: int, last_us: int, start_us: int | None, where: str) -> 
             where=where,
             expected=f"at most {SPAN_LIMIT_US // 3_600_000_000} h from first to last",
             found=f"{span_us / 3.6e9:.1f} h",
-            hint="a broken time stamp, or the wrong unit (a first line `t_us x y p` or `t_s x y p` names it in text)",
+            hint=_unit_hint(foreign) or "a broken time stamp?",
         )
     return first_us

@@ -53,6 +53,12 @@ class EventsOnDisk:
         self._write()
         return min(block.first_us for block in self._blocks)
 
+    @property
+    def last_us(self) -> int:
+        """The latest time."""
+        self._write()
+        return max(block.last_us for block in self._blocks)
+
     def append(self, events: Events) -> None:
         """Add events; InputError if the disk is full."""
         for first in range(0, events.size, BLOCK_EVENTS):
@@ -68,18 +74,17 @@ class EventsOnDisk:
         if not self._blocks:
             return
         self._mapped = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
-        last_us = max(block.last_us for block in self._blocks)
         samples = np.sort(np.concatenate(self._samples))
         edges = np.unique(samples[:: BLOCK_EVENTS // SAMPLED])
-        for from_us, to_us in zip(edges, [*edges[1:], last_us + 1], strict=True):
+        for from_us, to_us in zip(edges, [*edges[1:], self.last_us + 1], strict=True):
             parts = []
             for block in self._blocks:
                 if block.first_us < to_us and block.last_us >= from_us:
                     events = self._read(block)
                     rows = (events.t >= from_us) & (events.t < to_us)
-                    parts.append(_some(events, rows))
+                    parts.append(events.at(rows))
             events = concatenate(parts)
-            yield _some(events, np.argsort(events.t, kind="stable"))
+            yield events.at(np.argsort(events.t, kind="stable"))
 
     def _read(self, block: _Block) -> Events:
         columns: list[Any] = []
@@ -110,10 +115,6 @@ class EventsOnDisk:
         times = events.t if (events.t[1:] >= events.t[:-1]).all() else np.sort(events.t)
         self._blocks.append(_Block(at, events.size, int(times[0]), int(times[-1])))
         self._samples.append(times[::SAMPLED].copy())
-
-
-def _some(events: Events, rows: NDArray[Any]) -> Events:
-    return Events(events.t[rows], events.x[rows], events.y[rows], events.p[rows])
 
 
 def _unnamed(folder: Path | None) -> IO[bytes]:

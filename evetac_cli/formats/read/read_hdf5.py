@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
-from evetac_cli.formats.read.column_order import assumption, by_name, to_us, unit_of
+from evetac_cli.formats.read.column_order import by_name, places_of, refuse_columns, said_order, unit_said
+from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.event_validation import (
     CLOCK_LIMIT_US,
     Columns,
@@ -36,7 +37,7 @@ class Layout(NamedTuple):
     name: str
     paths: tuple[str, ...]  # columns t, x, y, p, or the one table
     order: str = ""
-    us_per_unit: float | None = 1.0  # None: whole times are us, others are seconds
+    us_per_unit: float | None = 1.0  # None: by the numbers (column_times)
     stream: str = ""  # where a file holds two cameras
 
 
@@ -53,7 +54,13 @@ LAYOUTS = (
 EXPECTED = "events in the layout of " + ", ".join(dict.fromkeys(layout.name for layout in LAYOUTS))
 
 
-def open_hdf5(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+def open_hdf5(
+    path: Path,
+    frame_px: tuple[int, int] | None,
+    stream: str | None = None,
+    columns: str | None = None,
+    time_unit: str | None = None,
+) -> Foreign:
     """Events of an HDF5 file; FrameUnknown without frame_px where it does not say it, as few do."""
     where = str(path)
     with CheckedHdf5(path) as file:
@@ -67,9 +74,6 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None, stream: str | None) 
             rows = [len(datasets[name]) for name in layout.paths]
             check_lengths(rows * (4 // len(rows)), where)
             clock_us = _t_offset(datasets, where) if layout.name == "DSEC" else 0
-            unit = layout.us_per_unit
-            if unit is None:
-                unit = unit_of(datasets[layout.paths[0]][:BATCH_ROWS])
         note, own_px = _frame(file, layout)
         left_out = {
             f"rows of {name}": length
@@ -78,14 +82,20 @@ def open_hdf5(path: Path, frame_px: tuple[int, int] | None, stream: str | None) 
         }
     hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
     frame = choose_frame(own_px, frame_px, where, hint)
-    foreign = Foreign(
-        "hdf5", frame, _batches(path, layout, rows[0], unit), clock_us, note=note, may_be_empty=note is None
-    )
-    foreign.left_out = left_out
+    foreign = Foreign("hdf5", frame, (), clock_us, note=note, may_be_empty=note is None, left_out=left_out)
+    unit = unit_said(time_unit, None, where) or layout.us_per_unit
+    foreign.times = ColumnTimes(where, unit, documented=time_unit is None and note is None)
+    places = None
+    if layout.order:
+        places = places_of(layout.order if columns is None else said_order(columns, where))
+    else:
+        refuse_columns(columns, where)
+    foreign.batches = _batches(path, layout, places, rows[0], foreign.times)
     if others:
         foreign.notes.append(f"took the camera {layout.stream}; also there: {', '.join(others)} (choose with --stream)")
     if note is None:
-        foreign.assumed = f"the layout of {layout.name}: {assumption(layout.order, unit)}"
+        foreign.assumed = f"the layout of {layout.name}"
+        foreign.guessed_order = "" if columns else layout.order
     return foreign
 
 
@@ -116,28 +126,29 @@ def _frame(file: CheckedHdf5, layout: Layout) -> tuple[Note | None, tuple[int, i
     return None, (int(sizes[1]), int(sizes[2])) if sizes else None
 
 
-def _batches(path: Path, layout: Layout, rows: int, us_per_unit: float) -> Iterator[Columns]:
+def _batches(
+    path: Path, layout: Layout, order: tuple[int, int, int, int] | None, rows: int, times: ColumnTimes
+) -> Iterator[Columns]:
+    """The events in blocks; order: places of t, x, y, p in a table."""
     with CheckedHdf5(path) as file:
         datasets = file.datasets(layout.paths, EVENT_FILE_FILTERS)
         parts = [datasets[name] for name in layout.paths]
         try:
             for start in range(0, rows, BATCH_ROWS):
-                t, x, y, p = _columns([part[start : start + BATCH_ROWS] for part in parts], layout)
-                if us_per_unit == 1 and unit_of(t) != 1:
-                    raise InputError("time changes its unit", where=str(path), expected="whole microseconds")
-                yield Columns(to_us(t, us_per_unit), x, y, p, partial(at_index, start))
+                t, x, y, p = _columns([part[start : start + BATCH_ROWS] for part in parts], order)
+                place = partial(at_index, start)
+                yield Columns(times.us(t, place), x, y, p, place)
         except DAMAGE as error:
             raise _unreadable(str(path), error) from error
 
 
-def _columns(blocks: list[Any], layout: Layout) -> Any:
+def _columns(blocks: list[Any], order: tuple[int, int, int, int] | None) -> Any:
     """The columns t, x, y, p of a block of rows."""
     if len(blocks) == 4:
         return blocks
     (table,) = blocks
-    if layout.order:
-        places = [layout.order.split().index(name) for name in "txyp"]
-        return [table[:, place] for place in places]
+    if order is not None:
+        return [table[:, place] for place in order]
     return [table[table.dtype.names[place]] for place in _fields(table.dtype)]
 
 

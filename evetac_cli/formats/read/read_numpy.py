@@ -1,7 +1,7 @@
 """Read events from numpy's files: `.npy` with a structured array or a table (N, 4), `.npz` with one or with columns.
 
     structured    fields t, x, y, p by the names in column_order; what tonic, expelliarmus and faery make
-    (N, 4)        four columns; their order is what fits (column_order.guess_order)
+    (N, 4)        four columns, in the order that is said or fits (column_order)
     columns       arrays t, x, y, p of one length in an npz
 
 The bytes are read here in blocks and never given to numpy.load: objects, which a pickle would make, are refused, and
@@ -25,7 +25,16 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.column_order import ORDERS, Order, assumption, by_name, guess_order, to_us, unit_of
+from evetac_cli.formats.read.column_order import (
+    Order,
+    by_name,
+    guess_order,
+    places_of,
+    refuse_columns,
+    said_order,
+    unit_said,
+)
+from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, check_lengths, choose_frame
 
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
@@ -89,7 +98,13 @@ class Stretch(NamedTuple):
     items: int
 
 
-def open_numpy(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+def open_numpy(
+    path: Path,
+    frame_px: tuple[int, int] | None,
+    stream: str | None = None,
+    columns: str | None = None,
+    time_unit: str | None = None,
+) -> Foreign:
     """Events of an npy or npz file; FrameUnknown without frame_px, as neither says it."""
     where = str(path)
     foreign = Foreign("numpy", (1, 1), (), may_be_empty=True)
@@ -103,12 +118,14 @@ def open_numpy(path: Path, frame_px: tuple[int, int] | None, stream: str | None)
             sample = next(rows)
     guessed = ""
     if order is None:
-        guessed = guess_order(np.stack(sample, axis=1))
-        order = Order(ORDERS[guessed], None)
-    unit = unit_of(sample[order.places[0]]) if order.us_per_unit is None else order.us_per_unit
-    foreign.assumed = assumption(guessed, unit if order.us_per_unit is None else None)
+        guessed = guess_order(np.stack(sample, axis=1)) if columns is None else ""
+        order = Order(places_of(guessed or said_order(str(columns), where)), None)
+    else:
+        refuse_columns(columns, where)
+    foreign.times = ColumnTimes(where, unit_said(time_unit, order.us_per_unit, where))
+    foreign.guessed_order = guessed
     foreign.frame_px = choose_frame(None, frame_px, where)
-    foreign.batches = _batches(stretches, order.places, unit, where)
+    foreign.batches = _batches(stretches, order.places, foreign.times, where)
     return foreign
 
 
@@ -184,21 +201,14 @@ def _rows(stretches: list[Stretch]) -> Generator[list[NDArray[Any]], None, None]
 
 
 def _batches(
-    stretches: list[Stretch], places: tuple[int, int, int, int], us_per_unit: float, where: str
+    stretches: list[Stretch], places: tuple[int, int, int, int], times: ColumnTimes, where: str
 ) -> Iterator[Columns]:
     start = 0
     with _damage_in_words(where):
         for parts in _rows(stretches):
             t, x, y, p = (parts[place] for place in places)
-            if us_per_unit == 1 and unit_of(t) != 1:
-                raise InputError(
-                    "time changes its unit",
-                    where=where,
-                    expected="whole microseconds, as in the first rows",
-                    found=f"fractions between rows {start} and {start + len(t)}",
-                    hint="name the unit: t_s or t_us as the name of the column",
-                )
-            yield Columns(to_us(t, us_per_unit), x, y, p, partial(at_index, start))
+            place = partial(at_index, start)
+            yield Columns(times.us(t, place), x, y, p, place)
             start += len(t)
 
 

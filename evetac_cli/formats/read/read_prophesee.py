@@ -1,18 +1,20 @@
-"""Read events from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files, all but EVT2.1 with faery, the extra `convert`.
+"""Read events and external triggers from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files.
 
-The text at the head of a file, lines that begin with "% ", is read here: which encoding, which frame. Where it does not
-say the frame, faery would take 1280 x 720; we ask. Exports of ours have two lines more: the note, and where the start
-of the recording is on the source's clock. And faery times events from the first word on, though they have no time
-before the first word that holds its high bits: a recorder that was started in the middle of a stream would seem to
-begin seconds too early. So what comes before that word is left out, as the maker's own software does. Words of
-external triggers are counted.
+The text at the head of a file, lines that begin with "% ", says which encoding and which frame. Exports of ours have
+two lines more: the note, and where the start of the recording is on the source's clock; faery's have the latter as
+`t0`. The words of RAW are read in prophesee_words; some sensors send the upper half of those of EVT2.1 first
+(`endianness=legacy`). DAT has two bytes, type and size of an event, and then for each event 32 bits of time and 32 of
+place and polarity:
 
-faery 0.7.1 has no EVT2.1. Its words have 64 bits: four of type, and for events six of time, eleven of column, eleven of
-row, and one for each of 32 columns from there on. Some sensors send the upper half first (`endianness=legacy`).
+    version 1   9 bits of column, 8 of row, 1 of polarity
+    version 2   14 bits of column, 14 of row, 4 of which the lowest is the polarity
+
+Event types 0 (N-CARS, Gen1) and 12 have the same bits. Sources: Prophesee's pages on the formats, and its toolbox for
+DAT of type 0.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,18 +24,21 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
+from evetac_cli.formats.read.clock import BITS_32, Clock
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
-from evetac_cli.formats.read.faery_library import load_faery, refusal_text, scratch_file
+from evetac_cli.formats.read.prophesee_words import ENCODINGS, MOST_UNDEFINED, Decoder
+from evetac_cli.store.streams import Stream
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 OFFSET = "t_offset_us"  # the key of a line of ours
-HEAD_LIMIT_BYTES = 1 << 20
+OFFSETS = (OFFSET, "t0")
+HEAD_LIMIT_BYTES = BLOCK_BYTES = 1 << 20
 KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
-WORD_BYTES = {"evt2": 4, "evt2.1": 8, "evt3": 2, "dat1": 8, "dat2": 8}
-KINDS_21 = (0x0, 0x1, 0x8, 0xA, 0xE, 0xF)  # darker, brighter, time, trigger, and two that hold no events
-FIELDS_21 = ((54, 0x3F), (43, 0x7FF), (32, 0x7FF))  # shift and mask of the low bits of time, of column and row
-HIGH_21 = 1 << 28  # at which the high bits of time begin anew
-TIME_HIGH, TRIGGER = 0x8, 0xA  # the upper four bits of a word that holds the high bits of time, or a trigger
+MOST_TRIGGERS = 1 << 22  # of a file; they are kept in memory
+# Of DAT, by its version: shift and mask of column, row and polarity.
+DAT_FIELDS = {"dat1": ((0, 0x1FF), (9, 0xFF), (17, 1)), "dat2": ((0, 0x3FFF), (14, 0x3FFF), (28, 1))}
+DAT_EVENTS, DAT_TRIGGERS, DAT_BYTES = (0x00, 0x0C), 0x0E, 8
+TRIGGERS = "external triggers; id: the input; edge: 1 rises, 0 falls"
 
 
 class Head(NamedTuple):
@@ -51,23 +56,13 @@ def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     """Events of a RAW or DAT file; frame_px only for files that do not say theirs."""
     where = str(path)
     head = read_head(path)
-    frame = choose_frame(head.frame_px, frame_px, where)
-    foreign = Foreign("prophesee", frame, (), head.clock_us, note=head.note)
-    raw = not head.kind.startswith("dat")
-    skipped = untimed_bytes(path, head) if raw else 0
-    rest = (path.stat().st_size - head.size) % WORD_BYTES[head.kind]
-    if skipped:
-        foreign.notes.append(f"left out {skipped} bytes before the first time stamp")
-    if rest:
+    foreign = Foreign("prophesee", choose_frame(head.frame_px, frame_px, where), (), head.clock_us, note=head.note)
+    raw = head.kind in ENCODINGS
+    word_bytes = np.dtype(ENCODINGS[head.kind].dtype).itemsize if raw else DAT_BYTES
+    if rest := (path.stat().st_size - head.size) % word_bytes:
         foreign.notes.append(f"cut short: the last {rest} bytes are no whole word")
-    if raw and (triggers := sum(int(np.count_nonzero(kinds == TRIGGER)) for kinds in _kinds(path, head))):
-        foreign.left_out["triggers"] = triggers
-    if head.kind == "evt2.1":
-        foreign.batches = _evt21(path, head, skipped)
-    elif skipped:
-        foreign.batches = _trimmed(path, head, frame, skipped)
-    else:
-        foreign.batches = decode(path, head.kind, frame, where)
+    blocks = _words(path, head, ENCODINGS[head.kind].dtype if raw else "<u8")
+    foreign.batches = decoded(head.kind, blocks, foreign, where) if raw else _dat(head.kind, blocks, foreign)
     return foreign
 
 
@@ -87,22 +82,42 @@ def read_head(path: Path) -> Head:
         size = end + 1
     kind = _kind(fields, where)
     legacy = fields.get("endianness") == "legacy" or "endianness=legacy" in fields.get("format", "").split(";")
+    if kind in DAT_FIELDS:
+        _check_dat(content[size : size + 2], where)
+        size += 2
     return Head(
         kind,
         _frame(fields),
-        size + 2 * kind.startswith("dat"),
+        size,
         read_note(fields[NAME], where) if NAME in fields else None,
         _clock_us(fields, where),
         legacy and kind == "evt2.1",
     )
 
 
+def _check_dat(type_and_size: bytes, where: str) -> None:
+    """InputError unless the two bytes after the head of DAT say that events follow, of a size that is read here."""
+    if len(type_and_size) < 2:
+        raise InputError("holds no events", where=where, found="nothing after the head")
+    kind, size = type_and_size
+    if kind == DAT_TRIGGERS:
+        raise InputError("holds external triggers but no events", where=where, found=f"DAT of event type {kind:#x}")
+    if kind not in DAT_EVENTS or size != DAT_BYTES:
+        raise InputError(
+            "a DAT file of other events",
+            where=where,
+            expected=f"event type 0x0 or 0xc, of {DAT_BYTES} bytes",
+            found=f"type {kind:#x}, of {size} bytes",
+        )
+
+
 def _clock_us(fields: dict[str, str], where: str) -> int:
-    """Where the times of an export of ours begin on the source's clock; 0 in other files."""
-    text = fields.get(OFFSET, "0")
+    """Where the times of an export begin on the source's clock; 0 in other files."""
+    key = next((key for key in OFFSETS if key in fields), OFFSET)
+    text = fields.get(key, "0")
     if not re.fullmatch("-?[0-9]{1,16}", text) or abs(int(text)) >= CLOCK_LIMIT_US:
         expected = "microseconds within 285 years of 0"
-        raise InputError(f"`{OFFSET}` is damaged", where=where, expected=expected, found=text[:40])
+        raise InputError(f"`{key}` is damaged", where=where, expected=expected, found=text[:40])
     return int(text)
 
 
@@ -135,97 +150,75 @@ def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
     return None
 
 
-def untimed_bytes(path: Path, head: Head) -> int:
-    """Bytes before the first word that holds the high bits of time, as far as the first block of words goes."""
-    kinds = next(_kinds(path, head), None)
-    if kinds is None:
-        return 0
-    high = np.flatnonzero(kinds == TIME_HIGH)
-    whole = len(kinds) * WORD_BYTES[head.kind] == HEAD_LIMIT_BYTES  # there may be more
-    return int(high[0] if len(high) else len(kinds) * whole) * WORD_BYTES[head.kind]
-
-
-def _kinds(path: Path, head: Head) -> Iterator[NDArray[Any]]:
-    """The upper four bits of all words, in blocks."""
-    for block in _words(path, head, 0):
-        word = 8 * block.dtype.itemsize
-        yield block >> (word - 4)
-
-
-def _words(path: Path, head: Head, skipped: int) -> Iterator[NDArray[Any]]:
-    """All whole words after so many bytes, in blocks, the halves of each in order."""
-    size = WORD_BYTES[head.kind]
+def _words(path: Path, head: Head, dtype: str) -> Iterator[tuple[NDArray[Any], Callable[[int], str]]]:
+    """All whole words in blocks, the halves of each in order, and where the user finds word i of a block."""
+    size = np.dtype(dtype).itemsize
+    at = head.size
     with path.open("rb") as file:
-        file.seek(head.size + skipped)
-        while block := file.read(HEAD_LIMIT_BYTES):
-            words = np.frombuffer(block[: len(block) // size * size], f"<u{size}")
-            yield words << np.uint64(32) | words >> np.uint64(32) if head.swapped else words
+        file.seek(at)
+        while block := file.read(BLOCK_BYTES):
+            words = np.frombuffer(block[: len(block) // size * size], dtype)
+            yield words << np.uint64(32) | words >> np.uint64(32) if head.swapped else words, partial(_byte, at, size)
+            at += len(block)
 
 
-def _trimmed(path: Path, head: Head, frame: tuple[int, int], skipped: int) -> Iterator[Columns]:
-    """Decode a copy without the words that have no time."""
-    with scratch_file(".raw") as (copy, target):
-        target.write(raw_header(head.kind, frame))
-        for words in _words(path, head, skipped):
-            target.write(words.tobytes())
-        target.flush()
-        yield from decode(copy, head.kind, frame, str(path))
+def _byte(start: int, size: int, word: int) -> str:
+    return f"at byte {start + size * word}"
 
 
-def _evt21(path: Path, head: Head, skipped: int) -> Iterator[Columns]:
-    """The events of EVT2.1; InputError at a word of a type that is none of its own."""
-    high = turns = done = start = 0
-    for words in _words(path, head, skipped):
-        kind = (words >> np.uint64(60)).astype(np.int64)
-        unknown = ~np.isin(kind, KINDS_21)
-        if unknown.any():
-            at = int(np.argmax(unknown))
-            place = head.size + skipped + 8 * (done + at)
+def decoded(
+    kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign, where: str
+) -> Iterator[Columns]:
+    """The events of blocks of words of RAW; at the end `foreign` has the triggers and says what was left out."""
+    decoder = Decoder(kind)
+    triggers: list[tuple[NDArray[Any], ...]] = []
+    kept = done = 0
+    for words, place in blocks:
+        part = decoder.part(words, place)
+        undefined = sum(decoder.undefined.values())
+        if undefined > MOST_UNDEFINED * decoder.words:
             raise InputError(
-                "a word that EVT2.1 does not have",
-                where=str(path),
-                found=f"type {kind[at]:#x} at byte {place}",
-                hint="the file is damaged; copy it again",
+                f"these are no words of {decoder.encoding.name}",
+                where=where,
+                expected="the encoding that the file's head names",
+                found=f"{undefined:,} of the first {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
+                hint="a damaged file, or one with another file's head",
             )
-        highs = kind == TIME_HIGH
-        times = ((words[highs] >> np.uint64(32)) & np.uint64(HIGH_21 - 1)).astype(np.int64)
-        wrapped = np.cumsum(np.diff(times, prepend=high) < -(HIGH_21 // 2)) + turns
-        since = np.concatenate([[high + turns * HIGH_21], times + wrapped * HIGH_21])[np.cumsum(highs)]
-        if len(times):
-            high, turns = int(times[-1]), int(wrapped[-1])
-        events = kind <= 1
-        of_pixels, p = words[events], kind[events]
-        word, column = np.nonzero((of_pixels.astype(np.uint32)[:, None] >> np.arange(32, dtype=np.uint32)) & 1)
-        low, x, y = ((of_pixels >> np.uint64(shift)).astype(np.int64) & mask for shift, mask in FIELDS_21)
-        t = (since[events] << 6) + low
-        yield Columns(t[word], x[word] + column, y[word], p[word].astype(np.uint8), partial(at_index, start))
-        start += len(word)
-        done += len(kind)
-
-
-def raw_header(kind: str, frame: tuple[int, int]) -> bytes:
-    """The lines of text that a RAW file of an encoding (evt2, evt3) begins with."""
-    return "% evt {}.0\n% geometry {}x{}\n% end\n".format(kind[-1], *frame).encode()
-
-
-def decode(path: Path, kind: str, frame: tuple[int, int], where: str) -> Iterator[Columns]:
-    """All events of a file, by faery; `where` is what the user calls it."""
-    faery = load_faery("RAW and DAT files need", where)
-    start = 0
-    try:
-        stream = faery.events_stream_from_file(
-            path, dimensions_fallback=frame, version_fallback=kind, file_type=kind[:3]
+        if kept + len(part.trigger_t) <= MOST_TRIGGERS:
+            triggers.append(part[4:])
+            kept += len(part.trigger_t)
+        else:
+            foreign.left_out["triggers"] = foreign.left_out.get("triggers", 0) + len(part.trigger_t)
+        if len(part.t):
+            yield Columns(*part[:4], partial(at_index, done))
+        done += len(part.t)
+    if decoder.untimed:
+        size = np.dtype(decoder.encoding.dtype).itemsize
+        foreign.notes.append(f"left out {decoder.untimed * size} bytes before the first time stamp")
+    if decoder.undefined:
+        foreign.left_out["words of undefined types"] = sum(decoder.undefined.values())
+    foreign.notes += decoder.clock.notes
+    if kept:
+        t_us, number, edge = (np.concatenate(column) for column in zip(*triggers, strict=True))
+        rows = np.argsort(t_us, kind="stable")
+        t_us, columns = t_us[rows], {"id": number[rows].astype(np.float64), "edge": edge[rows].astype(np.float64)}
+        foreign.streams.append(
+            Stream("triggers", t_us + foreign.clock_us, columns, what=TRIGGERS, clock="the camera's, as of the events")
         )
-        if tuple(stream.dimensions()) != tuple(frame):
-            raise ValueError("its header says two frame sizes")
-        packets = iter(stream)
-        while (events := next(packets, None)) is not None:
-            yield Columns(events["t"], events["x"], events["y"], events["on"], partial(at_index, start))
-            start += len(events)
-    except BaseException as error:
-        raise InputError(
-            "cannot be read as Prophesee's",
-            where=where,
-            found=f"after {start} events: {refusal_text(error)}",
-            hint="the file is damaged; copy it again",
-        ) from None
+
+
+def _dat(kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign) -> Iterator[Columns]:
+    """The events of blocks of DAT; at the end `foreign` says whether the clock wrapped."""
+    clock = Clock((BITS_32,))
+    done = 0
+    for words, _ in blocks:
+        place = partial(at_index, done)
+        t = clock.continuous(words.view("<u4")[::2].astype(np.int64), place)
+        payload = words.view("<u4")[1::2]
+        x, y, p = (
+            (payload >> np.uint32(shift) & np.uint32(mask)).astype(dtype)
+            for (shift, mask), dtype in zip(DAT_FIELDS[kind], (np.uint16, np.uint16, np.uint8), strict=True)
+        )
+        yield Columns(t, x, y, p, place)
+        done += len(words)
+    foreign.notes += clock.notes

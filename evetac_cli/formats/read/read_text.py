@@ -1,8 +1,9 @@
-"""Read events from text, also CSV: one event a line, columns separated by blanks or commas, `#` or `%` for comments.
+"""Read events from text: one event a line, columns separated by blanks, commas or semicolons, `#` or `%` for comments.
 
 The order of the columns is what the first line, or a comment before it, says (`x,y,polarity,timestamp`; columns with
-other names are left out), else what fits the first lines (column_order). The unit of time is what the names say (`t_s`,
-`t_us`), else what the first time looks like: an integer is microseconds, with a point or an exponent it is seconds.
+other names are left out), else what the user says or what fits the first lines (column_order). The unit of time is what
+the names say (`t_s`, `t_us`) or the user, else what the first time looks like: an integer is microseconds, with a point
+or an exponent it is seconds (column_times). Polarity may be True and False, as pandas writes it.
 The frame is known where the first line has only two numbers (rpg) or names like `x@640,y@480` (faery), or a comment
 says `%geometry:640,480` (Prophesee).
 """
@@ -19,14 +20,27 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
-from evetac_cli.formats.read.column_order import ORDERS, Order, assumption, by_name, guess_order
+from evetac_cli.formats.read.column_order import (
+    ORDERS,
+    Order,
+    by_name,
+    guess_order,
+    lacking_columns,
+    places_of,
+    refuse_columns,
+    said_order,
+    unit_said,
+)
+from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
-UNIT_HINT = "name the unit in a first line: `t_s x y p` or `t_us x y p`"
+TRUTH = re.compile(r"\b(true|false)\b", re.IGNORECASE)
+SEPARATORS = ",;"  # blanks otherwise
+SPOKEN_SEPARATORS = {",": "commas", ";": "semicolons", None: "blanks"}
 COMMENTS = ("#", "%")
 MOST_COLUMNS = 64
 GEOMETRY = re.compile(r"%\s*geometry:\s*(\d{1,5})\s*[,x]\s*(\d{1,5})\s*$", re.IGNORECASE)
@@ -40,22 +54,27 @@ class Layout(NamedTuple):
     order: Order
     columns: int
     separator: str | None
-    guessed: str = ""  # the order in words, where no name says it
+    guessed: str = ""  # the order in words, where neither a name nor the user says it
     unused: tuple[str, ...] = ()  # names of the other columns
+    truth: bool = False  # polarity is True or False
 
 
-def open_text(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+def open_text(
+    path: Path, frame_px: tuple[int, int] | None, columns: str | None = None, time_unit: str | None = None
+) -> Foreign:
     """Events of a text file; FrameUnknown without frame_px where neither the text nor a note of ours says it."""
     where = str(path)
     note, own_px = _note_and_frame(path)
     foreign = Foreign("text", (1, 1), (), note=note)
     if note is None and own_px is None and frame_px is None:
-        with closing(_batches(path, foreign)) as batches:  # what is no text of events has no frame either
+        with closing(
+            _batches(path, foreign, columns, time_unit)
+        ) as batches:  # what is no text of events has no frame either
             if next(batches, None) is None:
                 raise no_events(where)
     hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
     foreign.frame_px = choose_frame(note.frame_px if note else own_px, frame_px, where, hint)
-    foreign.batches = _batches(path, foreign)
+    foreign.batches = _batches(path, foreign, columns, time_unit)
     return foreign
 
 
@@ -75,13 +94,14 @@ def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
     return note, frame
 
 
-def _batches(path: Path, foreign: Foreign) -> Generator[Columns, None, None]:
+def _batches(
+    path: Path, foreign: Foreign, columns: str | None, time_unit: str | None
+) -> Generator[Columns, None, None]:
     """One batch a block of lines; raises InputError with the number of the line that cannot be read.
 
     `foreign` is told what was assumed, and what was left out.
     """
     layout: Layout | None = None
-    us_per_unit: float | None = None
     names: list[str] = []
     comment = ""
     begun = False  # a line with content was met
@@ -93,29 +113,22 @@ def _batches(path: Path, foreign: Foreign) -> Generator[Columns, None, None]:
                     comment = line.strip().lstrip("#% ") or comment
                 elif not begun and TWO_NUMBERS.match(data):
                     lines[i] = ""
-                elif not begun and _order(named := _names(data)):
-                    names, lines[i] = named, ""
+                elif not begun and _are_names(data, number + i, str(path)):
+                    names, lines[i] = _names(data), ""
                 else:
-                    layout = _layout(path, number, lines, data, names or _names(comment))
+                    layout = _layout(path, number, lines, data, names or _names(comment), columns)
                     break
                 begun = begun or bool(data)
             if layout is None:  # no line with events so far
                 continue
+            unit = unit_said(time_unit, layout.order.us_per_unit, str(path))
+            foreign.times = ColumnTimes(str(path), unit, guess=_unit(lines, layout))
+            foreign.guessed_order = "" if foreign.note else layout.guessed
         table = _table(path, number, lines, layout)
-        if us_per_unit is None:
-            us_per_unit = layout.order.us_per_unit or _unit(lines, layout)
-            if foreign.note is None:
-                foreign.assumed = assumption(layout.guessed, us_per_unit if layout.order.us_per_unit is None else None)
+        assert foreign.times is not None
+        place = partial(_place, number, lines)
         t, x, y, p = table.T
-        if us_per_unit == 1:
-            odd = np.flatnonzero((t != np.rint(t)) & np.isfinite(t))
-            if len(odd):
-                odd_line = f"{t[odd[0]]:.9g} {_place(number, lines, int(odd[0]))}"
-                expected = "whole microseconds, as in the first line"
-                raise InputError(
-                    "time changes its unit", where=str(path), expected=expected, found=odd_line, hint=UNIT_HINT
-                )
-        yield Columns(t * us_per_unit, x, y, p, partial(_place, number, lines))
+        yield Columns(foreign.times.us(t, place), x, y, p, place)
         for name in layout.unused:
             foreign.left_out[name] = foreign.left_out.get(name, 0) + len(table)
 
@@ -157,9 +170,14 @@ def _place(number: int, lines: list[str], row: int) -> str:
     return f"in line {number + next(data_lines)}"
 
 
+def _separator(text: str) -> str | None:
+    """What separates the fields of a line; None for blanks."""
+    return next((sign for sign in SEPARATORS if sign in text), None)
+
+
 def _names(text: str) -> list[str]:
     """The words of a line, as names of columns."""
-    return text.split(",") if "," in text else text.split()
+    return text.split(_separator(text))
 
 
 def _order(names: list[str]) -> Order | None:
@@ -167,16 +185,38 @@ def _order(names: list[str]) -> Order | None:
     return by_name(names) if len(names) <= MOST_COLUMNS else None
 
 
-def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str]) -> Layout:
-    """How lines are read, by their names or, without, by what fits the block of the first of them."""
-    separator = "," if "," in first else None
+def _are_names(line: str, number: int, path: str) -> bool:
+    """Whether a line names columns; InputError where it does, but not those of events."""
+    words = _names(line)
+    if _order(words):
+        return True
+    if len(words) < 4 or any(NUMBER.fullmatch(word.strip()) or TRUTH.fullmatch(word.strip()) for word in words):
+        return False
+    lacking = lacking_columns(words)
+    what = f"no column is named as {' or '.join(lacking)}" if lacking else "two columns are named alike"
+    raise InputError(
+        f"the names of the columns are not clear: {what}",
+        where=path,
+        expected="t, x, y, p, each once, under a name such as t_us, timestamp, polarity",
+        found=f"line {number}: {_clip(line)}",
+        hint="rename the columns in this line",
+    )
+
+
+def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str], columns: str | None) -> Layout:
+    """How lines are read, by their names, by what the user says, or by what fits the block of the first of them."""
+    separator = _separator(first)
+    truth = bool(TRUTH.search(first))
     order = _order(names)
     if order is not None:
+        refuse_columns(columns, str(path))
         unused = [f"values of {name.strip()[:40] or i + 1}" for i, name in enumerate(names) if i not in order.places]
-        return Layout(order, len(names), separator, unused=tuple(unused))
-    plain = Layout(Order(ORDERS["t x y p"], None), 4, separator)
+        return Layout(order, len(names), separator, unused=tuple(unused), truth=truth)
+    if columns is not None:
+        return Layout(Order(places_of(said_order(columns, str(path))), None), 4, separator, truth=truth)
+    plain = Layout(Order(places_of(ORDERS[0]), None), 4, separator, truth=truth)
     guessed = guess_order(_table(path, number, lines, plain))
-    return Layout(Order(ORDERS[guessed], None), 4, separator, guessed)
+    return plain._replace(order=Order(places_of(guessed), None), guessed=guessed)
 
 
 def _unit(lines: list[str], layout: Layout) -> float:
@@ -194,6 +234,8 @@ def _table(path: Path, number: int, lines: list[str], layout: Layout) -> NDArray
         return np.empty((0, 4))
     reason = f"more or fewer than {count} columns"
     plain = [line.partition("%")[0] for line in lines] if any("%" in line for line in lines) else lines
+    if layout.truth:
+        plain = [TRUTH.sub(lambda word: str(int(word[0].lower() == "true")), line) for line in plain]
     try:
         used = None if count == 4 else places  # other columns may hold anything
         table = np.loadtxt(plain, dtype=np.float64, delimiter=separator, ndmin=2, usecols=used)
@@ -205,9 +247,11 @@ def _table(path: Path, number: int, lines: list[str], layout: Layout) -> NDArray
     for offset, line in enumerate(lines):
         fields = _fields(line, separator)
         numbers = [fields[place] for place in places] if len(fields) == count else []
+        if layout.truth:
+            numbers = [TRUTH.sub("0", word) for word in numbers]
         if _data(line) and not (numbers and all(map(NUMBER.fullmatch, numbers))):
             names = " ".join(name for _, name in sorted(zip(places, "txyp", strict=True)))
-            expected = f"{count} numbers separated by {'commas' if separator else 'blanks'}"
+            expected = f"{count} numbers separated by {SPOKEN_SEPARATORS[separator]}"
             expected += f": {names}" if count == 4 else ""
             bad_line = f"line {number + offset}: {_clip(line)}"
             cut = offset == len(lines) - 1 and len(fields) < count and number + offset > 1

@@ -24,7 +24,9 @@ from evetac_cli.store.read import UNKNOWN_SENSOR
 if TYPE_CHECKING:  # with the libraries of its format
     from evetac_cli.formats.imports import EventFile
 
-METHOD = 2
+METHOD = 3
+# What a user may say of a file; in the header where it was said.
+SAID = ("drop_late", "from_restart", "columns", "time_unit")
 NO_TIMES = np.empty(0, np.int64)
 
 
@@ -44,7 +46,11 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         job.inputs[0],
         frame_px=_frame(params.frame_size),
         sort=params.sort,
+        drop_late=params.drop_late,
+        from_restart=params.from_restart,
         stream=params.stream,
+        columns=params.columns,
+        time_unit=params.time_unit,
         frames=params.frames,
         folder=existing_folder(job.output.parent),
         progress=progress,
@@ -70,6 +76,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
             "source": job.inputs[0].name,
             "format": facts.format,
             "sorted": params.sort,
+            **{name: getattr(params, name) for name in SAID if getattr(params, name) not in (None, False)},
             "dropped": dict(facts.counts),
             "left_out": dict(facts.left_out),
             "notes": list(facts.notes),

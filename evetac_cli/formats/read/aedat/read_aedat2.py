@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, checked_frame, choose_frame
 
 SIGN = b"#!AER-DAT2"
@@ -28,7 +29,6 @@ LINE_LIMIT_BYTES = 1 << 16
 HEAD_LIMIT_BYTES = 1 << 24  # jAER writes all its settings there
 NOT_TEXT = re.compile(rb"[^\t\r\n\x20-\xff]")
 LAST_LINE = b"#End Of ASCII Header"
-WRAP_US = 1 << 32
 # DAVIS: words with bit 31 are samples of frames, or of the IMU where both of these bits are set
 NO_PIXEL, EXTERNAL, IMU = 1 << 31, 1 << 10, 0b11 << 10
 
@@ -143,15 +143,10 @@ def _field(address: NDArray[Any], place: tuple[int, int]) -> NDArray[np.int32]:
 def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -> Iterator[Columns]:
     """The events in blocks; at the end `foreign` says what was left out."""
     width, height = foreign.frame_px
-    wraps, last = 0, None
-    done = 0
+    clock, done = Clock((BITS_32,), edges=(BITS_31,)), 0
     left_out = dict.fromkeys(("frame samples", "IMU values", "external events"), 0)
     for words in _words(path, start):
-        raw = words["t"].astype(np.int64)
-        steps = np.diff(raw, prepend=raw[:1] if last is None else last)
-        turns = np.cumsum((steps < -WRAP_US // 2).astype(np.int64) - (steps > WRAP_US // 2)) + wraps
-        if len(raw):
-            wraps, last = int(turns[-1]), int(raw[-1])
+        times = clock.continuous(words["t"].astype(np.int64), partial(at_index, done))
         address = words["address"].astype(np.uint32)
         pixel = (address & np.uint32(chip.no_pixel)) == 0
         others = address[~pixel]
@@ -160,7 +155,7 @@ def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -
         left_out["frame samples"] += int(np.count_nonzero(sampled & ~imu))
         left_out["IMU values"] += int(np.count_nonzero(imu))
         left_out["external events"] += int(np.count_nonzero(~sampled))
-        t = (raw + turns * WRAP_US)[pixel]
+        t = times[pixel]
         x = width - 1 - _field(address[pixel], chip.x)
         y = height - 1 - _field(address[pixel], chip.y)
         p = (_field(address[pixel], (chip.polarity[0], 1)) == chip.polarity[1]).astype(np.uint8)
@@ -168,6 +163,7 @@ def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -
         yield Columns(t, x, y, p, partial(_place, rows))
         done += len(words)
     foreign.left_out |= {name: number for name, number in left_out.items() if number}
+    foreign.notes += clock.notes
 
 
 def _place(rows: NDArray[np.intp], row: int) -> str:

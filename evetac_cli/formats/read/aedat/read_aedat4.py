@@ -29,7 +29,7 @@ from evetac_cli.formats.read.faery_library import load_faery, scratch_file
 BATCH_EVENTS = 1 << 18  # packets hold some thousand each
 
 
-def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
     """Events of the stream with this name, or of the first by name; frame_px only for files that do not say theirs."""
     where = str(path)
     with path.open("rb") as handle:

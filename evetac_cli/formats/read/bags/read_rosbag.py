@@ -13,9 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from evetac_cli.errors import InputError, install_hint
 from evetac_cli.formats.note import Note, read_note
-from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.bags.ros_messages import (
     Fields,
     Packet,
@@ -27,7 +29,8 @@ from evetac_cli.formats.read.bags.ros_messages import (
 )
 from evetac_cli.formats.read.bags.rosbag_unpacking import limit_unpacking
 from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
-from evetac_cli.formats.read.faery_library import scratch_file
+from evetac_cli.formats.read.prophesee_words import ENCODINGS
+from evetac_cli.formats.read.read_prophesee import decoded
 from evetac_cli.text_files import open_regular, read_bytes
 
 SQLITE = b"SQLite format 3\x00"
@@ -39,7 +42,7 @@ ZSTD = b"\x28\xb5\x2f\xfd"
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # of exports of ours
 NOTE_TYPE = "std_msgs/msg/String"
 PROPHESEE = ("evt2", "evt3")
-ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
+KNOWN_ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
 
 ARRAY = "5e8beee5a6c107e504c2e78903c224b8"
 PACKET = "8a6101b351a64529ac77bd8b71074e52"
@@ -59,7 +62,7 @@ def is_bag_folder(path: Path) -> bool:
     return (path / METADATA).is_file()
 
 
-def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None) -> Foreign:
+def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
     """Events of one topic: the one named, or the first by name that holds events."""
     where = str(path)
     foreign = Foreign("rosbag", (1, 1), ())
@@ -87,7 +90,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         raise InputError(
             f"messages on {topic} are in an encoding that is not read here",
             where=where,
-            expected=", ".join(ENCODINGS),
+            expected=", ".join(KNOWN_ENCODINGS),
             found=encoding[:40] or "none",
         )
     return foreign
@@ -166,21 +169,28 @@ def _place(number: int, row: int) -> str:
 
 
 def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
-    """The words of all messages as one RAW file, decoded by read_prophesee."""
-    where = f"{path}: {topic}"
-    with scratch_file(".raw") as (raw, file):
-        file.write(read_prophesee.raw_header(encoding, foreign.frame_px))
-        with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
-            for _, packet in packets:
-                file.write(packet.content)
-        file.flush()
-        try:
-            inner = read_prophesee.open_prophesee(raw, None)
-            foreign.notes += inner.notes
-            foreign.left_out |= inner.left_out
-            yield from inner.batches
-        except InputError as error:
-            raise InputError(str(error).replace(str(raw), where)) from None
+    """The words of all messages as those of one RAW file."""
+    yield from decoded(encoding, _blocks(path, topic, kind, foreign, encoding), foreign, f"{path}: {topic}")
+
+
+def _blocks(
+    path: Path, topic: str, kind: str, foreign: Foreign, encoding: str
+) -> Iterator[tuple[NDArray[Any], Callable[[int], str]]]:
+    """The words of each message; a word that two messages share is counted to the second."""
+    dtype = np.dtype(ENCODINGS[encoding].dtype)
+    rest = b""
+    with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
+        for number, (_, packet) in enumerate(packets):
+            content = rest + bytes(packet.content)
+            whole = len(content) // dtype.itemsize * dtype.itemsize
+            rest = content[whole:]
+            yield np.frombuffer(content[:whole], dtype), partial(_word_place, number)
+    if rest:
+        foreign.notes.append(f"cut short: the last {len(rest)} bytes are no whole word")
+
+
+def _word_place(number: int, word: int) -> str:
+    return f"in message {number}, word {word}"
 
 
 def _contents(

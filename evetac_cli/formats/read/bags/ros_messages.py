@@ -22,6 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.formats.read.clock import BITS_31, Clock
+
 NS = 1000  # in a us
 EVENT_BYTES_ROS1 = 13  # x, y, seconds, nanoseconds, polarity
 EVENT_STRIDE_CDR = 16  # the same, each aligned; the x of all but the first stands before the boundary
@@ -186,8 +188,7 @@ def mono(packet: Packet) -> Part:
 def libcaer(packet: Packet) -> Part:
     """Decode a packet in the encoding `libcaer`: 8 bytes an event, on a clock of 31 bits in us."""
     words = _words(packet, "<u4", 8).reshape(-1, 2)
-    us = words[:, 1].view(np.int32).astype(np.int64)
-    us += np.cumsum(np.diff(us, prepend=us[:1]) < 0) << 31  # libcaer's clock has 31 bits
+    us = Clock((BITS_31,)).continuous(words[:, 1].view(np.int32).astype(np.int64), str)
     data = words[:, 0]
     return Part(packet.time_base_ns // NS + us, data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1)
 

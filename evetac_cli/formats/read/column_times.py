@@ -1,0 +1,194 @@
+"""Times of text, numpy and HDF5 files, in microseconds: what their unit is, whether that makes sense, and their clock.
+
+What the user says (`--time-unit`) or the file (`t_us`) decides. Without either, whole times are taken for microseconds
+and others for seconds. That guess is tested: a number type has to leave room for it, and the events have to be as many
+per second and pixel as a camera makes. Where another unit makes as much sense, the file is refused.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US
+from evetac_cli.formats.note import CLOCK_LIMIT_US
+from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
+
+UNITS = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}  # us in one of them
+SPOKEN = {1e6: "seconds", 1e3: "milliseconds", 1.0: "microseconds", 1e-3: "nanoseconds"}
+FLAG = "--time-unit"
+# Of a whole recording. Rates are per second and pixel: DVXplorer noise alone makes 0.3, a busy street 30 to 60.
+MOST_HZ, USUAL_MOST_HZ = 200.0, 30.0  # of all pixels of the frame
+LEAST_HZ, USUAL_LEAST_HZ = 1e-3, 0.03  # of those that made an event
+USUAL_S = 0.1  # a recording is at least as long
+FEW_EVENTS = 100  # of so few, nothing can be said
+
+
+class ColumnTimes:
+    """Turns a column of times into us, batch by batch."""
+
+    def __init__(self, where: str, unit: float | None, *, guess: float | None = None, documented: bool = False) -> None:
+        """unit: us in one, if it is known. guess: what it is taken for otherwise; without it, what the numbers suggest.
+
+        documented: known from the layout of the file, which may be wrong.
+        """
+        self._where, self._unit, self._guess, self._documented = where, unit, guess, documented
+        self._guessed = unit is None
+        self._clock: Clock | None = None
+        self._step_us = 0.0  # the coarsest that the number type leaves
+        self._step_said = ""
+        self._thousands = True  # all times are multiples of a thousand
+        self._first: Any = None
+
+    @property
+    def assumed(self) -> float | None:
+        """The unit, as us in one, where neither the user nor the file itself says it."""
+        return self._unit if self._guessed or self._documented else None
+
+    def us(self, t: NDArray[Any], place: Callable[[int], str]) -> NDArray[Any]:
+        """The times of the next batch, int64, or float64 where some are no numbers; place: where row i is in the file.
+
+        InputError where the unit cannot be told, changes, or is finer than the numbers.
+        """
+        if self._unit is None:
+            self._unit = self._guess or self._by_numbers(t)
+        if t.dtype.kind == "f":
+            return self._of_floats(t, place)
+        if t.dtype.kind == "u" and t.dtype.itemsize == 8 and len(t) and t.max() >= 1 << 63:
+            return t  # refused as too large where all times are checked
+        ticks = t.astype(np.int64, copy=False)
+        if self._clock is None:
+            self._clock = _clock(t.dtype, self._unit)
+        if len(ticks) and self._thousands:
+            self._first = int(ticks[0]) if self._first is None else self._first
+            self._thousands = not ((ticks[:1000] - self._first) % 1000).any()
+        ticks = self._clock.continuous(ticks, place)
+        if self._unit < 1:
+            return ticks // round(1 / self._unit)
+        most = CLOCK_LIMIT_US / self._unit
+        if self._unit == 1 or (len(ticks) and -most < ticks.min() and ticks.max() < most):
+            return ticks * round(self._unit) if self._unit != 1 else ticks
+        return ticks.astype(np.float64) * self._unit
+
+    def _of_floats(self, t: NDArray[Any], place: Callable[[int], str]) -> NDArray[Any]:
+        assert self._unit is not None
+        values = t.astype(np.float64)
+        sound = np.isfinite(values)
+        self._check_steps(t, sound)
+        us = values * self._unit
+        sound &= np.abs(us, where=sound, out=np.zeros(len(us))) < CLOCK_LIMIT_US
+        if self._unit == 1 and self.assumed and (odd := us[sound] != np.rint(us[sound])).any():
+            row = int(np.flatnonzero(sound)[np.argmax(odd)])
+            raise InputError(
+                "time changes its unit",
+                where=self._where,
+                expected="whole microseconds, as in the first rows",
+                found=f"{values[row]:.9g} {place(row)}",
+                hint=f"say the unit: {FLAG}",
+            )
+        rows = np.flatnonzero(sound)
+        if self._clock is None:
+            self._clock = _clock(t.dtype, 1.0)
+        ticks = self._clock.continuous(np.rint(us[rows]).astype(np.int64), lambda row: place(int(rows[row])))
+        if len(rows) == len(us):
+            return ticks
+        us[rows] = ticks
+        return us
+
+    def _by_numbers(self, t: NDArray[Any]) -> float:
+        if t.dtype.kind != "f":
+            return 1.0
+        finite = t[np.isfinite(t)]
+        if (finite != np.rint(finite)).any():
+            return 1e6
+        step = float(np.spacing(np.abs(finite).max())) if len(finite) else 0.0
+        if step >= 1:
+            raise InputError(
+                "the unit of time cannot be told",
+                where=self._where,
+                found=f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, where this type has steps of {step:.6g}",
+                hint=f"write them as float64 or as integers, or say the unit: {FLAG}",
+            )
+        return 1.0
+
+    def _check_steps(self, t: NDArray[Any], sound: NDArray[np.bool_]) -> None:
+        """InputError where the number type is too coarse to tell slices apart."""
+        if t.dtype.itemsize >= 8 or not sound.any():
+            return
+        assert self._unit is not None
+        most = np.abs(t[sound]).max()
+        step_us = float(np.spacing(most)) * self._unit
+        said = f"{t.dtype} times near {float(most) * self._unit / 1e6:.9g} s have steps of {_in_us(step_us)}"
+        if step_us > SLICE_US:
+            hint = "write them as float64 or as integers"
+            raise InputError("times are too coarse", where=self._where, expected="1 ms or finer", found=said, hint=hint)
+        if step_us > max(1.0, self._step_us):
+            self._step_us, self._step_said = step_us, said
+
+    def check(self, events: int, span_us: float, frame_px: tuple[int, int], lit_hz_us: float) -> None:
+        """InputError where the unit is a guess that makes no sense, or another one makes more.
+
+        span_us: length of the recording. lit_hz_us: events per us of those pixels that made one.
+        """
+        if self.assumed is None or events < FEW_EVENTS:
+            return
+        assert self._unit is not None
+        readings = {
+            unit: _Reading(events, span_us * us / self._unit, frame_px, lit_hz_us * self._unit / us)
+            for unit, us in UNITS.items()
+        }
+        own = next(unit for unit, us in UNITS.items() if us == self._unit)
+        coarse = self._thousands and self._first is not None  # a camera's clock is finer
+        sound = readings[own].plausible
+        if sound and (not self._guessed or (readings[own].usual and not coarse)):
+            return
+        others = [unit for unit, one in readings.items() if unit != own and (one.usual if sound else one.plausible)]
+        if not others and (sound or not self._guessed):
+            return
+        raise InputError(
+            f"the unit of time {'is not certain' if sound else 'does not make sense'}",
+            where=self._where,
+            found="; ".join(f"as {SPOKEN[UNITS[unit]]} {readings[unit]}" for unit in (own, *others)),
+            hint=f"say it: {FLAG} {' or '.join(UNITS)}",
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """What was followed, and how coarse the times are."""
+        coarse = [self._step_said] if self._step_said else []
+        return [*coarse, *(self._clock.notes if self._clock else [])]
+
+
+class _Reading:
+    """What a recording would be if its times had some unit."""
+
+    def __init__(self, events: int, span_us: float, frame_px: tuple[int, int], lit_hz_us: float) -> None:
+        self._span_s = span_us / 1e6
+        self._hz = events / self._span_s / (frame_px[0] * frame_px[1]) if self._span_s else np.inf
+        self._lit_hz = lit_hz_us * 1e6
+
+    @property
+    def plausible(self) -> bool:
+        """Whether a camera can make so many events per second and pixel."""
+        return self._hz <= MOST_HZ and self._lit_hz >= LEAST_HZ
+
+    @property
+    def usual(self) -> bool:
+        """Whether most recordings are as long, and have as many."""
+        return self._span_s >= USUAL_S and self._hz <= USUAL_MOST_HZ and self._lit_hz >= USUAL_LEAST_HZ
+
+    def __str__(self) -> str:
+        return f"{self._span_s:.3g} s with {self._hz:.2g} events per second and pixel"
+
+
+def _clock(dtype: np.dtype[Any], us_per_tick: float) -> Clock:
+    """The clock of a column: of 32 bits by its type, or of 31 or 32 bits of us by its numbers."""
+    spans = {"u4": (BITS_32,), "i4": (BITS_32, BITS_31)}.get(dtype.str[1:], ())
+    edges = tuple(round(bits / us_per_tick) for bits in (BITS_31, BITS_32)) if us_per_tick <= 1 else ()
+    return Clock(spans, tuple(edge for edge in edges if edge not in spans), us_per_tick)
+
+
+def _in_us(us: float) -> str:
+    return f"{us:.3g} us" if us < 1e6 else f"{us / 1e6:.3g} s"

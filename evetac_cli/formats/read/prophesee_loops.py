@@ -1,0 +1,158 @@
+"""The loops of prophesee_words: words of a block into columns. Each returns how many events it found.
+
+highs: the high bits of time of the block, continuous, in the order of their words. state: one prophesee_words.STATE,
+what the block begins with, brought up to its end. t, x, y, p: room for the events, trigger_*: for the triggers.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+TYPES = 16
+TIME_HIGH, TRIGGER = 0x8, 0xA
+
+
+@njit(cache=True)
+def count_types(words: NDArray[Any], shift: int) -> NDArray[np.int64]:
+    """How many words there are of each type, the bits from `shift` on."""
+    counts = np.zeros(TYPES, np.int64)
+    for word in words:
+        counts[np.int64(word >> type(word)(shift)) & 15] += 1
+    return counts
+
+
+@njit(cache=True)
+def evt2(
+    words: NDArray[np.uint32],
+    highs: NDArray[np.int64],
+    state: Any,
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    trigger_t: NDArray[np.int64],
+    trigger_id: NDArray[np.uint8],
+    trigger_edge: NDArray[np.uint8],
+) -> int:
+    events = triggers = times = 0
+    base = state[0].high << 6
+    for each in words:
+        word = np.int64(each)
+        kind = word >> 28
+        if kind <= 1:
+            t[events] = base + (word >> 22 & 0x3F)
+            x[events] = word >> 11 & 0x7FF
+            y[events] = word & 0x7FF
+            p[events] = kind
+            events += 1
+        elif kind == TIME_HIGH:
+            base = highs[times] << 6
+            times += 1
+        elif kind == TRIGGER:
+            trigger_t[triggers] = base + (word >> 22 & 0x3F)
+            trigger_id[triggers] = word >> 8 & 0x1F
+            trigger_edge[triggers] = word & 1
+            triggers += 1
+    state[0].high = base >> 6
+    return events
+
+
+@njit(cache=True)
+def evt21(
+    words: NDArray[np.uint64],
+    highs: NDArray[np.int64],
+    state: Any,
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    trigger_t: NDArray[np.int64],
+    trigger_id: NDArray[np.uint8],
+    trigger_edge: NDArray[np.uint8],
+) -> int:
+    events = triggers = times = 0
+    base = state[0].high << 6
+    for each in words:
+        word = np.int64(each >> np.uint64(32))
+        kind = word >> 28
+        if kind <= 1:
+            at, column, row = base + (word >> 22 & 0x3F), word >> 11 & 0x7FF, word & 0x7FF
+            columns = np.int64(each & np.uint64(0xFFFFFFFF))
+            while columns:
+                if columns & 1:
+                    t[events] = at
+                    x[events] = column
+                    y[events] = row
+                    p[events] = kind
+                    events += 1
+                columns >>= 1
+                column += 1
+        elif kind == TIME_HIGH:
+            base = highs[times] << 6
+            times += 1
+        elif kind == TRIGGER:
+            trigger_t[triggers] = base + (word >> 22 & 0x3F)
+            trigger_id[triggers] = word >> 8 & 0x1F
+            trigger_edge[triggers] = word & 1
+            triggers += 1
+    state[0].high = base >> 6
+    return events
+
+
+@njit(cache=True)
+def evt3(
+    words: NDArray[np.uint16],
+    highs: NDArray[np.int64],
+    state: Any,
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    trigger_t: NDArray[np.int64],
+    trigger_id: NDArray[np.uint8],
+    trigger_edge: NDArray[np.uint8],
+) -> int:
+    events = triggers = times = 0
+    begin = state[0]
+    high, low, row, column, polarity = begin.high, begin.low, begin.y, begin.x, begin.p
+    now = high << 12 | low
+    for each in words:
+        word = np.int64(each)
+        kind, value = word >> 12, word & 0xFFF
+        if kind == 2:
+            t[events] = now
+            x[events] = value & 0x7FF
+            y[events] = row
+            p[events] = value >> 11
+            events += 1
+        elif kind == 6:
+            low = value
+            now = high << 12 | low
+        elif kind == 0:
+            row = value & 0x7FF
+        elif kind == 4 or kind == 5:
+            bits = 12 if kind == 4 else 8
+            for bit in range(bits):
+                if value >> bit & 1:
+                    t[events] = now
+                    x[events] = column + bit
+                    y[events] = row
+                    p[events] = polarity
+                    events += 1
+            column += bits
+        elif kind == 3:
+            column, polarity = value & 0x7FF, value >> 11
+        elif kind == TIME_HIGH:
+            if highs[times] != high:
+                high, low = highs[times], 0
+                now = high << 12
+            times += 1
+        elif kind == TRIGGER:
+            trigger_t[triggers] = now
+            trigger_id[triggers] = value >> 8
+            trigger_edge[triggers] = value & 1
+            triggers += 1
+    begin.high, begin.low, begin.y, begin.x, begin.p = high, low, row, column, polarity
+    return events
