@@ -55,7 +55,7 @@ class Record(Trials):
     )
     from_restart: int | None = parameter(
         None,
-        "Of an imported file whose clock begins anew, take the part from this restart to the next; 0: before the first.",
+        "Of an imported file whose clock begins anew, take the part from this restart on; 0: before the first.",
         low=0,
         high=1000,
         panel=IMPORT,

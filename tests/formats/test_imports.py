@@ -127,7 +127,7 @@ def test_time_that_goes_backwards_is_counted_and_placed() -> None:
     words = str(refused.value)
     assert "at index 3 from 0.003000 s to 0.000005 s, at index 5 from 0.003000 s to 0.002000 s" in words
     assert "--from-restart N keeps one part: 0 has 3 events, 1 has 2 events, 2 has 3 events" in words
-    assert "--drop-late leaves out the 2 events (25.0%)" in words
+    assert "--drop-late leaves out the 2 events (25%)" in words
     events, normal = normalised(batches, (9, 9), drop_late=True)
     assert (events.t.tolist(), normal.dropped["late"]) == ([0, 10, 2490, 2990, 2990, 3090], 2)
     for part, kept in enumerate([[0, 10, 2990], [0, 2995], [0, 500, 1100]]):

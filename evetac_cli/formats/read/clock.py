@@ -36,7 +36,7 @@ class Clock:
         """
         self._spans, self._edges, self._tick_us = tuple(spans), tuple(edges), tick_us
         self._large = WRAP_SHARE * min((*spans, *edges), default=NEVER)  # ticks; smaller steps are no wraps
-        self._late = max(1, int(SLICE_US / tick_us))  # ticks that an event may be late over a wrap
+        self._late = 1 + int(SLICE_US / tick_us)  # ticks that an event may be late over a wrap
         self._last: int | None = None  # the tick that was seen last
         self._turns: list[int] = []  # the range of each wrap that was followed
         self._jumped = False  # ahead by most of the range, since the last wrap
@@ -62,7 +62,7 @@ class Clock:
     def _turn(self, before: int, to: int, place: Callable[[], str]) -> int:
         """Ticks to add to all times from a large step on."""
         if to > before:
-            if self._turns and self._turns[-1] - (to - before) < self._late:
+            if self._turns and self._turns[-1] - (to - before) <= self._late:
                 return -self._turns.pop()
             self._jumped = True
             return 0

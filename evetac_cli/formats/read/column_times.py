@@ -19,7 +19,7 @@ from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
 UNITS = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}  # us in one of them
 SPOKEN = {1e6: "seconds", 1e3: "milliseconds", 1.0: "microseconds", 1e-3: "nanoseconds"}
 FLAG = "--time-unit"
-# Of a whole recording. Rates are per second and pixel: DVXplorer noise alone makes 0.3, a busy street 30 to 60.
+# Events per second and pixel, over a recording. The noise of a DVXplorer alone makes 0.3, a busy street 30 to 60.
 MOST_HZ, USUAL_MOST_HZ = 200.0, 30.0  # of all pixels of the frame
 LEAST_HZ, USUAL_LEAST_HZ = 1e-3, 0.03  # of those that made an event
 USUAL_S = 0.1  # a recording is at least as long
@@ -144,7 +144,7 @@ class ColumnTimes:
         sound = readings[own].plausible
         if sound and (not self._guessed or (readings[own].usual and not coarse)):
             return
-        others = [unit for unit, one in readings.items() if unit != own and (one.usual if sound else one.plausible)]
+        others = [unit for unit, one in readings.items() if unit != own and (one.typical if sound else one.plausible)]
         if not others and (sound or not self._guessed):
             return
         raise InputError(
@@ -178,6 +178,11 @@ class _Reading:
     def usual(self) -> bool:
         """Whether most recordings are as long, and have as many."""
         return self._span_s >= USUAL_S and self._hz <= USUAL_MOST_HZ and self._lit_hz >= USUAL_LEAST_HZ
+
+    @property
+    def typical(self) -> bool:
+        """Whether it is usual, and also pixels that made no event are few enough for a camera with noise."""
+        return self.usual and self._hz >= USUAL_LEAST_HZ
 
     def __str__(self) -> str:
         return f"{self._span_s:.3g} s with {self._hz:.2g} events per second and pixel"

@@ -139,6 +139,7 @@ def normalise(
         first_us = first_us if normal.size else int(part.t[0])
         last_us = max(last_us, int(part.t[-1])) if normal.size else int(part.t[-1])
         normal.size += part.size
+        seen.pixels(part)
         if waiting is not None:
             waiting.append(part)
             continue
@@ -212,8 +213,8 @@ class _Seen:
         """Remember, of the first events, which pixels they came from and from when to when they were."""
         if self._lit_events < LIT_EVENTS and part.size:
             self._lit[(part.y * np.int64(self._width) + part.x) % len(self._lit)] = True
-            first_us = self._lit_us[0] if self._lit_events else int(part.t[0])
-            self._lit_us = first_us, int(part.t[-1])
+            first_us, last_us = self._lit_us if self._lit_events else (int(part.t[0]), int(part.t[0]))
+            self._lit_us = min(first_us, int(part.t.min())), max(last_us, int(part.t.max()))
             self._lit_events += part.size
 
     def lit_hz_us(self) -> float:
@@ -254,7 +255,6 @@ def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
         check_lengths([len(column) for column in given[:4]], where)
         seen.total += len(given.t)
         if (events := _without_fault(given, foreign.frame_px)) is not None:
-            seen.pixels(events)
             seen.polarities(given.p)
             yield events, given.place
             continue
@@ -275,7 +275,6 @@ def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
             y.astype(np.uint16),
             (p == 1).view(np.uint8),
         )
-        seen.pixels(part)
         yield part, place
 
 

@@ -57,11 +57,12 @@ class Encoding(NamedTuple):
 
 
 PLAIN = frozenset((0x0, 0x1, TIME_HIGH, TRIGGER, 0xE, 0xF))
+VECTORS = frozenset((0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x7, TIME_HIGH, TRIGGER, 0xE, 0xF))
 ENCODINGS = {
     "evt2": Encoding("EVT2", "<u4", 28, 64, 0, PLAIN, {0: 1, 1: 1}),
     "evt2.1": Encoding("EVT2.1", "<u8", 28, 64, 32, PLAIN, {0: 32, 1: 32}),
     "evt3": Encoding(
-        "EVT3", "<u2", 12, 4096, 0, frozenset((0, 2, 3, 4, 5, 6, 7, TIME_HIGH, TRIGGER, 0xE, 0xF)), {2: 1, 4: 12, 5: 8}),
+        "EVT3", "<u2", 12, 4096, 0, VECTORS, {2: 1, 4: 12, 5: 8}),
 }  # fmt: skip
 
 

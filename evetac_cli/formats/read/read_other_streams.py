@@ -17,14 +17,13 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     KINDS,
     Header,
     decoded,
-    first_bytes,
     listed_spans,
     read_header,
     walk,
 )
+from evetac_cli.formats.read.aedat.aedat4_payloads import FIELDS
 from evetac_cli.formats.read.bags.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
 from evetac_cli.formats.read.bags.read_rosbag import open_bag
-from evetac_cli.formats.read.faery_library import scratch_file
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 
@@ -33,7 +32,7 @@ NAMES = {"IMUS": "imu", "TRIG": "triggers", "FRME": "frames"}
 # As AEDAT4 defines them.
 UNITS = {"temperature": "degC", "accelerometer": "g", "gyroscope": "deg/s", "magnetometer": "uT"}
 TRIGGERS = "triggers; source 1 to 3: a signal from outside rises, falls, is a pulse; 6 to 9: a frame, its exposure"
-CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # of the images that faery gives
+CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # that are kept of an image
 
 
 class Other(NamedTuple):
@@ -99,11 +98,8 @@ def _in_order(stream: Stream) -> Stream:
 
 
 def _columns(kind: str) -> tuple[str, ...]:
-    """Names of the columns of a kind of AEDAT4's streams, as faery names its fields."""
-    if kind == "TRIG":
-        return ("source",)
-    axes = [f"{part}_{axis}" for part in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
-    return ("temperature", *axes)
+    """Names of the columns of a kind of AEDAT4's streams."""
+    return tuple(name for name, _ in FIELDS[kind][1:])
 
 
 class _Contents:
@@ -119,11 +115,10 @@ class _Contents:
 
     def _packets(self) -> Iterator[Any]:
         header, number = self._header, self._stream.number
-        with self._path.open("rb") as handle, scratch_file(".aedat4") as (copy, file):
+        with self._path.open("rb") as handle:
             spans, listed = walk(handle, header, number).spans, listed_spans(handle, header, number)
-            start = first_bytes(copy, header.compression, self._stream.kind)
             chosen = listed if listed is not None and len(listed) > len(spans) else spans
-            for content in decoded(handle, chosen, start, copy, file):
+            for content in decoded(handle, chosen, self._stream.kind, header.compression):
                 if isinstance(content, str):
                     self.unreadable += 1
                 else:
@@ -135,7 +130,7 @@ class _Contents:
             columns = [rows[name].astype(np.float64) for name in _columns(self._stream.kind)]
             finite = [np.where(np.isfinite(column), column, np.nan) for column in columns]
             if len(rows):
-                yield (np.ascontiguousarray(rows["t"]).view(np.int64), *finite)
+                yield (np.ascontiguousarray(rows["t"]), *finite)
 
     def _images(self) -> Iterator[tuple[NDArray[Any], ...]]:
         """Frames of 8 bits, all of the size of the first one."""
@@ -146,6 +141,6 @@ class _Contents:
             image = image[:, :, :channels] if image.ndim == 3 else image[:, :, None]
             first = first or image.shape
             if image.shape == first and image.dtype == np.uint8 and image.size:
-                yield np.array([frame.t], np.uint64).view(np.int64), image[None]
+                yield np.array([frame.t], np.int64), image[None]
             else:
                 self.unreadable += 1

@@ -1,10 +1,10 @@
 """Events whose times go back: the one rule for all formats.
 
-Less than 1 ms after a later event, an event is put in order: sensors send such, and so do the drivers above them. A step
-back of 1 ms or more that is no wrap of the clock (clock.py) is a restart: the camera began anew, files were joined, or a
-packet was damaged. What the user wants then cannot be known from the numbers, so the file is refused, with the place
-and with what each option would keep: `from_restart` one part, `drop_late` all but the events that come after a later
-one, `sort` all of them, by time.
+An event that comes less than 1 ms after a later one is put in order: sensors send such, and so do the drivers above
+them. A step back of 1 ms or more that is no wrap of the clock (clock.py) is a restart: the camera began anew, files
+were joined, or a packet was damaged. What the user wants then cannot be known from the numbers. So the file is refused,
+with the place and with what each option would keep: `from_restart` one part, `drop_late` all but the events that come
+after a later one, `sort` all of them, by time.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -188,7 +188,8 @@ class TimeOrder:
         """What each option would do."""
         if self.unsorted:
             return "--sort puts all events in the order of their time, right if all times are of one clock"
-        drop = f"--drop-late leaves out the {self._late:,} events ({self._late / self._total:.1%}) that come late"
+        events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self._total:.2g}%)"
+        drop = f"--drop-late leaves out the {events} that came 1 ms or more after a later one"
         cut = f"--from-restart N keeps one part: {self._parts()}"
         few = self._late <= FEW_LATE * self._total
         return f"{drop}; {cut}" if few else f"{cut}; {drop}"

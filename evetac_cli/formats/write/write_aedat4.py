@@ -5,24 +5,31 @@ afterwards.
 """
 
 from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 
-from evetac_cli.errors import InputError
-from evetac_cli.formats.read.aedat.aedat4_packets import COMPRESSIONS, EVENT, description, is_whole
-from evetac_cli.formats.read.faery_library import load_faery
+from evetac_cli.errors import InputError, install_hint
+from evetac_cli.formats.note import NAME
+from evetac_cli.formats.read.aedat.aedat4_packets import is_whole
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
 from evetac_cli.store.read import Recording
 
 PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, as recorders cut them
-LZ4 = 1
+EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as faery takes them
+LZ4 = ("lz4", 1)
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
     """One stream of events, t on the source's clock; InputError with the library's words where it does not work."""
     where = str(path.parent)
-    aedat = load_faery("AEDAT4 needs", where).extension.aedat
+    try:
+        import faery
+    except ImportError as error:
+        hint = install_hint("convert")
+        raise InputError("AEDAT4 needs faery", where=where, found=str(error), hint=hint) from None
     offset_us = t_offset_us(recording)
     if recording.event_count and int(recording.events(0, 1).t[0]) + offset_us < 0:
         raise InputError(
@@ -31,9 +38,10 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
             found=f"a first event at {int(recording.events(0, 1).t[0]) + offset_us} us of the source's clock",
             hint="export it as text or dsec",
         )
-    header = description(recording.frame_px, note_for(recording, offset_us).text())
+    aedat = faery.extension.aedat
+    header = description(aedat, recording.frame_px, note_for(recording, offset_us).text())
     try:
-        with aedat.Encoder(path, header, COMPRESSIONS[LZ4]) as encoder:
+        with aedat.Encoder(path, header, LZ4) as encoder:
             for events in pieces(recording, progress):
                 rows = np.empty(events.size, EVENT)
                 rows["t"] = events.t + offset_us
@@ -45,3 +53,21 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
         trouble = str(error)
     if trouble:
         raise InputError("AEDAT4 cannot be written", where=where, found=trouble, hint="is the disk full?")
+
+
+def description(aedat: Any, frame_px: tuple[int, int], note: str = "") -> list[Any]:
+    """What the header of a file with a stream of events says, as faery takes it (which writes texts as they are)."""
+
+    def node(path: str, attributes: dict[str, int | str], *nodes: Any) -> Any:
+        types = {int: "int", str: "string"}
+        values = {
+            key: aedat.DescriptionAttribute(types[type(value)], escape(value) if isinstance(value, str) else value)
+            for key, value in attributes.items()
+        }
+        return aedat.DescriptionNode(path.rstrip("/").rpartition("/")[2], path, values, list(nodes))
+
+    top = "/mainloop/Recorder/outInfo/"
+    info: dict[str, int | str] = {"sizeX": frame_px[0], "sizeY": frame_px[1], "source": "evetac"}
+    stream: dict[str, int | str] = {"originalOutputName": "events", "typeIdentifier": "EVTS"}
+    noted = info | ({NAME: note} if note else {})
+    return [node(top, {}, node(f"{top}0/", stream, node(f"{top}0/info/", noted)))]

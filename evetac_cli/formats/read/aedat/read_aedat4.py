@@ -17,14 +17,13 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     Span,
     Stream,
     decoded,
-    first_bytes,
     listed_spans,
     packet_table,
     read_header,
     walk,
 )
+from evetac_cli.formats.read.aedat.aedat4_payloads import check_libraries
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
-from evetac_cli.formats.read.faery_library import load_faery, scratch_file
 
 BATCH_EVENTS = 1 << 18  # packets hold some thousand each
 
@@ -57,13 +56,13 @@ def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[s
     others |= {number: f"events of {label}" for label, number in events.items()}
     if not any(packets.counts.get(number) for number in others):
         return {}
-    load_faery("AEDAT4 needs", handle.name)
+    check_libraries(handle.name)
     rows = packet_table(handle, header)
     counts: Counter[str] = Counter()
     for number, name in others.items():
         count = packets.counts.get(number, 0)
         if rows is not None:
-            counts[name] += sum(row.elements_count for row in rows if row.track_id == number)
+            counts[name] += int(rows["elements_count"][rows["track_id"] == number].sum())
         elif count:  # a packet holds one frame, but many samples
             counts[name if name == KINDS["FRME"] else f"packets of {name}"] += count
     return {name: count for name, count in counts.items() if count > 0}
@@ -100,15 +99,14 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
     size = path.stat().st_size
     total = intact = 0
     trouble = ""
-    load_faery("AEDAT4 needs", where)
-    with path.open("rb") as handle, scratch_file(".aedat4") as (copy, file):
+    check_libraries(where)
+    with path.open("rb") as handle:
         listed = listed_spans(handle, header, number)
-        start = first_bytes(copy, header.compression)
         led_past = listed is not None and len(listed) > len(packets.spans)
         spans = listed if listed is not None and led_past else packets.spans
         waiting: list[Any] = []
         count = 0
-        for events in decoded(handle, spans, start, copy, file):
+        for events in decoded(handle, spans, "EVTS", header.compression):
             if isinstance(events, str):
                 trouble = trouble or events
                 continue
@@ -131,8 +129,7 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
 def _columns(packets: list[Any], first: int) -> Columns:
     """The events of some packets; `first` is the place of the first in the file."""
     t, x, y, on = (np.concatenate([events[name] for events in packets]) for name in ("t", "x", "y", "on"))
-    # faery counts time in uint64; the file in int64
-    return Columns(t.view(np.int64), x, y, on, partial(at_index, first))
+    return Columns(t, x.view(np.uint16), y.view(np.uint16), on != 0, partial(at_index, first))
 
 
 def _damage(

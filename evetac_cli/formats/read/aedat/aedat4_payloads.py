@@ -1,0 +1,175 @@
+"""What a packet of AEDAT4 holds: decompressed, and read from its flatbuffer by the schemas of dv-processing.
+
+    uint32 size, uint32 position of the root table, four letters (the kind), tables, vectors
+    EVTS   a vector of structs of 16 bytes: int64 t, int16 x, int16 y, bool on
+    IMUS   a vector of tables: t, temperature, accelerometer, gyroscope, magnetometer, each of three floats
+    TRIG   a vector of tables: t, int8 source
+    FRME   a table: t, four more times, int8 format, int16 width and height, two offsets, a vector of bytes
+    FTAB   the packet table: a vector of tables: position of the payload, (stream, size), elements, first and last t
+
+Why not faery or dv-processing: the one raises every time to the latest before it, so a clock that goes back stands
+still without a word, and refuses a whole packet for one event outside the frame; the other loops for ever on some
+damaged packets. A field that a table leaves out is zero. All positions come from the file, so each is checked against
+its end; a ValueError or IndexError says that a packet is damaged.
+"""
+
+import struct
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, install_hint
+
+MOST_BYTES = 1 << 28  # of a packet, decompressed
+PLAIN, LZ4, ZSTD = (0,), (1, 2), (3, 4)  # compressions
+EVENT = np.dtype(
+    {"names": ["t", "x", "y", "on"], "formats": ["<i8", "<i2", "<i2", "u1"], "offsets": [0, 8, 10, 12], "itemsize": 16}
+)
+AXES = tuple(f"{part}_{axis}" for part in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz")
+# Fields of the tables in their order: name and type; None where a field is not read as a number.
+FIELDS: dict[str, tuple[tuple[str, str | None], ...]] = {
+    "IMUS": (("t", "<i8"), *((name, "<f4") for name in ("temperature", *AXES))),
+    "TRIG": (("t", "<i8"), ("source", "<i1")),
+    "FTAB": (("byte_offset", "<i8"), ("packet", None), ("elements_count", "<i8"), ("start_t", "<i8"), ("end_t", "<i8")),
+}
+FORMATS = {0: ("L", 1), 16: ("RGB", 3), 24: ("RGBA", 4)}  # of images: their name, and bytes per pixel
+# Slots of a frame's table.
+FRAME_T, FRAME_FORMAT, FRAME_WIDTH, FRAME_HEIGHT, FRAME_PIXELS = 0, 5, 6, 7, 10
+
+
+class Frame(NamedTuple):
+    """An image: its time in us, L, RGB or RGBA, and pixels of shape (rows, columns) or (rows, columns, channels)."""
+
+    t: int
+    format: str
+    pixels: NDArray[np.uint8]
+
+
+def check_libraries(where: str) -> None:
+    """InputError that names the extra where the libraries are missing that decompress packets."""
+    try:
+        import lz4.frame
+        import zstandard  # noqa: F401
+    except ImportError as error:
+        hint = install_hint("convert")
+        raise InputError("AEDAT4 needs lz4 and zstandard", where=where, found=str(error), hint=hint) from None
+
+
+def content(kind: str, compression: int, payload: bytes) -> Any:
+    """The events, samples or rows of a packet as a structured array, or its frame; ValueError where it is damaged."""
+    try:
+        body = _decompressed(compression, payload)
+        if body[8:12] != kind.encode():
+            raise ValueError(f"a packet that does not hold {kind}")
+        tables = _Tables(body)
+        root = np.array([4 + tables.number("<u4", 4)])
+        if kind == "FRME":
+            return _frame(tables, root)
+        start, count = tables.vector(root, 0)
+        if kind == "EVTS":
+            return np.frombuffer(body, EVENT, count, start) if count else np.empty(0, EVENT)
+        return _rows(tables, start, count, FIELDS[kind])
+    except (IndexError, struct.error, OverflowError) as error:
+        raise ValueError(f"a position outside the packet ({error})") from None
+
+
+def _decompressed(compression: int, payload: bytes) -> bytes:
+    """The bytes of a packet; ValueError where they cannot be decompressed, or are too many."""
+    import lz4.frame
+    import zstandard
+
+    if compression in PLAIN:
+        return payload
+    try:
+        if compression in LZ4:
+            decompressor = lz4.frame.LZ4FrameDecompressor()
+            body: bytes = decompressor.decompress(payload, max_length=MOST_BYTES)
+            if not decompressor.eof:
+                raise ValueError("a compressed packet that does not end, or is too large")
+            return body
+        body = zstandard.ZstdDecompressor().stream_reader(payload).read(MOST_BYTES + 1)
+    except (RuntimeError, zstandard.ZstdError, MemoryError) as error:
+        raise ValueError(str(error)) from None
+    if len(body) > MOST_BYTES:
+        raise ValueError("a compressed packet that is too large")
+    return body
+
+
+class _Tables:
+    """Reads numbers at any bytes of a flatbuffer, many at once; IndexError for those outside it."""
+
+    def __init__(self, body: bytes) -> None:
+        self.body = body
+
+    def numbers(self, dtype: str, at: NDArray[np.int64]) -> NDArray[Any]:
+        size = np.dtype(dtype).itemsize
+        if len(at) and int(at.min()) < 0:
+            raise IndexError("before its start")
+        return np.ndarray((max(0, len(self.body) - size + 1),), dtype, self.body, strides=(1,))[at]
+
+    def number(self, dtype: str, at: int) -> int:
+        return int(self.numbers(dtype, np.array([at]))[0])
+
+    def places(self, tables: NDArray[np.int64], slot: int) -> NDArray[np.int64]:
+        """Where each table has a field; 0 where it leaves it out."""
+        shared = tables - self.numbers("<i4", tables)
+        has = np.flatnonzero(4 + 2 * slot < self.numbers("<u2", shared))
+        offsets = np.zeros(len(tables), np.int64)
+        offsets[has] = self.numbers("<u2", shared[has] + 4 + 2 * slot)
+        return np.where(offsets > 0, tables + offsets, 0)
+
+    def values(self, tables: NDArray[np.int64], slot: int, dtype: str) -> NDArray[Any]:
+        """A number of each table; 0 where it leaves it out."""
+        at = self.places(tables, slot)
+        values = np.zeros(len(tables), dtype)
+        values[at > 0] = self.numbers(dtype, at[at > 0])
+        return values
+
+    def vector(self, table: NDArray[np.int64], slot: int) -> tuple[int, int]:
+        """Where the first element of a vector lies, and how many there are."""
+        at = int(self.places(table, slot)[0])
+        if not at:
+            return 0, 0
+        start = at + self.number("<u4", at)
+        return start + 4, self.number("<u4", start)
+
+
+def _rows(tables: _Tables, start: int, count: int, fields: Sequence[tuple[str, str | None]]) -> Any:
+    """A vector of tables as a structured array."""
+    at = (
+        np.frombuffer(tables.body, "<u4", count, start) + start + 4 * np.arange(count)
+        if count
+        else np.empty(0, np.int64)
+    )
+    columns: dict[str, Any] = {}
+    for slot, (name, dtype) in enumerate(fields):
+        if dtype is not None:
+            columns[name] = tables.values(at, slot, dtype)
+        else:  # a struct of two int32 inside the table
+            places = tables.places(at, slot)
+            columns["track_id"], columns["size"] = (tables.numbers("<i4", places + 4 * part) for part in (0, 1))
+            columns["track_id"] = np.where(places > 0, columns["track_id"], -1)
+    rows = np.empty(count, [(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+def _frame(tables: _Tables, root: NDArray[np.int64]) -> Frame:
+    t, format_, width, height = (
+        int(tables.values(root, slot, dtype)[0])
+        for slot, dtype in ((FRAME_T, "<i8"), (FRAME_FORMAT, "<i1"), (FRAME_WIDTH, "<i2"), (FRAME_HEIGHT, "<i2"))
+    )
+    if format_ not in FORMATS or width < 0 or height < 0:
+        raise ValueError(f"a frame of {width} x {height} px in format {format_}")
+    name, channels = FORMATS[format_]
+    start, count = tables.vector(root, FRAME_PIXELS)
+    if count != width * height * channels:
+        raise ValueError(f"{count} bytes of pixels for {width} x {height} px of {channels}")
+    pixels = np.frombuffer(tables.body, np.uint8, count, start) if count else np.empty(0, np.uint8)
+    if channels == 1:
+        return Frame(t, name, pixels.reshape(height, width))
+    shown = [2, 1, 0, 3][:channels]  # they lie as blue, green, red
+    return Frame(t, name, np.ascontiguousarray(pixels.reshape(height, width, channels)[:, :, shown]))
