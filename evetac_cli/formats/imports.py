@@ -143,7 +143,7 @@ class EventFile:
         HDF5), that of the smallest known sensor that holds all events, and a note says so.
         frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
         drop_late: leave out events that come 1 ms or more after a later one, instead of refusing their file.
-        from_restart: of a file whose clock begins anew, only the part from this restart to the next; 0: before the first.
+        from_restart: of a file whose clock begins anew, the part from this restart to the next; 0: before the first.
         path: a file, or the folder of a ROS 2 bag.
         progress: of the events that were read; how many there will be, no format says.
         sort: put all events in the order of their time (stable), instead of refusing a file where it goes back.

@@ -108,7 +108,7 @@ class ColumnTimes:
             raise InputError(
                 "the unit of time cannot be told",
                 where=self._where,
-                found=f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, where this type has steps of {step:.6g}",
+                found=f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, in steps of {step:.6g}",
                 hint=f"write them as float64 or as integers, or say the unit: {FLAG}",
             )
         return 1.0

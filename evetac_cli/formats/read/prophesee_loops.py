@@ -36,6 +36,7 @@ def evt2(
     trigger_id: NDArray[np.uint8],
     trigger_edge: NDArray[np.uint8],
 ) -> int:
+    """Words of EVT2."""
     events = triggers = times = 0
     base = state[0].high << 6
     for each in words:
@@ -72,6 +73,7 @@ def evt21(
     trigger_id: NDArray[np.uint8],
     trigger_edge: NDArray[np.uint8],
 ) -> int:
+    """Words of EVT2.1: an event for each bit of the lower half."""
     events = triggers = times = 0
     base = state[0].high << 6
     for each in words:
@@ -114,6 +116,7 @@ def evt3(
     trigger_id: NDArray[np.uint8],
     trigger_edge: NDArray[np.uint8],
 ) -> int:
+    """Words of EVT3."""
     events = triggers = times = 0
     begin = state[0]
     high, low, row, column, polarity = begin.high, begin.low, begin.y, begin.x, begin.p

@@ -31,7 +31,7 @@ STATE = np.dtype([(name, np.int64) for name in ("high", "low", "y", "x", "p")])
 
 
 class Part(NamedTuple):
-    """Events of a block: t in us, x, y, p; and triggers: time in us, channel, 1 for a rising and 0 for a falling edge."""
+    """Events of a block: t in us, x, y, p; and triggers: time in us, input, 1 for a rising and 0 for a falling edge."""
 
     t: NDArray[np.int64]
     x: NDArray[np.uint16]
@@ -61,9 +61,8 @@ VECTORS = frozenset((0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x7, TIME_HIGH, TRIGGER, 0xE,
 ENCODINGS = {
     "evt2": Encoding("EVT2", "<u4", 28, 64, 0, PLAIN, {0: 1, 1: 1}),
     "evt2.1": Encoding("EVT2.1", "<u8", 28, 64, 32, PLAIN, {0: 32, 1: 32}),
-    "evt3": Encoding(
-        "EVT3", "<u2", 12, 4096, 0, VECTORS, {2: 1, 4: 12, 5: 8}),
-}  # fmt: skip
+    "evt3": Encoding("EVT3", "<u2", 12, 4096, 0, VECTORS, {2: 1, 4: 12, 5: 8}),
+}
 
 
 class Decoder:

@@ -181,7 +181,7 @@ def decoded(
                 f"these are no words of {decoder.encoding.name}",
                 where=where,
                 expected="the encoding that the file's head names",
-                found=f"{undefined:,} of the first {decoder.words:,} words of undefined types, {decoder.first_undefined}",
+                found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
                 hint="a damaged file, or one with another file's head",
             )
         if kept + len(part.trigger_t) <= MOST_TRIGGERS:

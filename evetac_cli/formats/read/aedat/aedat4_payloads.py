@@ -13,6 +13,7 @@ damaged packets. A field that a table leaves out is zero. All positions come fro
 its end; a ValueError or IndexError says that a packet is damaged.
 """
 
+import importlib
 import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -50,8 +51,8 @@ class Frame(NamedTuple):
 def check_libraries(where: str) -> None:
     """InputError that names the extra where the libraries are missing that decompress packets."""
     try:
-        import lz4.frame
-        import zstandard  # noqa: F401
+        importlib.import_module("lz4.frame")
+        importlib.import_module("zstandard")
     except ImportError as error:
         hint = install_hint("convert")
         raise InputError("AEDAT4 needs lz4 and zstandard", where=where, found=str(error), hint=hint) from None

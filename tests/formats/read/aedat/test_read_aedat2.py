@@ -84,7 +84,7 @@ def test_what_is_no_pixel_is_counted(tmp_path: Path) -> None:
 
 
 def test_the_clock_may_wrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that 32 bits of microseconds wrap without a gap, in blocks of any size, also with an event late over it."""
+    """Assert that 32 bits of microseconds wrap without a gap, in any blocks, also with an event late over it."""
     monkeypatch.setattr(read_aedat2, "BATCH_WORDS", 3)
     start = 2**32 - 5000
     t = start + np.arange(10) * 1000
