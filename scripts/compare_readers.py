@@ -91,6 +91,39 @@ def aedat2_words(path: Path, imported: Imported) -> dict[str, Any]:
     }
 
 
+def evt3_words(path: Path, _: Imported) -> dict[str, Any]:
+    """By the maker's page, word by word; high bits of time count on where they fall from the last to the first."""
+    content = path.read_bytes()
+    at = 0
+    while content[at : at + 2] == b"% ":
+        at = content.index(b"\n", at) + 1
+    high, low, row, column, vector_p, turns = -1, 0, 0, 0, 0, 0
+    events = []
+    for word in np.frombuffer(content[at : at + (len(content) - at) // 2 * 2], "<u2").tolist():
+        kind, value = word >> 12, word & 0xFFF
+        if kind == 8:
+            turns += high == 0xFFF and value == 0
+            low = low if value == high else 0
+            high = value
+        elif high < 0:
+            continue
+        elif kind == 6:
+            low = value
+        elif kind == 0:
+            row = value & 0x7FF
+        elif kind == 2:
+            events.append((turns << 24 | high << 12 | low, value & 0x7FF, row, value >> 11))
+        elif kind == 3:
+            column, vector_p = value & 0x7FF, value >> 11
+        elif kind in (4, 5):
+            bits = 12 if kind == 4 else 8
+            events += [
+                (turns << 24 | high << 12 | low, column + bit, row, vector_p) for bit in range(bits) if value >> bit & 1
+            ]
+            column += bits
+    return dict(zip("txyp", np.array(events).T, strict=True))
+
+
 def bag_packets(path: Path, _: Imported) -> dict[str, Any]:
     """The words of all packets but triggers, found by rosbags, as one RAW file for expelliarmus."""
     import tempfile
@@ -132,7 +165,10 @@ class Judge(NamedTuple):
 JUDGES: dict[str, tuple[Judge, ...]] = {
     "EVT2": (Judge("expelliarmus", expelliarmus("evt2")), Judge("faery", faery)),
     # It counts high bits of time twice: the low twelve are right.
-    "EVT3": (Judge("expelliarmus", expelliarmus("evt3"), 1 << 12),),
+    "EVT3": (
+        Judge("expelliarmus", expelliarmus("evt3"), 1 << 12),
+        Judge("Python, by the maker's page", evt3_words),
+    ),
     "DAT": (Judge("expelliarmus", expelliarmus("dat")), Judge("numpy, by the maker's toolbox", dat_words)),
     "AEDAT4": (Judge("dv-processing", dv_processing), Judge("aedat", aedat), Judge("faery", faery)),
     "AEDAT 2": (Judge("numpy, by jAER's layout", aedat2_words),),

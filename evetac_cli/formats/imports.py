@@ -171,8 +171,8 @@ class EventFile:
         """
         foreign, normal = self._foreign, Normal()
         batches = foreign.batches
-        counted = replace(foreign, batches=_counted(batches, self._progress))
-        blocks = normalise(counted, normal, order=self._order, where=self._where, folder=self._folder)
+        foreign.batches = _counted(batches, self._progress)
+        blocks = normalise(foreign, normal, order=self._order, where=self._where, folder=self._folder)
         try:
             while True:
                 with _reading(self._where):

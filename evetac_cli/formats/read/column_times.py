@@ -77,7 +77,7 @@ class ColumnTimes:
         values = t.astype(np.float64)
         sound = np.isfinite(values)
         self._check_steps(t, sound)
-        us = values * self._unit
+        us = values * self._unit if self._unit >= 1 else np.floor(values / round(1 / self._unit))
         sound &= np.abs(us, where=sound, out=np.zeros(len(us))) < CLOCK_LIMIT_US
         if self._unit == 1 and self.assumed and (odd := us[sound] != np.rint(us[sound])).any():
             row = int(np.flatnonzero(sound)[np.argmax(odd)])
