@@ -162,7 +162,10 @@ def _fields(dtype: Any) -> tuple[int, ...]:
 def _unreadable(where: str, error: Exception) -> InputError:
     reason = (str(error).strip("'\"").splitlines() or [type(error).__name__])[0][:200]
     return InputError(
-        "cannot be read as HDF5", where=where, found=reason, hint="the file may be cut short: copy it again"
+        "cannot be read as HDF5",
+        where=where,
+        found=reason,
+        hint="is it complete? compare its size with that of the original",
     )
 
 

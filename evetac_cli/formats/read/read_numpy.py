@@ -236,7 +236,12 @@ def _single(path: Path, foreign: Foreign, where: str) -> Array:
     if array.dtype.hasobject:
         return array
     if after < 0:
-        raise InputError("the array is cut short", where=where, found=f"{-after} bytes too few", hint="copy it again")
+        raise InputError(
+            "the array is cut short",
+            where=where,
+            found=f"{-after} bytes too few",
+            hint="is it complete? compare its size with that of the original",
+        )
     if after:
         foreign.left_out["bytes after the array"] = after
     return array
@@ -328,5 +333,8 @@ def _damage_in_words(where: str) -> Iterator[None]:
     except DAMAGE as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise InputError(
-            "cannot be read as numpy's", where=where, found=reason, hint="the file is damaged; copy it again"
+            "cannot be read as numpy's",
+            where=where,
+            found=reason,
+            hint="is it complete? compare its size with that of the original",
         ) from None

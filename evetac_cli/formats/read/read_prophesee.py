@@ -76,7 +76,11 @@ def read_head(path: Path) -> Head:
     while content.startswith(b"% ", size) and "end" not in fields:
         end = content.find(b"\n", size)
         if end < 0:
-            raise InputError("the file ends inside its header", where=where, hint="copy it again")
+            raise InputError(
+                "the file ends inside its header",
+                where=where,
+                hint="is it complete? compare its size with that of the original",
+            )
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
         fields[key.lower()] = value.strip()
         size = end + 1

@@ -206,7 +206,8 @@ class TimeOrder:
         notes = []
         if self.small:
             back = f"{self.back_us:,} us" if self.back_us < SLICE_US else f"{self.back_us / 1e6:.6g} s"
-            notes.append(f"{self.small:,} events came up to {back} after a later one and were put in order")
+            came = "1 event came" if self.small == 1 else f"{self.small:,} events came"
+            notes.append(f"{came} up to {back} after a later one: put in order")
         if self._options.from_restart is not None and self._restarts:
             notes.append(f"time goes back {self._steps()}; kept part {self._options.from_restart} of {self._parts()}")
         if self._options.drop_late and self._late:

@@ -71,7 +71,11 @@ def read_header(handle: BinaryIO, where: str) -> Header:
     size = int.from_bytes(start[len(MAGIC) :], "little")
     body = handle.read(min(size, HEADER_LIMIT_BYTES))
     if len(start) < len(MAGIC) + 4 or len(body) < size:
-        raise InputError("the AEDAT4 file ends inside its header", where=where, hint="copy it again")
+        raise InputError(
+            "the AEDAT4 file ends inside its header",
+            where=where,
+            hint="is it complete? compare its size with that of the original",
+        )
     try:
         root = _unpack("<I", body, 0)
         fields = root - _unpack("<i", body, root)
