@@ -1,5 +1,6 @@
 """view: show a recording and what was computed from it, on one page that needs no network, as animation, in rerun."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,7 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
         frame_px=frame_size_px(trial),
         window_px=window_px(trial),
         onsets={} if empty else slip_onsets(trial, span, probability),
+        confidence=_confidence(trial),
         # the gripper's below the events, which come first where there is a recording
         panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:], *others],
         lanes=[] if empty else slip_lanes(trial, span, probability),
@@ -121,6 +123,12 @@ def _label_notes(trial: Trial) -> list[str]:
     """A note on labels that no sensor could have given."""
     copied = trial.labels is not None and trial.labels.header["parameters"].get("method") == "truth"
     return ["The labels were copied from the truth (simulated)."] if copied else []
+
+
+def _confidence(trial: Trial) -> float | None:
+    """How sure labels are of their onset, 0 to 1; None where there is none."""
+    confidence = float("nan") if trial.labels is None else float(trial.labels.read("confidence"))
+    return confidence if math.isfinite(confidence) else None
 
 
 def _film(trial: Trial, view: ViewData) -> bytes:

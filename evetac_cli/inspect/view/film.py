@@ -12,7 +12,8 @@ WIDTH_PX = 480
 MOST_FRAMES = 300
 FRAME_MS = 60
 ARROWS = 5.0  # times true length
-HEAD_PX, CHART_PX, LANE_PX = 26, 56, 14
+HEAD_PX, CHART_PX, LANE_PX, FOOT_PX = 26, 56, 14, 16
+LEGEND = "white: brighter, black: darker"
 GUTTER_PX = 62  # left of the series: their names
 PAPER, TEXT, QUIET, DOT, LOST, CURSOR = "#f6f7f8", "#1f2730", "#7f8790", "#ffb52e", "#ff5fa8", "#c58a00"
 
@@ -50,7 +51,7 @@ def _frame(view: ViewData, at: int, title: str, below: Image.Image) -> Image.Ima
     pen.text((WIDTH_PX - 8, 5), clock, TEXT, font, anchor="ra")
     _dots(pen, view, at, scale, left)
     x = round(_across(view, start_s))
-    pen.line((x, HEAD_PX + tall, x, frame.height), CURSOR, 2)
+    pen.line((x, HEAD_PX + tall, x, frame.height - FOOT_PX), CURSOR, 2)
     return frame
 
 
@@ -76,13 +77,13 @@ def _dots(pen: ImageDraw.ImageDraw, view: ViewData, at: int, scale: float, left:
         x, y = x + left, y + HEAD_PX
         colour = LOST if lost else DOT
         pen.ellipse((x - 3, y - 3, x + 3, y + 3), fill=colour, outline="#303030")
-        if dx * dx + dy * dy > 4:
+        if not lost and dx * dx + dy * dy > 4:  # how far a lost dot has moved is not known
             pen.line((x, y, x + dx, y + dy), colour, 2)
 
 
 def _below(view: ViewData) -> Image.Image:
-    """The chart of events a millisecond and the stretches of slip: the same under every frame."""
-    image = Image.new("RGB", (WIDTH_PX, CHART_PX + LANE_PX * len(view.lanes) + 8), PAPER)
+    """The chart of events per millisecond and the stretches of slip, with their times: the same under every frame."""
+    image = Image.new("RGB", (WIDTH_PX, CHART_PX + LANE_PX * len(view.lanes) + FOOT_PX), PAPER)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(10)
     if view.panels:
@@ -94,6 +95,10 @@ def _below(view: ViewData) -> Image.Image:
             colour = QUIET if lane.colour == INK else lane.colour
             pen.rectangle((left, top + 3, max(right, left + 1), top + 11), fill=colour)
         pen.text((8, top + 1), lane.name, TEXT, font)
+    foot = image.height - FOOT_PX + 3
+    for at, anchor in zip(view.span, ("la", "ra"), strict=True):
+        pen.text((_across(view, at / 1000), foot), f"{at / 1000:g} s", QUIET, font, anchor=anchor)
+    pen.text(((GUTTER_PX + WIDTH_PX) / 2, foot), LEGEND, QUIET, font, anchor="ma")
     return image
 
 
@@ -104,22 +109,19 @@ def _across(view: ViewData, t_s: float) -> float:
 
 
 def _chart(pen: ImageDraw.ImageDraw, view: ViewData) -> None:
-    """Draw the first series of the page."""
-    panel = view.panels[0]
-    values = [np.log10(line.value) if panel.logarithmic else line.value for line in panel.lines]
-    low = min(float(np.nanmin(value)) for value in values)
-    high = max(float(np.nanmax(value)) for value in values)
+    """Draw the first series of the page, which are the events where there are images: logarithmic, as there."""
+    line = view.panels[0].lines[0]
+    value = np.log10(line.value)
+    low, high = float(np.nanmin(value)), float(np.nanmax(value))
     up = (CHART_PX - 14) / max(high - low, 1e-9)
-    for line, value in zip(panel.lines, values, strict=True):
-        finite = np.isfinite(value)
-        points = [
-            (_across(view, float(t_s)), CHART_PX - 4 - (float(height) - low) * up)
-            for t_s, height in zip(line.t_s[finite], value[finite], strict=True)
-        ]
-        if len(points) > 1:
-            pen.line(points, QUIET if line.colour == INK else line.colour, 1)
+    finite = np.isfinite(value)
+    points = [
+        (_across(view, float(t_s)), CHART_PX - 4 - (float(height) - low) * up)
+        for t_s, height in zip(line.t_s[finite], value[finite], strict=True)
+    ]
+    if len(points) > 1:
+        pen.line(points, line.colour, 1)
     font = ImageFont.load_default(10)
-    most, least = (10**end if panel.logarithmic else end for end in (high, low))
-    pen.text((8, 4), f"{most:,.0f}", TEXT, font)
-    pen.text((8, CHART_PX // 2 - 6), panel.lines[0].name if panel.logarithmic else panel.unit, QUIET, font)
-    pen.text((8, CHART_PX - 15), f"{least:,.0f}", TEXT, font)
+    pen.text((8, 4), f"{10**high:,.0f}", TEXT, font)
+    pen.text((8, CHART_PX // 2 - 6), "events/ms", QUIET, font)
+    pen.text((8, CHART_PX - 15), f"{10**low:,.0f}", TEXT, font)

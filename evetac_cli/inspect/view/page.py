@@ -6,6 +6,7 @@ the small script in page.html. Text from files is escaped and placed by this mod
 
 import html
 from base64 import b64encode
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,18 @@ from evetac_cli.inspect.view.trial_files import Trial, inner
 from evetac_cli.inspect.view.view_data import Lane, Panel, ViewData
 from evetac_cli.resources import PACKAGE
 
+LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they are few
+AXIS_PX = 24  # times below it
+
 
 def render_page(trial: Trial, view: ViewData) -> bytes:
     """The whole page; EvetacError where it would be larger than 20 MB."""
     script, library, charts = _charts(view)
     title = trial.files[0].path.name
+    width, height = view.frame_px
     parts = {
         "TITLE": html.escape(title),
+        "ASPECT": f"{max(width, 1) / max(height, 1):.3f}",
         "HEADING": _heading(trial, title, view.simulated),
         "VIEWER": "" if len(view.frame_times) else "hidden",
         "SIDE": "" if view.side is not None else "hidden",
@@ -152,7 +158,10 @@ def _onsets(view: ViewData) -> str:
             cells.append(f"<span>{source}{simulated} <b>none</b></span>")
             continue
         away = slice_ - reference
-        later = f" <small>{away:+d} ms</small>" if away else ""
+        beside = [f"{away:+d} ms"] if away else []
+        if source == "label" and view.confidence is not None:
+            beside.append(f"confidence {view.confidence:.2g}")
+        later = f" <small>{', '.join(beside)}</small>" if beside else ""
         cells.append(
             f"<button type='button' class='jump' data-ms='{slice_}'>{source}{simulated} "
             f"<b>{slice_ / 1000:.3f} s</b>{later}</button>"
@@ -188,15 +197,18 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
     figures = []
     heads = []
     number = 0
+    height = TALL_PX if len(view.panels) <= FEW_PANELS else LOW_PX
     for panel in view.panels:
+        most = "" if panel.ends is None else f" data-most='{panel.ends[1]:g}'"
         keys = "".join(
-            f"<span class='key {'ink' if line.colour == INK else ''}' style='--colour:{shown_colour(line.colour)}'>"
-            f"{line.name if len(panel.lines) > 1 else ''} <output data-series='series{number + at}'></output></span>"
+            f"<span class='key {'band' if line.sd is not None else ''}' style='--colour:{shown_colour(line.colour)}'>"
+            f"{line.name if len(panel.lines) > 1 else ''}"
+            f" <output data-series='series{number + at}'{most}></output></span>"
             for at, line in enumerate(panel.lines)
         )
         keys += "".join(f"<span class='key level'>{name} {value:.3g}</span>" for name, value in panel.levels.items())
         heads.append(_head(panel.title, panel.unit, panel.simulated, keys))
-        figures.append(_panel_figure(panel, x_range, number))
+        figures.append(_panel_figure(panel, x_range, number, height))
         number += len(panel.lines)
     if view.lanes:
         keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in view.lanes) else ""
@@ -205,11 +217,11 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
     if view.phases:
         heads.append(_head("Phase of the grasp", "", False, ""))
         figures.append(_lane_figure(view.phases, x_range))
-    figures[-1].xaxis.visible = True
-    figures[-1].height += 34
     script, library, places = pages.embed(figures)
+    words = [f"<p class='hint'>{html.escape(panel.says)}</p>" if panel.says else "" for panel in view.panels]
     charts = "".join(
-        f"<section class='chart'>{head}{place}</section>" for head, place in zip(heads, places, strict=True)
+        f"<section class='chart'>{head}{place}{said}</section>"
+        for head, place, said in zip_longest(heads, places, words, fillvalue="")
     )
     return script, library, charts
 
@@ -221,8 +233,9 @@ def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
 
 
 def _time_figure(x_range: Any, **more: Any) -> Any:
-    """A figure that zooms in time: drag, or Ctrl and the wheel."""
+    """A figure with times below it that zooms in time: drag, or Ctrl and the wheel."""
     from bokeh.models.annotations.geometry import Span
+    from bokeh.models.formatters import PrintfTickFormatter
     from bokeh.models.tools import BoxZoomTool, WheelZoomTool
 
     chart = pages.bare_figure(x_range=x_range, **more)
@@ -232,21 +245,34 @@ def _time_figure(x_range: Any, **more: Any) -> Any:
     chart.add_layout(
         Span(location=x_range.start, dimension="height", line_color="#e0a000", line_width=2, name="cursor")
     )
-    chart.xaxis.visible = False
-    chart.xaxis.axis_label = "time [s]"
+    chart.xaxis.formatter = PrintfTickFormatter(format="%.6g s")
+    chart.xaxis.major_tick_in, chart.xaxis.major_tick_out, chart.xaxis.major_label_standoff = 0, 3, 2
     return chart
 
 
-def _panel_figure(panel: Panel, x_range: Any, number: int) -> Any:
+def _panel_figure(panel: Panel, x_range: Any, number: int, height: int) -> Any:
     """One axis with its series; their sources are named series0, series1, ... for the page's script."""
+    from bokeh.models.ranges import Range1d
     from bokeh.models.sources import ColumnDataSource
 
-    chart = _time_figure(x_range, height=112, y_axis_type="log" if panel.logarithmic else "linear")
+    more = {} if panel.ends is None else {"y_range": Range1d(start=panel.ends[0], end=panel.ends[1])}
+    kind = "log" if panel.logarithmic else "linear"
+    chart = _time_figure(x_range, height=height + AXIS_PX, y_axis_type=kind, **more)
     if not panel.logarithmic:
         chart.yaxis.ticker.desired_num_ticks = 4
     for at, line in enumerate(panel.lines):
-        source = ColumnDataSource({"t": line.t_s, "v": line.value.astype(np.float32)}, name=f"series{number + at}")
-        chart.line("t", "v", source=source, line_color=shown_colour(line.colour), line_width=1.4, line_join="round")
+        colour = shown_colour(line.colour)
+        columns = {"t": line.t_s, "v": line.value.astype(np.float32)}
+        if line.sd is not None:
+            low, high = line.band
+            columns |= {name: each.astype(np.float32) for name, each in (("sd", line.sd), ("low", low), ("high", high))}
+        source = ColumnDataSource(columns, name=f"series{number + at}")
+        if line.sd is not None:
+            chart.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.2)
+        if panel.marks:
+            chart.scatter("t", "v", source=source, size=4, fill_color=colour, line_color=None)
+        else:
+            chart.line("t", "v", source=source, line_color=colour, line_width=1.4, line_join="round")
     for value in panel.levels.values():  # a line, and no annotation: the axis has to reach it
         ends = [x_range.start, x_range.end]
         chart.line(ends, [value, value], line_color=NEUTRAL, line_dash="dashed", line_width=1.2)
@@ -255,7 +281,9 @@ def _panel_figure(panel: Panel, x_range: Any, number: int) -> Any:
 
 def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
     """Truth, label and model under each other: a bar where each says slip, a thin one where it did not examine."""
-    chart = _time_figure(x_range, height=18 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)])
+    chart = _time_figure(
+        x_range, height=AXIS_PX + 10 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)]
+    )
     chart.ygrid.grid_line_color = None
     for lane in lanes:
         for parts, colour, height in ((lane.unknown, UNKNOWN, 0.16), (lane.slip, lane.colour, 0.7)):

@@ -5,7 +5,8 @@
     gel/displacement      arrows to them from where the dots rest
     gel/true_dots         points of each slice, known exactly in a simulation
     images/events         the event images of the page; cameras/NAME those of other cameras
-    series/NN_PANEL/LINE  the series of the page: events, gripper, forces, displacement, flow, slip probability
+    series/NN_PANEL/LINE  the series of the page: events, gripper, forces, displacement, flow, slip probability;
+                          beside an estimated one, itself minus and plus its standard deviation
     slip/SOURCE, phase    who says slip when; the phases of a grasp
     about                 what is simulated, found and thinned, in words
 
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from evetac_cli.errors import EvetacError, InputError, install_hint
 from evetac_cli.events import SLICE_US
@@ -38,6 +39,7 @@ EVENT_COLOURS = {"darker": BLUE, "brighter": ORANGE}
 DOT_COLOURS = {"dot": "#ffb52e", "lost": PINK}
 TRUE_COLOURS = {"true place (simulated)": GREEN}
 DOT_RADIUS_PX, TRUE_RADIUS_PX = 3.0, 5.0
+PALE = 128  # of 255: what a standard deviation bounds
 BEHIND = 29.0  # true places, of points that rerun draws at 30
 
 
@@ -166,16 +168,27 @@ class _File:
             self._columns(path, at_ms * SLICE_US, self._rr.EncodedImage.columns(blob=images))
 
     def series(self, view: ViewData) -> None:
-        """The lines of all panels, and the levels across them."""
+        """The lines of all panels, one standard deviation below and above them as far as known, and levels across."""
         for number, panel in enumerate(view.panels):
             path = _chart(number, panel)
             for line in panel.lines:
-                self._line(f"{path}/{_name(line.name)}", line.name, line.colour, line.t_s, line.value)
+                colour = _rgb(shown_colour(line.colour))
+                if panel.marks:
+                    style = self._rr.SeriesPoints(names=line.name, colors=colour, marker_sizes=2.0)
+                else:
+                    style = self._rr.SeriesLines(names=line.name, colors=colour)
+                self._series(f"{path}/{_name(line.name)}", style, line.t_s, line.value)
+                ends = {} if line.sd is None else dict(zip(("minus sd", "plus sd"), line.band, strict=True))
+                for which, value in ends.items():
+                    name = f"{line.name} {which}"
+                    style = self._rr.SeriesLines(names=name, colors=[*colour, PALE], widths=0.7)
+                    self._series(f"{path}/{_name(name)}", style, line.t_s, value)
             for name, level in panel.levels.items():
-                self._line(f"{path}/{_name(name)}", name, INK, np.array(view.span) / 1000, np.full(2, level))
+                style = self._rr.SeriesLines(names=name, colors=_rgb(shown_colour(INK)))
+                self._series(f"{path}/{_name(name)}", style, np.array(view.span) / 1000, np.full(2, level))
 
-    def _line(self, path: str, name: str, colour: str, t_s: NDArray[np.float64], value: NDArray[np.float64]) -> None:
-        self.static(path, self._rr.SeriesLines(names=name, colors=_rgb(shown_colour(colour))))
+    def _series(self, path: str, style: Any, t_s: NDArray[np.float64], value: NDArray[np.float64]) -> None:
+        self.static(path, style)
         self._columns(path, np.rint(t_s * 1e6), self._rr.Scalars.columns(scalars=value))
 
     def states(self, path: str, lanes: list[Lane], start_s: float, names: list[str]) -> None:
@@ -201,7 +214,8 @@ def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
     for number, panel in enumerate(view.panels):
         words = [panel.title, f"[{panel.unit}]" if panel.unit else "", "(simulated)" if panel.simulated else ""]
         name = " ".join(word for word in words if word)
-        charts.append(rrb.TimeSeriesView(origin=_chart(number, panel), name=name))
+        axis = None if panel.ends is None else rrb.ScalarAxis(range=panel.ends)
+        charts.append(rrb.TimeSeriesView(origin=_chart(number, panel), name=name, axis_y=axis))
     if view.lanes:
         charts.append(rrb.StateTimelineView(origin="slip", name="Slip"))
     if view.phases:
@@ -229,7 +243,9 @@ def _about(title: str, trial: Trial, view: ViewData, notes: list[str]) -> str:
             f"- {note}"
             for note in (
                 "A slice of 1 ms stands at its start.",
+                *(["Event images: white is brighter, black darker, grey no event."] if view.pictures else []),
                 "Series: every value, or the least and the greatest of each of 3,000 stretches of time.",
+                *(f"{panel.title}: {panel.says}" for panel in view.panels if panel.says),
                 *notes,
                 *view.notes,
             )
@@ -248,6 +264,6 @@ def _name(text: str) -> str:
     return re.sub("[^a-z0-9]+", "_", text.lower()).strip("_")
 
 
-def _rgb(colour: str) -> ArrayLike:
+def _rgb(colour: str) -> list[int]:
     """Red, green and blue, 0 to 255, of `#rrggbb`."""
     return [int(colour[at : at + 2], 16) for at in (1, 3, 5)]

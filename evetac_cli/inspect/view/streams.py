@@ -17,6 +17,7 @@ from evetac_cli.text_files import parse_json
 
 COLOURS = (BLUE, ORANGE, GREEN, PINK, INK)  # as many columns are drawn on one axis
 MOST_PANELS = 12
+MOST_CODES = 16
 MOST_IMAGES = 100  # of all cameras together: 1 MB of a page, 4 MB where they are noise
 LARGEST_IMAGE_PX = 320
 JPEG_QUALITY = 80
@@ -49,10 +50,18 @@ def stream_panels(trial: Trial, span: tuple[int, int], notes: list[str]) -> list
                 lines = own_clock(
                     t_s, dict(zip(drawn, COLOURS, strict=False)), _Columns(recording, group, drawn, first)
                 )
-                panels.append(Panel(title, unit, lines))
+                panels.append(
+                    Panel(title, unit, lines, marks=not unit and all(_are_codes(line.value) for line in lines))
+                )
     if left_out:
         notes.append(f"Streams: {left_out} columns are not drawn, after the first {MOST_PANELS} charts.")
     return [panel for panel in panels if panel.lines]
+
+
+def _are_codes(values: NDArray[np.float64]) -> bool:
+    """Whether numbers without a unit name what happened, such as the source of a trigger, and are no quantity."""
+    known = np.unique(values[np.isfinite(values)])
+    return len(known) <= MOST_CODES and bool((known == np.rint(known)).all())
 
 
 class _Columns:

@@ -1,10 +1,10 @@
 """The series and stretches of slip that view draws, decimated so that an hour is no larger than a second.
 
-Series are cut into bins, about one a pixel column, of which the least and the greatest value are drawn. Arrays are read
-block by block: an hour of tracks is gigabytes.
+Series are cut into bins, about one per pixel column, of which the least and the greatest value are drawn. Arrays are
+read block by block: an hour of tracks is gigabytes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -12,18 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK
-from evetac_cli.inspect.view.trial_files import Trial
+from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK, UNKNOWN
+from evetac_cli.inspect.view.trial_files import Trial, inner
 from evetac_cli.inspect.view.view_data import Lane, Line, Panel
 from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.stages.evaluate.labels import true_onset
+from evetac_cli.stages.force.gel_model import MODULI
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording
 
 BINS = 3000
 BLOCK_ROWS = 16384
 LEAST_FLOW_PX = 0.01  # drawn: a logarithmic axis has no 0, and less is noise
+MOST_FLOW_PX = 10.0  # drawn, or three times the limit: beyond it nothing is decided any more
 
 Read = Callable[[int, int], NDArray[Any]]
 
@@ -31,8 +34,8 @@ Read = Callable[[int, int], NDArray[Any]]
 def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
     """Least and greatest value of every bin, in their order, for each column of read(start, stop) -> (rows, columns).
 
-    All values where there are no more than two a bin. What is not finite comes out as NaN, where a bin holds nothing
-    else. Returns (row, value) a column.
+    All values where there are no more than two per bin. What is not finite comes out as NaN, where a bin holds nothing
+    else. Returns (row, value) per column.
     """
     if length <= 2 * BINS:
         rows = read(0, length).astype(np.float64)
@@ -97,13 +100,27 @@ def rows_of(file: StageFile, path: str, start: int) -> Read:
     return lambda first, last: file.read(path, start + first, start + last)[:, None]
 
 
-def decimated(names: dict[str, str], start: int, length: int, read: Read) -> list[Line]:
-    """A line for each column of read, without those that are NaN all over; names -> colours."""
-    lines = [
-        Line(name, colour, (start + at) / 1000, value)
-        for (name, colour), (at, value) in zip(names.items(), extremes(length, read), strict=True)
-    ]
-    return [line for line in lines if np.isfinite(line.value).any()]
+def decimated(
+    names: dict[str, str], start: int, length: int, read: Read, deviations: Mapping[str, Read] | None = None
+) -> list[Line]:
+    """A line for each column of read, without those that are NaN all over; names -> colours.
+
+    deviations: name -> (rows, 1), the standard deviation of each value of that column.
+    """
+    lines = []
+    for (name, colour), (at, value) in zip(names.items(), extremes(length, read), strict=True):
+        if not np.isfinite(value).any():
+            continue
+        sd = _rows_at(at, deviations[name]) if deviations and name in deviations else None
+        lines.append(Line(name, colour, (start + at) / 1000, value, sd))
+    return lines
+
+
+def _rows_at(rows: NDArray[np.int64], read: Read) -> NDArray[np.float64]:
+    """Some rows, in their order, of read(start, stop) -> (rows, 1), which is read block by block."""
+    blocks = np.split(rows, np.searchsorted(rows, np.arange(BLOCK_ROWS, rows[-1] + 1, BLOCK_ROWS)))
+    parts = [read(int(block[0]), int(block[-1]) + 1)[block - block[0], 0] for block in blocks if len(block)]
+    return np.concatenate(parts).astype(np.float64)
 
 
 def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Line]:
@@ -123,7 +140,7 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
         per_slice = np.diff(recording.starts[start : stop + 1])
         drawn = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
         lines = decimated({"events": BLUE}, start, stop - start, lambda first, last: drawn[first:last])
-        panels.append(Panel("Events a millisecond", "", lines, logarithmic=True))
+        panels.append(Panel("Events per millisecond", "", lines, logarithmic=True))
     if recording is not None and recording.has("truth"):
 
         def forces(first: int, last: int) -> NDArray[Any]:
@@ -151,7 +168,8 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
 
         def moved(first: int, last: int) -> NDArray[Any]:
             away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
-            away[~np.isfinite(away)] = np.nan
+            # where a dot that the tracker has lost may be, hundreds of px away, is no displacement of the gel
+            away[~np.isfinite(away) | (tracks.read("lost", start + first, start + last) > 0)] = np.nan
             known = np.maximum(np.isfinite(away).sum(axis=1), 1)
             mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / known, np.nan)
             return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
@@ -174,7 +192,7 @@ def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.f
 
 
 def _forces(forces: StageFile, span: tuple[int, int]) -> Panel:
-    """Forces that a model tells from the dots; the paper's network knows no normal force."""
+    """Forces that a model estimates from the dots, with their deviation; the paper's network knows no normal force."""
     start, both = span[0], forces.has("shear_n") and forces.has("normal_n")
     shear = "shear_n" if forces.has("shear_n") else "network_n"
 
@@ -183,28 +201,74 @@ def _forces(forces: StageFile, span: tuple[int, int]) -> Panel:
         columns += [forces.read("normal_n", start + first, start + last)] if both else []
         return np.stack(columns, axis=1)
 
+    def shear_sd(first: int, last: int) -> NDArray[Any]:  # of the axis that is less sure, as predict-force prints it
+        return np.asarray(forces.read("shear_sd_n", start + first, start + last).max(axis=1, keepdims=True))
+
+    deviations: dict[str, Read] = {"shear": shear_sd} if forces.has("shear_sd_n") else {}
+    if forces.has("normal_sd_n"):
+        deviations["normal"] = rows_of(forces, "normal_sd_n", start)
     names = {"shear": ORANGE, "normal": INK} if both else {"shear": ORANGE}
-    lines = decimated(names, start, _length(forces, shear, span), sizes)
-    return Panel("Forces on the gel, estimated", "N", lines)
+    lines = decimated(names, start, _length(forces, shear, span), sizes, deviations)
+    return Panel("Forces on the gel, estimated", "N", lines, says=_how_sure(forces))
+
+
+def _how_sure(forces: StageFile) -> str:
+    """What the deviation of estimated forces is, and how well the gel's stiffness, their scale, is known."""
+    if not forces.has("shear_sd_n"):
+        return "The model of the paper's method estimates no deviation: how sure these forces are is not known."
+    band = "Band: one standard deviation either way. "
+    models = [one for one in forces.header["history"].values() if one["kind"] == "force-model"]
+    if any(inner(one, "parameters", "method") == "gel, adapted" for one in models):
+        return band + "The model was adapted to this sensor with known forces."
+    known = inner(forces.header, "parameters", "known") or {}
+    unknown = [name for name, modulus in MODULI.items() if modulus not in known]
+    if not unknown:
+        return band + "The stiffness of this gel is taken as known."
+    which = "" if len(unknown) == len(MODULI) else f"{unknown[0]} "
+    return (
+        f"{band}The {which}stiffness of this gel is not known, and a typical one assumed: a curve may be off by one"
+        " factor throughout. predict-force --sensor takes a known stiffness."
+    )
 
 
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
-    """What labels decided by; logarithmic, because once an object is lost its flow is thousands of times larger."""
-    read = rows_of(labels, "relative_flow_px", span[0])
+    """What labels decided by, where they examined it and where not.
+
+    Logarithmic, and cut: once an object is lost its flow is thousands of times larger, and no measure of distance.
+    """
+    start = span[0]
 
     def flow(first: int, last: int) -> NDArray[Any]:
-        return np.maximum(read(first, last), LEAST_FLOW_PX)  # NaN stays
+        values = np.maximum(labels.read("relative_flow_px", start + first, start + last), LEAST_FLOW_PX)  # NaN stays
+        examined = labels.read("label", start + first, start + last) >= 0
+        return np.stack((np.where(examined, values, np.nan), np.where(examined, np.nan, values)), axis=1)
 
+    names = {"window against gel": GREEN, "not examined": UNKNOWN}
+    lines = decimated(names, start, _length(labels, "relative_flow_px", span), flow)
     made = labels.header["parameters"]
     method = made.get("method")
+    title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
     # Where images are compared the flow itself is held against a threshold, else the distance slid since it last held.
     compared = method in (None, "farneback", "dis")
-    name, limit = ("threshold", "threshold_px") if compared else ("slip after a slide of", "slip_distance_px")
-    known = compared or method == "event-flow"
-    levels = {name: float(made[limit])} if known and isinstance(made.get(limit), (int, float)) else {}
-    how = f", {method}" if isinstance(method, str) else ""
-    lines = decimated({"window against gel": GREEN}, span[0], _length(labels, "relative_flow_px", span), flow)
-    return Panel(f"Flow that labels slip{how}", "px", lines, levels, logarithmic=True)
+    name, limit = ("threshold", "threshold_px") if compared else ("onset at a slide of", "slip_distance_px")
+    if not (compared or method == "event-flow") or not isinstance(made.get(limit), (int, float)):
+        return Panel(title, "px", lines, logarithmic=True)
+    level = float(made[limit])
+    ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
+    if compared:
+        ahead = made.get("look_ahead_ms")
+        time = f"in {ahead} ms" if isinstance(ahead, int) else "over the look-ahead"
+        says = f"Motion of the window against the gel {time}; more than {level:g} px is slip."
+    else:
+        says = (
+            f"Motion of the window in the next {EventFlowConstants.look_ahead_ms} ms, less that of the dot that follows"
+            f" it best. Slip begins where this slide, summed while no dot follows, exceeds {level:g} px."
+        )
+    if any(line.name == "not examined" for line in lines):
+        says += " Grey: not examined."
+    if any(np.nanmax(line.value) > ends[1] for line in lines):
+        says += f" Beyond {ends[1]:g} px the object is lost, and the flow is no measure of distance."
+    return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, says=says)
 
 
 def timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:

@@ -8,12 +8,21 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Line:
-    """One series over time, of at most two values a bin."""
+    """One series over time, of at most two values per bin, and the standard deviation of each where a file has it."""
 
     name: str
     colour: str
     t_s: NDArray[np.float64]
     value: NDArray[np.float64]
+    sd: NDArray[np.float64] | None = None
+
+    @property
+    def band(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """One standard deviation below and above; ValueError where it is unknown. What is never negative stays so."""
+        if self.sd is None:
+            raise ValueError(f"{self.name}: expected a standard deviation, found none")
+        low = self.value - self.sd
+        return low if np.nanmin(self.value) < 0 else np.maximum(low, 0.0), self.value + self.sd
 
 
 @dataclass(frozen=True)
@@ -26,6 +35,9 @@ class Panel:
     levels: dict[str, float] = field(default_factory=dict)
     simulated: bool = False
     logarithmic: bool = False
+    ends: tuple[float, float] | None = None  # of the axis, where values beyond them mean nothing; else as the values
+    says: str = ""  # what is drawn, where title and unit leave it open
+    marks: bool = False  # each value by itself: no line between them means anything
 
 
 @dataclass(frozen=True)
@@ -69,6 +81,7 @@ class ViewData:
     frame_px: tuple[int, int]
     window_px: tuple[int, int, int, int] | None
     onsets: dict[str, int | None]  # truth, label, model or detector -> first slice of slip
+    confidence: float | None  # of the label's onset
     panels: list[Panel]
     lanes: list[Lane]
     phases: list[Lane]  # of a grasp

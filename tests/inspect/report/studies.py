@@ -29,7 +29,7 @@ def write_trials(
         path = folder / f"{names.format(number)}.recording.h5"
         recording = write_recording(path, slices, number=1 + number % 9, seed=number)
         onset = slices if error_ms is None else ONSET + error_ms
-        labels = write_labels(path.with_name(path.name.replace("recording", "labels")), recording, onset, slices)
+        labels = write_labels(path.with_name(path.name.replace("recording", "labels")), recording, onset, slices=slices)
         features.append(Recipe("features", 1, {}, parents=(recording, labels)).header())
     return features
 

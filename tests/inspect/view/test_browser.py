@@ -3,12 +3,23 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from evetac_cli.inspect import view
 from evetac_cli.params.inspection import View
+from evetac_cli.store.read import open_recording
 from tests.browser import Browser
-from tests.inspect.view.trials import NASTY, ONSET, SLICES, moving, write_recording, write_tracks
+from tests.inspect.view.trials import (
+    NASTY,
+    ONSET,
+    SLICES,
+    moving,
+    write_forces,
+    write_labels,
+    write_recording,
+    write_tracks,
+)
 
 DRAWN = "document.getElementById('viewer').hidden || document.getElementById('image').dataset.index"
 INDEX = "Number(document.getElementById('image').dataset.index)"
@@ -67,6 +78,46 @@ def test_page_in_a_browser(browser: Browser, page: Path) -> None:
     browser.key(" ")
     assert browser.run("document.getElementById('play').textContent") == "Play"
     assert browser.complaints() == []
+
+
+@pytest.mark.slow
+def test_a_page_fits_its_window(browser: Browser, trial: Path) -> None:
+    """Assert that on a wide screen image and charts share the page, that on a phone nothing is cut off, that readouts
+    have deviations, and that a flow beyond its axis is no number.
+    """
+    with open_recording(trial) as recording:
+        header = recording.header
+    flow = np.where(np.arange(SLICES) < ONSET + 20, 0.5, 12_428.0)
+    labels = trial.with_name("a.labels.h5")
+    write_labels(labels, header, ONSET, ONSET + 20, relative_flow_px=flow, method="event-flow", slip_distance_px=0.3)
+    force = np.full((SLICES, 2), 1.5, np.float32)
+    force[60:80] = np.nan
+    normal = {"normal_n": force[:, 0], "normal_sd_n": force[:, 0] / 2}
+    write_forces(trial, {"shear_n": force, "shear_sd_n": force / 3, **normal})
+    view.run([trial], View(), None)
+    readouts = "[...document.querySelectorAll('output[data-series]')].map((out) => out.textContent).join(' | ')"
+    for width, columns in ((420, 1), (1280, 1), (1920, 2)):
+        browser.resize(width)
+        browser.open(trial.with_name("a.html"), DRAWN)
+        assert browser.run("document.documentElement.scrollWidth <= innerWidth"), width
+        across = browser.run(
+            "new Set([...document.querySelectorAll('.chart')].map((c) => c.getBoundingClientRect().left)).size"
+        )
+        image, page, left, right = browser.run(
+            "[document.getElementById('image').getBoundingClientRect().width, innerWidth,"
+            " document.getElementById('viewer').offsetHeight, document.getElementById('series').offsetHeight]"
+        )
+        assert across == columns
+        assert image > (0.8 if width == 420 else 0.4) * page
+        if width == 1920:
+            assert 0.6 < left / right < 1.6
+        assert browser.run("Bokeh.documents[0].roots().every((f) => f.below[0].visible)")
+        assert "1.5 \u00b1 0.75" in browser.run(readouts)
+        browser.key("End")
+        browser.until(f"{readouts}.includes('over 10')")
+        assert "12,428" not in browser.run(readouts)
+        assert browser.complaints() == []
+    browser.resize(1300)
 
 
 @pytest.mark.slow

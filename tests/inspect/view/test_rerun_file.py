@@ -17,7 +17,17 @@ from evetac_cli.inspect import view
 from evetac_cli.inspect.view import rerun_file
 from evetac_cli.params.inspection import View
 from evetac_cli.store.read import open_recording
-from tests.inspect.view.trials import NASTY, REST, SENSOR, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.inspect.view.trials import (
+    NASTY,
+    REST,
+    SENSOR,
+    SLICES,
+    moving,
+    write_forces,
+    write_labels,
+    write_recording,
+    write_tracks,
+)
 from tests.test_readme import PAGES, shown_commands
 
 rerun = pytest.importorskip("rerun")
@@ -65,7 +75,7 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
         "/gel/displacement": SLICES,
         "/gel/true_dots": SLICES,
         "/images/events": SLICES - 4,
-        f"{charts}00_events_a_millisecond/events": SLICES,
+        f"{charts}00_events_per_millisecond/events": SLICES,
         f"{charts}01_gripper_current/measured": SLICES // 2,
         f"{charts}01_gripper_current/target": SLICES // 2,
         f"{charts}02_gripper_width_between_the_fingers/width": SLICES // 2,
@@ -98,6 +108,27 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
     assert [row["StateChange:state"][0] for _, row in rows["/slip/label"]] == ["not examined", "", "slip", ""]
     words = static_text(path)
     assert "**Simulated.**" in words and "- truth: 0.200 s" in words and "one in" not in words
+
+
+def test_estimates_have_their_deviation(trial: Path) -> None:
+    """Assert that an estimated force lies between itself less and more its deviation, and that words say what it is."""
+    rng = np.random.default_rng(3)
+    arrays = {
+        "shear_n": rng.normal(size=(SLICES, 2)).astype(np.float32),
+        "shear_sd_n": rng.uniform(0.1, 9.0, (SLICES, 2)).astype(np.float32),
+        "normal_n": rng.uniform(0, 2, SLICES).astype(np.float32),
+        "normal_sd_n": rng.uniform(0.1, 1.0, SLICES).astype(np.float32),
+    }
+    write_forces(trial, arrays)
+    path = made(trial)
+    rows = rows_of(path)
+    value, low, high = (
+        np.array([row["Scalars:scalars"][0] for _, row in rows[f"/series/05_forces_on_the_gel_estimated/{name}"]])
+        for name in ("normal", "normal_minus_sd", "normal_plus_sd")
+    )
+    np.testing.assert_allclose(high - value, arrays["normal_sd_n"], rtol=1e-5)
+    np.testing.assert_allclose(low, np.maximum(value - arrays["normal_sd_n"], 0), atol=1e-6)
+    assert "one standard deviation" in static_text(path) and "white is brighter" in static_text(path)
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from evetac_cli.params.inspection import View
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
+from evetac_cli.store.streams import Stream
 from tests import small_files
 from tests.inspect.view.trials import (
     GRIPPED,
@@ -42,7 +43,7 @@ def test_everything_of_a_trial(trial: Path) -> None:
     """Assert that panels, lanes, onsets and dots are there, and that truth says simulated."""
     data = shown(trial)
     assert [panel.title for panel in data.panels] == [
-        "Events a millisecond",
+        "Events per millisecond",
         "Gripper, current",
         "Gripper, width between the fingers",
         "Forces on one pad, truth",
@@ -344,6 +345,40 @@ def test_page_says_what_it_shows(page: Path) -> None:
     assert data["onsets"] == {"truth": ONSET, "label": ONSET + 3}
 
 
+def test_every_chart_has_its_times_and_every_colour_its_meaning(trial: Path, tmp_path: Path) -> None:
+    """Assert that below each chart of a slip and of a grasp stand times in s, and what the image's greys and marks mean
+    is said, each where it is drawn.
+    """
+    write_recording(tmp_path / "g.recording.h5", grasp=True)
+    write_recording(tmp_path / "own.recording.h5", 20, truth=False)
+    for path, charts in ((trial, 8), (tmp_path / "g.recording.h5", 10), (tmp_path / "own.recording.h5", 1)):
+        view.run([path], View(images=2), None, force=True)
+        text = path.with_name(path.name.replace(".recording.h5", ".html")).read_text(encoding="utf-8")
+        assert text.count("<section class='chart'>") == text.count('"name":"PrintfTickFormatter"') == charts
+        for drawn, words in (("pictures", "brighter"), ("pictures", "darker"), ("tracked", "lost dot")):
+            assert re.search(f'data-for="{drawn}"[^>]*>{words}<', text), words
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "marks"),
+    [
+        ("", [6, 7, 9, 8], True),  # sources of triggers
+        ("", [0, 1, np.nan, 1], True),
+        ("", [2.5, 2.5, 2.5, 3.0], False),
+        ("", range(300), False),  # a counter
+        ("mm", [0, 1, 1, 0], False),
+    ],
+)
+def test_codes_are_marks(trial: Path, unit: str, values: Any, marks: bool) -> None:
+    """Assert that whole numbers without a unit, few of them, are drawn each by itself, and quantities as a line."""
+    column = np.resize(np.asarray(list(values), float), 300)
+    stream = Stream("box", np.arange(300, dtype=np.int64) * 1000, {"state": column}, units={"state": unit})
+    recording = trial.with_name("s.recording.h5")
+    write_recording(recording, truth=False, more=stream.datasets())
+    (panel,) = [panel for panel in shown(recording, images=1).panels if panel.title == "box, state"]
+    assert panel.marks == marks
+
+
 def test_film(trial: Path) -> None:
     """Assert that the animation has at most 300 frames that differ, in the width promised."""
     film = trial.with_name("a.gif")
@@ -395,7 +430,7 @@ def test_a_grasp(tmp_path: Path) -> None:
     np.testing.assert_allclose(data.side.height_mm[[0, -1]], [60 * 4 / 299, 60.0], rtol=1e-5)
     view.run([path], View(), None)
     text = path.with_name("g.html").read_text()
-    for words in ("grasp <b>held to the end", "moved <b>1.2 mm", "object&#x27;s material <b>paper", "time [s]"):
+    for words in ("grasp <b>held to the end", "moved <b>1.2 mm", "object&#x27;s material <b>paper"):
         assert words.replace("&#x27;", "'") in text, words
 
 

@@ -40,8 +40,12 @@ def write_recording(
     grasp: bool = False,
     number: int = 8,
     seed: int = 1,
+    more: dict[str, Any] | None = None,
 ) -> Header:
-    """A recording whose events wander over the frame, `rate` a slice; of a grasp, or of a slip of object `number`."""
+    """A recording whose events wander over the frame, `rate` a slice; of a grasp, or of a slip of object `number`.
+
+    more: datasets beside.
+    """
     rng = np.random.default_rng(5)
     t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, rate)
     count = len(t)
@@ -53,6 +57,7 @@ def write_recording(
         "ms_to_idx": slice_starts(t, slices),
         "t_offset": np.int64(0),
         **SENSOR,
+        **(more or {}),
     }
     if truth:
         commands = np.arange(0, slices, 2)
@@ -107,12 +112,12 @@ def _grasp(slices: int) -> dict[str, Any]:
     }
 
 
-def write_tracks(path: Path, parent: Header, dots: np.ndarray) -> Header:
-    """Tracks of (slices, 6, 2)."""
+def write_tracks(path: Path, parent: Header, dots: np.ndarray, lost: np.ndarray | None = None) -> Header:
+    """Tracks of (slices, 6, 2); lost: (slices, 6), none unless given."""
     arrays = {
         "dot_xy_px": dots.astype(np.float32),
         "events_per_dot": np.zeros(dots.shape[:2], np.int32),
-        "lost": np.zeros(dots.shape[:2], np.uint8),
+        "lost": np.zeros(dots.shape[:2], np.uint8) if lost is None else lost,
         **SENSOR,
     }
     return write_stage(path, Recipe("tracks", 1, {"preset": "paper"}, parents=(parent,)), arrays)
@@ -123,18 +128,40 @@ def moving(slices: int = SLICES) -> np.ndarray:
     return REST.reshape(1, -1, 2) + np.linspace(0, 4, slices)[:, None, None] * np.array([1.0, 0.0])
 
 
-def write_labels(path: Path, parent: Header, onset: int = ONSET + 3, slices: int = SLICES, **more: Any) -> Header:
+def write_labels(
+    path: Path,
+    parent: Header,
+    onset: int = ONSET + 3,
+    ends: int | None = None,
+    *,
+    slices: int = SLICES,
+    begins: int = 50,
+    relative_flow_px: np.ndarray | None = None,
+    **more: Any,
+) -> Header:
+    """Labels that examine the slices [begins, ends); `more`: their parameters."""
     label = np.full(slices, -1, np.int8)
-    label[50:] = 0
-    label[onset:] = 1
+    label[begins:ends] = 0
+    label[onset:ends] = 1
+    flow = np.where(label < 0, np.nan, 0.1 + label) if relative_flow_px is None else relative_flow_px
     arrays = {
         "label": label,
-        "relative_flow_px": np.where(label < 0, np.nan, 0.1 + label).astype(np.float32),
+        "relative_flow_px": flow.astype(np.float32),
         "onset_slice": np.int64(onset if onset < slices else -1),
         "confidence": np.float64(1.0),
         "flow_pairs_computed": np.int64(9),
     }
     return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
+
+
+def write_forces(trial: Path, arrays: dict[str, Any], model: str = "gel", **chosen: Any) -> Path:
+    """Forces beside a trial, made from its tracks and a model of this method."""
+    with open_trial([trial]) as opened:
+        assert opened.tracks is not None
+        parents = (opened.tracks.header, Recipe("force-model", 1, {"method": model}).header())
+    path = trial.with_name(trial.name.replace("recording", "forces"))
+    write_stage(path, Recipe("forces", 1, chosen, parents=parents), arrays)
+    return path
 
 
 def write_trial(folder: Path) -> Path:
