@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.inspect.pages import BLUE, GREEN, NEUTRAL, ORANGE, PINK, bare_figure
 from evetac_cli.inspect.report.study import Found, Rows, Study, StudyTrial
+from evetac_cli.stages.evaluate.picture import wilson
 
 EARLY, RIGHT, LATE = ORANGE, BLUE, "#8c8c8c"  # the same three wherever timing is shown
 SHOWN_MS = 100  # farther onsets are drawn at the edge
@@ -110,13 +111,22 @@ def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Char
     return charts
 
 
-def share_chart(rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper: str, title: str) -> Chart | None:
-    """Stacked shares of each row (column -> words, colour), and the paper's share of one of them as a diamond."""
+def share_chart(
+    rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper: str, title: str, trials: Sequence[int]
+) -> Chart | None:
+    """Stacked shares of each row (column -> words, colour), and the paper's share of the first of them as a diamond.
+
+    trials: how many each row's shares are of; the first has Wilson's 95 % interval by their number.
+    """
+    from bokeh.models.annotations.arrows import TeeHead
+    from bokeh.models.annotations.geometry import Whisker
     from bokeh.models.sources import ColumnDataSource
 
-    rows = [row for row in rows if row.get(next(iter(parts))) is not None][:MOST_BARS]
-    if not rows:
+    first = next(iter(parts))
+    known = [(row, count) for row, count in zip(rows, trials, strict=True) if row.get(first) is not None][:MOST_BARS]
+    if not known:
         return None
+    rows = [row for row, _ in known]
     labels = _distinct([str(row[name]) for row in rows])
     longest = min(max(map(len, labels)), 48)
     chart = bare_figure(
@@ -133,6 +143,30 @@ def share_chart(rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper:
         source = ColumnDataSource({"y": labels, "left": left, "right": left + values})
         chart.hbar(y="y", left="left", right="right", height=0.62, source=source, fill_color=colour, line_color=None)
         left = left + values
+    ends = [
+        (label, row[first], *wilson(row[first], count))
+        for label, (row, count) in zip(labels, known, strict=True)
+        if count
+    ]
+    if ends:
+        base, share, below, above = zip(*ends, strict=True)
+        low = [at - down for at, (down,) in zip(share, below, strict=True)]
+        high = [at + up for at, (up,) in zip(share, above, strict=True)]
+        source = ColumnDataSource({"base": base, "low": low, "high": high})
+        head = TeeHead(size=7, line_color=NEUTRAL)
+        chart.add_layout(
+            Whisker(
+                base="base",
+                lower="low",
+                upper="high",
+                source=source,
+                dimension="width",
+                line_color=NEUTRAL,
+                name="interval",  # the page's script gives it a colour that is seen on bars and on the page
+                lower_head=head,
+                upper_head=head,
+            )
+        )
     published = [(label, row[paper]) for label, row in zip(labels, rows, strict=True) if row.get(paper) is not None]
     keys = dict(parts.values())
     if published:
@@ -145,7 +179,8 @@ def share_chart(rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper:
             line_color="#1f2730",
         )
         keys["the first of these in the paper"] = PINK
-    return Chart(title, chart, keys)
+    said = "Whiskers: 95 % interval of the first of these, by the number of trials (Wilson)." if ends else ""
+    return Chart(title, chart, keys, said)
 
 
 def cost_charts(evaluation: Found) -> list[Chart]:

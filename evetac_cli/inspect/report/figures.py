@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.inspect.report.study import Study, StudyTrial
+from evetac_cli.inspect.report.tables import figure_text
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
 
@@ -14,12 +15,32 @@ LABELS_MS = (EARLIEST_MS, LATEST_MS)
 
 
 class Figure(NamedTuple):
-    """One figure of a study: what, how much (shares are 0 to 1), and over how many trials."""
+    """One figure of a study: what, how much, over how many trials, and what kind of number it is.
+
+    kind: `share`, 0 to 1; `time` in s; `count`; else nothing, and the unit is in the name.
+    """
 
     name: str
     value: float | int
     over: str = ""
-    share: bool = False
+    kind: str = ""
+
+
+def in_words(value: float | int, kind: str) -> str:
+    """A figure as it is read: shares in percent, times and large counts in the unit that suits their size."""
+    size = abs(value)
+    if kind == "share":
+        return f"{value:.0%}"
+    if kind == "time":
+        for unit, seconds in (("h", 3600), ("min", 60)):
+            if size >= 2 * seconds:
+                return f"{value / seconds:.3g} {unit}"
+        return f"{value:.3g} s"
+    if kind == "count":
+        for name, many in (("billion", 1e9), ("million", 1e6)):
+            if size >= many:
+                return f"{value / many:.3g} {name}"
+    return figure_text(value)
 
 
 def headline(study: Study) -> list[Figure]:
@@ -28,8 +49,8 @@ def headline(study: Study) -> list[Figure]:
     seconds = [trial.row.slices / 1000 for trial in trials if trial.row.slices]
     figures = [
         Figure("trials", len(trials)),
-        Figure("recorded [min]", sum(seconds) / 60),
-        Figure("events [million]", sum(trial.events or 0 for trial in trials) / 1e6),
+        Figure("recorded", sum(seconds), kind="time"),
+        Figure("events", sum(trial.events or 0 for trial in trials), kind="count"),
         Figure("objects", len({trial.row.object for trial in trials if trial.row.object is not None})),
         Figure("sensors", len({trial.row.sensor for trial in trials if trial.row.sensor is not None})),
     ]
@@ -39,8 +60,8 @@ def headline(study: Study) -> list[Figure]:
         over = f"{len(slipping)} that slip"
         right = sum(LABELS_MS[0] <= error <= LABELS_MS[1] for error in errors)
         figures += [
-            Figure("onsets that have a label", len(errors) / len(slipping), over, share=True),
-            Figure("labels within -4..+3 ms of the truth", right / len(slipping), over, share=True),
+            Figure("onsets that have a label", len(errors) / len(slipping), over, kind="share"),
+            Figure("labels within -4..+3 ms of the truth", right / len(slipping), over, kind="share"),
         ]
     if errors:
         figures.append(Figure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
@@ -49,7 +70,7 @@ def headline(study: Study) -> list[Figure]:
         over = f"{len(judged)} trials times models"
         known = [ms for ms in judged if ms is not None]
         correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known)
-        figures.append(Figure("timing correct, all models", correct / len(judged), over, share=True))
+        figures.append(Figure("timing correct, all models", correct / len(judged), over, kind="share"))
         figures += [Figure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
     figures += [
         Figure("F1 of the best model", report.summary[key])
@@ -64,7 +85,7 @@ def headline(study: Study) -> list[Figure]:
     grasps = [trial.grasp for trial in trials if trial.grasp is not None]
     if grasps:
         held = [grasp for grasp in grasps if grasp.get("balanced")]
-        figures.append(Figure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), share=True))
+        figures.append(Figure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), kind="share"))
         for name, key in (("object moved, median [mm]", "moved_mm"), ("grip at the end, median [N]", "force_end_n")):
             values = [grasp[key] for grasp in held if isinstance(grasp.get(key), (int, float))]
             figures += [Figure(name, float(np.median(values)), f"{len(values)} kept")] if values else []
@@ -87,18 +108,3 @@ def matched(studies: Sequence[Study]) -> list[tuple[StudyTrial, StudyTrial]]:
 def _identity(trial: StudyTrial) -> tuple[Any, ...]:
     row = trial.row
     return row.scene, row.object, row.sensor, row.seed, row.trial
-
-
-def missing(study: Study) -> list[str]:
-    """What a study lacks, each with the command that makes it."""
-    folder, files = study.folder, study.files
-    lines = []
-    if not files["recording"]:
-        lines.append("There are no recordings: no events, no truth, no thumbnails.")
-    for kind, command in (("labels", "label"), ("tracks", "track"), ("features", "featurize")):
-        without = sum(1 for trial in study.trials if kind not in trial.files and trial.grasp is None)
-        if without:
-            lines.append(f"{without} of {len(study.trials)} trials have no {kind}: evetac {command} {folder}")
-    if files["labels"] and not any(trial.has_truth for trial in study.trials):
-        lines.append("No recording has a truth: labels cannot be held against it.")
-    return lines

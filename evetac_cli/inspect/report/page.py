@@ -10,6 +10,7 @@ from evetac_cli.inspect.report import charts, evaluations, figures
 from evetac_cli.inspect.report.charts import Chart
 from evetac_cli.inspect.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
 from evetac_cli.inspect.report.figures import TIMING_MS, Figure
+from evetac_cli.inspect.report.missing import Lack, missing
 from evetac_cli.inspect.report.study import Found, Study
 from evetac_cli.inspect.report.tables import cell, figure_text, table
 from evetac_cli.inspect.report.trial_table import onset_charts, trial_table, trials_of_both
@@ -59,14 +60,11 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
         sections.append(("both", "Trials that both have", trials_of_both(studies)))
     onsets = "".join(drawn.place(shown, study) for study, shown in onset_charts(studies))
     sections.append(("trials", "Trials", onsets + trial_table(studies, page)))
-    absent = []
     for section in SECTIONS:
         text = _section(section, studies, drawn)
         if text:
             sections.append((section.name, section.title, text))
-        else:
-            absent.append(f"{section.title}: {section.made_by}")
-    sections.append(("missing", "What is missing", _missing(studies, absent)))
+    sections.append(("missing", "What is missing", _missing(studies)))
     body = "".join(
         f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
     )
@@ -94,7 +92,7 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
 def _overview(studies: Sequence[Study]) -> str:
     if len(studies) == 1:
         tiles = "".join(
-            f"<div><dt>{html.escape(one.name)}</dt><dd>{_percent(one)}{_over(one)}</dd></div>"
+            f"<div><dt>{html.escape(one.name)}</dt><dd>{figures.in_words(one.value, one.kind)}{_over(one)}</dd></div>"
             for one in figures.headline(studies[0])
         )
         return f"<dl class='tiles'>{tiles}</dl>"
@@ -102,16 +100,19 @@ def _overview(studies: Sequence[Study]) -> str:
     rows = []
     for name in dict.fromkeys(name for of_study in by_study for name in of_study):
         one, other = (of_study.get(name) for of_study in by_study)
-        difference = None if one is None or other is None else other.value - one.value
-        both = [cell(None) if figure is None else cell(figure.value, _over(figure)) for figure in (one, other)]
-        cells = [cell(name), *both, cell(difference)]
+        both = [
+            cell(None)
+            if figure is None
+            else cell(figure.value, _over(figure), figures.in_words(figure.value, figure.kind))
+            for figure in (one, other)
+        ]
+        cells = [cell(name), *both, cell(None)]
+        if one is not None and other is not None:
+            difference = other.value - one.value
+            cells[-1] = cell(difference, text=figures.in_words(difference, one.kind))
         rows.append(f"<tr>{''.join(cells)}</tr>")
     names = [html.escape(study.name) for study in studies]
     return table(["figure", *names, f"{names[1]} minus {names[0]}"], rows)
-
-
-def _percent(figure: Figure) -> str:
-    return f"{figure.value:.0%}" if figure.share else figure_text(figure.value)
 
 
 def _over(figure: Figure) -> str:
@@ -178,26 +179,38 @@ def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
         }
         rows = evaluations.having("setting", "seeds")(evaluation)
         return [
-            charts.share_chart(rows, "setting", parts, "paper_slip_correct", f"Timing, {evaluation.path}"),
+            charts.share_chart(
+                rows,
+                "setting",
+                parts,
+                "paper_slip_correct",
+                f"Timing, {evaluation.path}",
+                [evaluations.slips_of(row, evaluation) for row in rows],
+            ),
             *charts.detection_charts(evaluation, TIMING_MS),
         ]
     if (section, evaluation.command) == ("grasp", "evaluate grasp"):
         rows = evaluations.having("setting", "columns")(evaluation)
         kept = {"success": ("lifted and kept", charts.RIGHT)}
-        return [charts.share_chart(rows, "setting", kept, "paper_success", f"Grasps, {evaluation.path}")]
+        trials = [row.get("trials", 0) for row in rows]
+        return [charts.share_chart(rows, "setting", kept, "paper_success", f"Grasps, {evaluation.path}", trials)]
     if (section, evaluation.command) == ("cost", "evaluate cost"):
         return [*charts.cost_charts(evaluation)]
     return []
 
 
-def _missing(studies: Sequence[Study], absent: Sequence[str]) -> str:
-    lines = [
-        f"{study.name}: {line}" if len(studies) > 1 else line
-        for study in studies
-        for line in (*figures.missing(study), *study.notes)
-    ]
-    text = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
-    if absent:
-        shown = "".join(f"<li>{html.escape(line)}</li>" for line in absent)
-        text += f"<li>No reports on these were found; each command makes one:<ul>{shown}</ul></li>"
-    return f"<ul>{text}</ul>" if text else "<p class='hint'>Nothing.</p>"
+def _missing(studies: Sequence[Study]) -> str:
+    """What each study lacks, with commands that a click selects as a whole."""
+    lines = []
+    for study in studies:
+        which = f"{study.name}: " if len(studies) > 1 else ""
+        lacks = [*missing(study), *map(Lack, study.notes)]
+        for lack in lacks:
+            command = f" <code class='command'>{html.escape(lack.command)}</code>" if lack.command else ""
+            lines.append(f"<li>{html.escape(which + lack.says)}{command}</li>")
+    if not lines:
+        return "<p class='hint'>Nothing.</p>"
+    relative = any(not study.folder.is_absolute() for study in studies)
+    where = f" They are for the folder {html.escape(str(Path.cwd()))}." if relative else ""
+    hint = f"A click selects a command.{where}"
+    return f"<p class='hint'>{hint}</p><ul>{''.join(lines)}</ul>"

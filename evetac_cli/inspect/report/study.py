@@ -65,6 +65,8 @@ class StudyTrial:
     files: dict[str, str]  # kind -> path from the folder on
     events: int | None = None
     has_truth: bool = False
+    has_dots: bool = False  # a grid of dots to follow
+    has_window: bool = False
     t_s: int | None = None  # ms; truth
     t_c: int | None = None  # ms; labels
     labelled_by: str | None = None
@@ -106,6 +108,7 @@ class Study:
     unreadable: list[tuple[str, str]]  # path, reason
     simulated: bool
     notes: list[str]
+    models_at: list[Path] = field(default_factory=list)  # of slip detectors
 
     def reports(self, command: str) -> list[Found]:
         """The reports of an evaluation."""
@@ -134,6 +137,8 @@ def read_study(folder: Path, progress: Progress) -> Study:
     for row in rows:
         if row.kind == "report":
             _read_report(study, row.path)
+        if row.kind == "model":
+            study.models_at.append(folder / row.path)
     groups: dict[str, dict[str, Row]] = {}
     several: Counter[str] = Counter()
     for row in rows:
@@ -197,6 +202,8 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 if recording.has("control/outcome"):
                     trial.grasp = json.loads(recording.read("control/outcome"))
                 trial.has_truth = recording.has("truth")
+                trial.has_dots = recording.dot_xy_px is not None
+                trial.has_window = recording.window_px is not None
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)

@@ -20,11 +20,11 @@ def figure_text(value: Any) -> str:
     return f"{value:,}" if isinstance(value, int) else short(str(value))
 
 
-def cell(value: Any, beside: str = "") -> str:
-    """A cell that is sorted by its value."""
+def cell(value: Any, beside: str = "", text: str = "") -> str:
+    """A cell that is sorted by its value; text: how it is written, unless as `figure_text` does."""
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
     by = f" data-v='{float(value)!r}'" if numeric and math.isfinite(value) else " data-v='1e99'" if numeric else ""
-    return f"<td{by}{' class=n' if numeric else ''}>{figure_text(value)}{beside}</td>"
+    return f"<td{by}{' class=n' if numeric else ''}>{text or figure_text(value)}{beside}</td>"
 
 
 def table(heads: Iterable[str], rows: Iterable[str], name: str = "") -> str:

@@ -13,13 +13,18 @@ from evetac_cli.inspect import pages
 from evetac_cli.inspect.report import charts, figures
 from evetac_cli.inspect.report.charts import Chart
 from evetac_cli.inspect.report.figures import LABELS_MS, TIMING_MS
+from evetac_cli.inspect.report.missing import command_for
 from evetac_cli.inspect.report.study import Study, StudyTrial, remark
 from evetac_cli.inspect.report.tables import cell, table
 
 MOST_TRIALS = 2000  # in the table: those that stand out most
 FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are chosen
 EMPTY = ("<td></td>", cell(None))
-TIMES = "t_s is the true onset of gross slip, t_c the onset in the labels, t_m the first detection by a model."
+TIMES = {
+    "t_s": "t_s is the true onset of gross slip",
+    "t_c": "t_c the onset in the labels",
+    "t_m": "t_m the first detection by a model",
+}
 LABEL_AXIS = "labels' onset after the true onset [ms]"
 MODEL_AXIS = "first detection after the labels' onset [ms]"
 
@@ -78,24 +83,15 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
     rows.sort(key=lambda row: -row[0][0])  # stable: by name where nothing stands out
     if not rows:
         return "<p class='hint'>There are no trials here.</p>" + table([], [], "all-trials") + _unreadable(studies)
-    outside = sum(1 for (score, _), *_ in rows if score)
-    views = sum(trial.page is not None for *_, trial in rows)
-    example = next((str(study.folder / trial.row.path) for _, study, _, trial in rows if trial.page is None), "")
-    text = (
-        f"<p class='hint'>{outside} of {len(rows)} stand out and come first: grasps that lost their object, slips that"
-        " labels or models never find, then by how far an onset is outside its window (labels -4 to +3 ms of the truth,"
-        f" models -50 to +20 ms of the labels). {TIMES} A click on a point above shows its trial. {views} of"
-        " them have a page of their own"
-        + (f"; <code>evetac view {html.escape(example)}</code> makes one.</p>" if example else ".</p>")
-    )
-    if len(rows) > MOST_TRIALS:
-        text += f"<p class='hint'>The first {MOST_TRIALS:,} of {len(rows):,} are shown.</p>"
     shown = [
         (_cells(study, trial, remarked, page), study, at, trial, remarked) for (_, remarked), study, at, trial in rows
     ]
     shown = shown[:MOST_TRIALS]
     heads = [head for head in shown[0][0] if any(cells[head] not in EMPTY for cells, *_ in shown)]
     heads = [head for head in heads if head != "study" or len(studies) > 1]
+    trials = [trial for *_, trial in rows]
+    said = [_outliers(trials), *_meanings(heads), _own_pages(studies), _first_of(len(rows))]
+    text = f"<p class='hint'>{' '.join(sentence for sentence in said if sentence)}</p>"
     body = []
     for cells, study, at, trial, remarked in shown:
         values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
@@ -105,6 +101,57 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
         body.append(f"<tr {row}>{''.join(cells[head] for head in heads)}</tr>")
     filters = _filters([row[1:] for row in rows], len(studies) > 1)
     return text + filters + table(heads, body, "all-trials") + _unreadable(studies)
+
+
+def _outliers(trials: Sequence[StudyTrial]) -> str:
+    """How many stand out, and by what a trial would, of what is known of any."""
+    reasons = []
+    if any(trial.grasp is not None for trial in trials):
+        reasons.append("an object that was lost")
+    if any(trial.has_truth and trial.labelled_by is not None for trial in trials):
+        reasons.append(f"an onset in the labels that is missing, or not within {_within(LABELS_MS)} of the true one")
+    if any(trial.late_by for trial in trials):
+        reasons.append(f"a first detection that is missing, or not within {_within(TIMING_MS)} of the labels' onset")
+    outside = sum(remark(trial, TIMING_MS)[0] > 0 for trial in trials)
+    if outside:
+        verb = "stands" if outside == 1 else "stand"
+        by = f", by how far: {'; '.join(reasons)}" if reasons else ""
+        return f"{outside} of {len(trials)} {verb} out and {'comes' if outside == 1 else 'come'} first{by}."
+    if not reasons:
+        return ""
+    none = "The trial does not stand out" if len(trials) == 1 else f"None of the {len(trials)} trials stands out"
+    return f"{none}: none has {', nor '.join(reasons)}."
+
+
+def _within(window_ms: tuple[int, int]) -> str:
+    return f"{window_ms[0]} to {window_ms[1]:+d} ms"
+
+
+def _meanings(heads: Sequence[str]) -> list[str]:
+    """What columns and thumbnails mean, of those that are there."""
+    meanings = [meaning for name, meaning in TIMES.items() if any(name in head for head in heads)]
+    said = [f"{', '.join(meanings)}."] if meanings else []
+    if any(head.startswith(("t_c - ", "t_m - ")) for head in heads):
+        said.append("A click on a point above shows its trial.")
+    if "events at the onset" in heads:
+        said.append("Thumbnails: white is brighter, black darker.")
+    return said
+
+
+def _own_pages(studies: Sequence[Study]) -> str:
+    """How many trials have a page of `view`, and the command that makes one more."""
+    without = [study.folder / trial.row.path for study in studies for trial in study.trials if trial.page is None]
+    trials = sum(len(study.trials) for study in studies)
+    if not without:
+        return "Each trial has a page of its own: click its name."
+    command = f"<code class='command'>{html.escape(command_for('view', without[:1]))}</code>"
+    if len(without) == trials:
+        return f"No trial has a page of its own yet: {command} makes one."
+    return f"{trials - len(without)} of {trials} have a page of their own; {command} makes another."
+
+
+def _first_of(rows: int) -> str:
+    return f"The first {MOST_TRIALS:,} of {rows:,} are shown." if rows > MOST_TRIALS else ""
 
 
 def _median_of(study: Study) -> str:

@@ -56,7 +56,8 @@ def test_outliers_come_first(study: Study, text: str) -> None:
     ]
     rows = re.findall(r"<tr data-row='0-(\d)'", text)
     assert rows == ["2", "3", "1", "4", "0"]
-    assert "4 of 5 stand out" in text
+    assert "4 of 5 stand out and come first, by how far: an onset in the labels that is missing, or not within" in text
+    assert "an object that was lost" not in text  # nothing here is a grasp
 
 
 def test_the_page_is_whole(text: str) -> None:
@@ -67,8 +68,8 @@ def test_the_page_is_whole(text: str) -> None:
     assert text.index("<td>thick") < text.index("<td>thin")  # the case that is not ok comes first
     assert "&lt;b&gt;forces&lt;/b&gt; are balanced" in text
     assert "broken.labels.h5" in text
-    for missing in ("5 of 5 trials have no tracks: evetac track", "Dot tracking: evetac evaluate tracking FOLDER"):
-        assert missing in text, missing
+    assert "5 of 5 trials have no tracks. <code class='command'>evetac track " in text
+    assert "95 % interval" in text and '"name":"Whisker"' in text
     for present in ("id='slip'", "id='stability'", ">simulated<"):
         assert present in text, present
     assert "id='grasp'" not in text
@@ -90,7 +91,7 @@ def test_one_trial_and_none(tmp_path: Path) -> None:
     """Assert that one recording without truth makes a page, and so does a lone report."""
     write_recording(tmp_path / "a.recording.h5", 7, truth=False)
     text = made(tmp_path, tmp_path / "r.html")
-    assert "0 of 1 stand out" in text and ">simulated<" not in text
+    assert "stand out and" not in text and "come first" not in text and ">simulated<" not in text
     assert "t_s [ms]</button>" not in text  # a column in which nothing is known is left out
     (tmp_path / "a.recording.h5").unlink()
     write_report(tmp_path / "g.cost.report.h5", "evaluate cost", [{"setting": "a", "error_ms": 1.0}], {})
@@ -152,11 +153,51 @@ def test_headline(study: Study) -> None:
     """Assert that figures of the whole study are those of its trials."""
     values = {figure.name: figure.value for figure in figures.headline(study)}
     assert values["trials"] == 5
-    assert values["events [million]"] == pytest.approx(0.006)
+    assert (values["events"], values["recorded"]) == (6000, pytest.approx(1.5))
     assert values["onsets that have a label"] == pytest.approx(4 / 5)
     assert values["labels within -4..+3 ms of the truth"] == pytest.approx(3 / 5)
     assert values["t_c - t_s, median [ms]"] == pytest.approx(2.5)
     assert values["timing correct, all models"] == pytest.approx(3 / 5)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "words"),
+    [
+        (9.5, "time", "9.5 s"),
+        (0.02, "time", "0.02 s"),
+        (119.0, "time", "119 s"),
+        (1234.0, "time", "20.6 min"),
+        (36_000.0, "time", "10 h"),
+        (-600.0, "time", "-10 min"),
+        (9193, "count", "9,193"),
+        (1_277_530, "count", "1.28 million"),
+        (4.5e9, "count", "4.5 billion"),
+        (0.125, "share", "12%"),
+        (0.165, "", "0.165"),
+    ],
+)
+def test_figures_have_the_unit_of_their_size(value: float, kind: str, words: str) -> None:
+    """Assert that times and counts are written in the unit that people would use."""
+    assert figures.in_words(value, kind) == words
+
+
+@pytest.mark.parametrize(
+    ("errors_ms", "said"),
+    [
+        ([1, 2, -3], "None of the 3 trials stands out: none has an onset in the labels that is missing"),
+        ([1], "The trial does not stand out"),
+        ([1, 50], "1 of 2 stands out and comes first, by how far: an onset"),
+        ([None, 50], "2 of 2 stand out and come first"),
+    ],
+)
+def test_what_stands_out_is_said_as_it_is(tmp_path: Path, errors_ms: list[int | None], said: str) -> None:
+    """Assert that the sentence over the table speaks of what is there: of no outlier where there is none."""
+    write_trials(tmp_path, errors_ms)
+    text = made(tmp_path, tmp_path / "r.html")
+    assert said in text
+    assert ("come first" in text or "comes first" in text) == ("first" in said)
+    assert "a first detection" not in text and "t_m the first" not in text  # no model judged
+    assert "No trial has a page of its own yet: <code class='command'>evetac view " in text
 
 
 @pytest.mark.slow
