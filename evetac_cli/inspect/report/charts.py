@@ -161,6 +161,7 @@ def share_chart(
                 upper="high",
                 source=source,
                 dimension="width",
+                level="overlay",
                 line_color=NEUTRAL,
                 name="interval",  # the page's script gives it a colour that is seen on bars and on the page
                 lower_head=head,
@@ -179,7 +180,7 @@ def share_chart(
             line_color="#1f2730",
         )
         keys["the first of these in the paper"] = PINK
-    said = "Whiskers: 95 % interval of the first of these, by the number of trials (Wilson)." if ends else ""
+    said = f"Whiskers: 95 % interval of '{parts[first][0]}', by the number of trials (Wilson)." if ends else ""
     return Chart(title, chart, keys, said)
 
 

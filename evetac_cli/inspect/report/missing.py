@@ -15,7 +15,7 @@ from evetac_cli.resources import MODEL, SHIPPED
 from evetac_cli.stages.splits import recording_ids
 from evetac_cli.store.files import StageFile
 
-MOST_FOLDERS = 20  # in a command
+MOST_PATHS = 20  # in a command
 MOST_MODELS = 20  # of which it is read what they were trained on
 STAGES = (("tracks", "track"), ("labels", "label"), ("features", "featurize"))  # in their order
 
@@ -35,8 +35,8 @@ def missing(study: Study) -> list[Lack]:
     for kind, command in STAGES:
         without = [trial for trial in study.trials if kind not in trial.files and _allows(kind, trial)]
         if without:
-            says = f"{len(without)} of {len(study.trials)} trials have no {kind}."
-            lacks.append(Lack(says, command_for(command, _folders(study, without, "recording"))))
+            says = f"{len(without)} of {len(study.trials)} trials {'has' if len(without) == 1 else 'have'} no {kind}."
+            lacks.append(Lack(says, command_for(command, _with_their_folders(study, without, kind))))
     if study.files["labels"] and not any(trial.has_truth for trial in study.trials):
         lacks.append(Lack("No recording has a truth: labels cannot be held against it."))
     for section in SECTIONS:
@@ -50,6 +50,14 @@ def _allows(kind: str, trial: StudyTrial) -> bool:
     if "recording" not in trial.files or trial.broken or trial.grasp is not None:
         return False
     return trial.has_dots and (kind == "tracks" or trial.has_window)
+
+
+def _with_their_folders(study: Study, trials: list[StudyTrial], kind: str) -> list[Path]:
+    """The folders of these trials; the recordings themselves in a folder that has others, which would be refused."""
+    recordings = [trial for trial in study.trials if "recording" in trial.files]
+    refused = {_folder(study, trial, "recording") for trial in recordings if not _allows(kind, trial)}
+    paths = ((_folder(study, trial, "recording"), study.folder / trial.files["recording"]) for trial in trials)
+    return list(dict.fromkeys(path if folder in refused else folder for folder, path in paths))
 
 
 # Evaluations ----------------------------------------------------------------------------------------------------------
@@ -94,12 +102,14 @@ def trained_on(model: Path) -> set[str]:
 
 
 def _realism(study: Study) -> list[Lack]:
-    """A real recording against a simulated one, where the folder holds both."""
-    first: dict[bool, Path] = {}
+    """A real recording against a simulated one of the same frame, where the folder holds both."""
+    first: dict[tuple[int, int], dict[bool, Path]] = {}
     for trial in study.trials:
-        if "recording" in trial.files and trial.row.simulated is not None:
-            first.setdefault(bool(trial.row.simulated), study.folder / trial.files["recording"])
-    return [Lack(".", command_for("evaluate realism", (first[False], first[True])))] if len(first) == 2 else []
+        if trial.frame_px is not None:
+            of_frame = first.setdefault(trial.frame_px, {})
+            of_frame.setdefault(bool(trial.row.simulated), study.folder / trial.files["recording"])
+    both = next((of_frame for of_frame in first.values() if len(of_frame) == 2), None)
+    return [] if both is None else [Lack(".", command_for("evaluate realism", (both[False], both[True])))]
 
 
 _OFFERS: dict[str, Callable[[Study], list[Lack]]] = {
@@ -129,8 +139,8 @@ def _folders(study: Study, trials: Iterable[StudyTrial], kind: str) -> list[Path
 
 
 def command_for(command: str, paths: Iterable[Path], *more: str) -> str:
-    """A command of evetac for a shell, with at most MOST_FOLDERS of the paths."""
-    return " ".join(("evetac", command, *[_word(path) for path in paths][:MOST_FOLDERS], *more))
+    """A command of evetac for a shell, with at most MOST_PATHS of the paths."""
+    return " ".join(("evetac", command, *[_word(path) for path in paths][:MOST_PATHS], *more))
 
 
 def _word(path: Path) -> str:

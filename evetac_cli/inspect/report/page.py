@@ -211,6 +211,6 @@ def _missing(studies: Sequence[Study]) -> str:
     if not lines:
         return "<p class='hint'>Nothing.</p>"
     relative = any(not study.folder.is_absolute() for study in studies)
-    where = f" They are for the folder {html.escape(str(Path.cwd()))}." if relative else ""
-    hint = f"A click selects a command.{where}"
+    where = f"; run it in {html.escape(str(Path.cwd()))}" if relative else ""
+    hint = f"A click selects a command{where}."
     return f"<p class='hint'>{hint}</p><ul>{''.join(lines)}</ul>"

@@ -67,6 +67,7 @@ class StudyTrial:
     has_truth: bool = False
     has_dots: bool = False  # a grid of dots to follow
     has_window: bool = False
+    frame_px: tuple[int, int] | None = None
     t_s: int | None = None  # ms; truth
     t_c: int | None = None  # ms; labels
     labelled_by: str | None = None
@@ -204,6 +205,7 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 trial.has_truth = recording.has("truth")
                 trial.has_dots = recording.dot_xy_px is not None
                 trial.has_window = recording.window_px is not None
+                trial.frame_px = recording.frame_px
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)

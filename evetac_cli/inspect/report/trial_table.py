@@ -107,11 +107,11 @@ def _outliers(trials: Sequence[StudyTrial]) -> str:
     """How many stand out, and by what a trial would, of what is known of any."""
     reasons = []
     if any(trial.grasp is not None for trial in trials):
-        reasons.append("an object that was lost")
+        reasons.append("a lost object")
     if any(trial.has_truth and trial.labelled_by is not None for trial in trials):
-        reasons.append(f"an onset in the labels that is missing, or not within {_within(LABELS_MS)} of the true one")
+        reasons.append(f"an onset in the labels that is missing, or not {_within(LABELS_MS)} from the true one")
     if any(trial.late_by for trial in trials):
-        reasons.append(f"a first detection that is missing, or not within {_within(TIMING_MS)} of the labels' onset")
+        reasons.append(f"a first detection that is missing, or not {_within(TIMING_MS)} from the labels' onset")
     outside = sum(remark(trial, TIMING_MS)[0] > 0 for trial in trials)
     if outside:
         verb = "stands" if outside == 1 else "stand"
@@ -120,7 +120,7 @@ def _outliers(trials: Sequence[StudyTrial]) -> str:
     if not reasons:
         return ""
     none = "The trial does not stand out" if len(trials) == 1 else f"None of the {len(trials)} trials stands out"
-    return f"{none}: none has {', nor '.join(reasons)}."
+    return f"{none}. What would: {'; '.join(reasons)}."
 
 
 def _within(window_ms: tuple[int, int]) -> str:
@@ -133,7 +133,7 @@ def _meanings(heads: Sequence[str]) -> list[str]:
     said = [f"{', '.join(meanings)}."] if meanings else []
     if any(head.startswith(("t_c - ", "t_m - ")) for head in heads):
         said.append("A click on a point above shows its trial.")
-    if "events at the onset" in heads:
+    if "onset, else busiest" in heads:
         said.append("Thumbnails: white is brighter, black darker.")
     return said
 
@@ -147,7 +147,9 @@ def _own_pages(studies: Sequence[Study]) -> str:
     command = f"<code class='command'>{html.escape(command_for('view', without[:1]))}</code>"
     if len(without) == trials:
         return f"No trial has a page of its own yet: {command} makes one."
-    return f"{trials - len(without)} of {trials} have a page of their own; {command} makes another."
+    having = trials - len(without)
+    verb = "has a page of its own" if having == 1 else "have a page of their own"
+    return f"{having} of {trials} {verb}; {command} makes another."
 
 
 def _first_of(rows: int) -> str:
@@ -164,14 +166,14 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
     image = ""
     if trial.thumbnail is not None:
         data = b64encode(trial.thumbnail).decode()
-        image = f"<img loading='lazy' width='96' alt='events at the onset' src='data:image/png;base64,{data}'>"
+        image = f"<img loading='lazy' width='96' alt='events' src='data:image/png;base64,{data}'>"
     name = pages.short(trial.name)
     if trial.page is not None:
         link = quote(os.path.relpath(trial.page.resolve(), page.resolve().parent))
         image, name = (f"<a href='{link}'>{part}</a>" if part else "" for part in (image, name))
     return {
         "study": cell(study.name),
-        "events at the onset": f"<td>{image}</td>",
+        "onset, else busiest": f"<td>{image}</td>",
         "trial": f"<td class='name'>{name}</td>",
         "stands out": f"<td class='remark'>{pages.short(remarked)}</td>" if remarked else cell(None),
         "object": cell(row.object),

@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -108,6 +109,19 @@ def test_commands_name_the_folders_where_files_lie(tmp_path: Path) -> None:
         of_kind(tmp_path / name, truth=False, seed=seed)
     assert f"evetac track {tmp_path}/a {tmp_path}/b" in commands(tmp_path)
     assert f"evetac label {tmp_path}/a {tmp_path}/b" in commands(tmp_path)
+
+
+def test_a_recording_that_a_stage_refuses_is_not_named(tmp_path: Path) -> None:
+    """Assert that beside recordings of which nothing can be made those of which it can are named one by one."""
+    of_kind(tmp_path, seed=1)
+    of_kind(tmp_path, seed=2)
+    recording = of_kind(tmp_path, seed=3, scene="own")
+    with h5py.File(tmp_path / "own-3.recording.h5", "r+") as file:  # a camera without a gel
+        for name in ("dot_xy_px", "dot_radius_px", "window_px"):
+            del file[f"sensor/{name}"]
+    assert recording["id"]
+    named = " ".join(f"{tmp_path}/slip-{seed}.recording.h5" for seed in (1, 2))
+    assert commands(tmp_path)[:3] == [f"evetac {stage} {named}" for stage in ("track", "label", "featurize")]
 
 
 def test_a_model_that_has_seen_the_trials_is_not_offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
