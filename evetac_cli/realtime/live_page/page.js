@@ -19,7 +19,8 @@
     { title: "Slip probability", fields: ["probability"], names: ["probability"], unit: "", digits: 2, low: 0, high: 1, level: "threshold" },
     { title: "Gripper position", fields: ["position_ticks", "goal_ticks"], names: ["position", "goal"], unit: "ticks", digits: 0 },
     { title: "Gripper current", fields: ["current_ma", "goal_ma"], names: ["current", "goal"], unit: "mA", digits: 0 },
-    { title: "Force on the gel, estimated", fields: ["normal_n", "shear_n"], names: ["normal", "shear"], unit: "N", digits: 2, low: 0 },
+    { title: "Force on the gel, estimated", fields: ["normal_n", "shear_n"], sds: ["normal_sd_n", "shear_sd_n"], names: ["normal", "shear"],
+      unit: "N", digits: 2, low: 0 },
     { title: "Events", fields: ["events_per_s"], names: ["rate"], unit: "1/s", digits: 0, low: 0 },
     { title: "Slices are late by", fields: ["late_ms", "late_most_ms"], names: ["median", "most"], unit: "ms", digits: 2, low: 0 },
   ];
@@ -77,7 +78,13 @@
     const shown = samples.filter((sample) => sample.t >= from);
     for (const chart of charts) {
       const values = chart.fields.map((field) => shown.map((sample) => sample[field]));
-      const known = values.flat().filter((value) => value !== null && value !== undefined);
+      const is = (value) => value !== null && value !== undefined;
+      // one standard deviation below and above each value, where it has one; never below what the axis begins with
+      const bands = values.map((series, which) => series.map((value, k) => {
+        const sd = chart.sds && shown[k][chart.sds[which]];
+        return is(value) && is(sd) ? [Math.max(value - sd, chart.low ?? -Infinity), value + sd] : null;
+      }));
+      const known = [...values.flat(), ...bands.flat(2)].filter(is);
       chart.box.hidden = known.length === 0;
       if (chart.box.hidden) continue;
       const wide = chart.area.clientWidth, high = chart.area.clientHeight, ratio = window.devicePixelRatio || 1;
@@ -109,20 +116,31 @@
       }
       const names = [];
       values.forEach((series, which) => {
-        const present = series.filter((value) => value !== null && value !== undefined);
-        if (!present.length) return;
-        ink.strokeStyle = colour(which ? "--second" : "--accent");
+        if (!series.some(is)) return;
+        ink.fillStyle = ink.strokeStyle = colour(which ? "--second" : "--accent");
+        ink.globalAlpha = 0.2;
+        let edge = [];  // upper edge of the band, up to a gap; the lower one leads back
+        [...bands[which], null].forEach((band, k) => {
+          if (band) { edge.push([x(shown[k].t), y(band[1]), y(band[0])]); return; }
+          ink.beginPath();
+          for (const [at, upper] of edge) ink.lineTo(at, upper);
+          for (const [at, , lower] of edge.reverse()) ink.lineTo(at, lower);
+          ink.fill();
+          edge = [];
+        });
+        ink.globalAlpha = 1;
         ink.lineWidth = 1.5;
         ink.beginPath();
         let open = false;
         series.forEach((value, k) => {
-          const here = value !== null && value !== undefined;
+          const here = is(value);
           if (here) { if (open) ink.lineTo(x(shown[k].t), y(value)); else ink.moveTo(x(shown[k].t), y(value)); }
           open = here;
         });
         ink.stroke();
         ink.lineWidth = 1;
-        names.push(make("i", "", which ? "second" : "first"), ` ${chart.names[which]} ${number(series[series.length - 1], chart.digits)} ${chart.unit}`);
+        const sd = chart.sds ? ` \u00b1 ${number(shown[shown.length - 1][chart.sds[which]], chart.digits)}` : "";
+        names.push(make("i", "", which ? "second" : "first"), ` ${chart.names[which]} ${number(series[series.length - 1], chart.digits)}${sd} ${chart.unit}`);
       });
       chart.legend.replaceChildren(...names);
     }
@@ -155,7 +173,7 @@
       pen.lineWidth = 1.5; pen.strokeStyle = lost ? "#ff5d5d" : "#5be584";
       pen.beginPath(); pen.arc(x, y, 4, 0, 7); pen.stroke();
       const size = Math.hypot(dx, dy) * longer;
-      if (size < 1) continue;
+      if (lost || size < 1) continue;  // how far a lost dot has moved is not known
       const tip = [x + dx * longer, y + dy * longer], angle = Math.atan2(dy, dx);
       pen.lineWidth = 2; pen.strokeStyle = "#ffffff";
       pen.beginPath(); pen.moveTo(x, y); pen.lineTo(...tip);

@@ -11,7 +11,7 @@ from tests.stages.live_view.test_live_view import shown
 
 pytest.importorskip("tornado")
 
-WIDTHS = (420, 860, 1280, 2560)
+WIDTHS = (420, 860, 1280, 1920, 2560)
 PICTURES = os.environ.get("EVETAC_PICTURES")  # a folder: what was seen is kept there
 
 pytestmark = pytest.mark.slow
@@ -41,6 +41,13 @@ def use(browser: Browser, end_by: str) -> None:
         assert browser.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth"), width
         keep(browser, f"live-{width}")
     browser.resize(1280)
+    force = "[...document.querySelectorAll('.chart')].find((one) => one.textContent.startsWith('Force on the gel'))"
+    browser.until(f"/normal [0-9.]+ . [0-9.]+ N/.test({force}.textContent)")  # with its standard deviation
+    alpha = (
+        f"(({{width, height}}, pen) => pen.getImageData(0, 0, width, height).data)({force}.querySelector('canvas'), "
+    )
+    alpha += f"{force}.querySelector('canvas').getContext('2d')).filter((_, at) => at % 4 === 3)"
+    assert browser.run(f"{alpha}.filter((value) => value > 40 && value < 110).length") > 1000  # the band
     hold = "document.getElementById('pause').getAttribute('aria-pressed')"
     browser.key(" ", text=" ")
     assert browser.run(hold) == "true"
