@@ -46,11 +46,12 @@ PREPARE = (
     "evetac track data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
     "evetac label data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
     "evetac featurize data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
+    "evetac predict-force data/slip-obj08-s0-000.tracks.h5",
 )
 SHOTS = (
     Shot("info", "evetac info data/slip-obj08-s0-000.recording.h5"),
     Shot("evaluate-labels", "evetac evaluate labels data/slip-obj08-s0-000.labels.h5 data/slip-obj08-s0-001.labels.h5"),
-    Shot("view", "evetac view data/slip-obj08-s0-000.features.h5 --force", "data/slip-obj08-s0-000.html"),
+    Shot("view", "evetac view data/slip-obj08-s0-000.features.h5 --force", "data/slip-obj08-s0-000.html", (1760, 1210)),
 )
 
 

@@ -43,11 +43,10 @@ def use(browser: Browser, end_by: str) -> None:
     browser.resize(1280)
     force = "[...document.querySelectorAll('.chart')].find((one) => one.textContent.startsWith('Force on the gel'))"
     browser.until(f"/normal [0-9.]+ . [0-9.]+ N/.test({force}.textContent)")  # with its standard deviation
-    alpha = (
-        f"(({{width, height}}, pen) => pen.getImageData(0, 0, width, height).data)({force}.querySelector('canvas'), "
-    )
-    alpha += f"{force}.querySelector('canvas').getContext('2d')).filter((_, at) => at % 4 === 3)"
-    assert browser.run(f"{alpha}.filter((value) => value > 40 && value < 110).length") > 1000  # the band
+    canvas = f"{force}.querySelector('canvas')"
+    data = f"{canvas}.getContext('2d').getImageData(0, 0, {canvas}.width, {canvas}.height).data"
+    pale = "(value, at) => at % 4 === 3 && value > 40 && value < 110"
+    assert browser.run(f"{data}.filter({pale}).length") > 1000  # the band
     hold = "document.getElementById('pause').getAttribute('aria-pressed')"
     browser.key(" ", text=" ")
     assert browser.run(hold) == "true"
