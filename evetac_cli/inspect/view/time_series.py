@@ -256,8 +256,8 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     level = float(made[limit])
     ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
     if compared:
-        ahead = made.get("look_ahead_ms")
-        time = f"in {ahead} ms" if isinstance(ahead, int) else "over the look-ahead"
+        look_ahead = made.get("look_ahead_ms")
+        time = f"in {look_ahead} ms" if isinstance(look_ahead, int) else "over the look-ahead"
         says = f"Motion of the window against the gel {time}; more than {level:g} px is slip."
     else:
         says = (
