@@ -234,7 +234,8 @@ def _how_sure(forces: StageFile) -> str:
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     """What labels decided by, where they examined it and where not.
 
-    Logarithmic, and cut: once an object is lost its flow is thousands of times larger, and no measure of distance.
+    Logarithmic, and cut: nothing is decided beyond, and of an object that is lost `event-flow`, which extrapolates how
+    the window's events fade, soon counts a hundred times its motion.
     """
     start = span[0]
 
@@ -267,7 +268,7 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     if any(line.name == "not examined" for line in lines):
         says += " Grey: not examined."
     if any(np.nanmax(line.value) > ends[1] for line in lines):
-        says += f" Beyond {ends[1]:g} px the object is lost, and the flow is no measure of distance."
+        says += f" Not drawn beyond {ends[1]:g} px: of a lost object the flow soon measures no distance."
     return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, says=says)
 
 
