@@ -233,14 +233,14 @@ def main() -> None:
     for one in given.files:
         bag = one.is_dir() and (one / "metadata.yaml").is_file()
         files += [one] if bag or not one.is_dir() else sorted(one.iterdir())
-    found = [row for path in files if path.is_file() or (path / "metadata.yaml").is_file() for row in rows(path)]
+    table = [row for path in files if path.is_file() or (path / "metadata.yaml").is_file() for row in rows(path)]
     if given.json:
-        print(json.dumps(found, indent=1))
+        print(json.dumps(table, indent=1))
     else:
         print("| file | format | judge | events | differ | |\n| --- | --- | --- | --- | --- | --- |")
-        for row in found:
+        for row in table:
             print("|", " | ".join("" if value is None else f"{value}" for value in row.values()), "|")
-    sys.exit(any(row["differ"] for row in found))
+    sys.exit(any(row["differ"] for row in table))
 
 
 if __name__ == "__main__":

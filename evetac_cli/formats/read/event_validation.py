@@ -232,14 +232,14 @@ class _Seen:
 
     def check_polarities(self, where: str) -> None:
         """InputError where the values are of more than one code, or may be."""
-        found = sorted(self._polarities)
-        unsigned = [value for value in found if value in MINUS_ONES]
-        if (-1 in found and 0 in found) or (unsigned and found != [1, unsigned[0]]):
+        codes = sorted(self._polarities)
+        unsigned = [value for value in codes if value in MINUS_ONES]
+        if (-1 in codes and 0 in codes) or (unsigned and codes != [1, unsigned[0]]):
             raise InputError(
-                "polarity mixes two codes" if len(found) > 1 else "unknown polarity",
+                "polarity mixes two codes" if len(codes) > 1 else "unknown polarity",
                 where=where,
                 expected="0 and 1, or -1 and 1",
-                found=" and ".join(map(str, found)),
+                found=" and ".join(map(str, codes)),
                 hint="write 1 where it got brighter and 0 where darker" if unsigned else "",
             )
 
