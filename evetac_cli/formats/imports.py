@@ -20,7 +20,8 @@ from evetac_cli.formats.read import read_numpy, read_prophesee
 from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
 from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.bags import read_rosbag
-from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder, open_rosbag
+from evetac_cli.formats.read.bags.bag_files import is_bag_folder
+from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
@@ -62,7 +63,7 @@ class Format(NamedTuple):
 
 
 TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
-BAG = Format((read_rosbag.ROS1, read_rosbag.SQLITE, read_rosbag.MCAP), open_rosbag, ("stream",))
+BAG = Format(read_rosbag.SIGNS, open_rosbag, ("stream",))
 FORMATS = (
     Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
     Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
@@ -156,6 +157,7 @@ class EventFile:
         self._frames, self._folder, self._progress = frames, folder, progress
         options = {"stream": stream, "columns": columns, "time_unit": time_unit}
         said = {name: value for name, value in options.items() if value is not None}
+        self._stream = stream
         with _reading(self._where):
             try:
                 self._foreign = _open(self._path, frame_px, said)
@@ -198,11 +200,12 @@ class EventFile:
         t_offset_us = normal.first_us + foreign.clock_us if normal.size or note else 0
         with _reading(self._where):
             if self._order.from_restart is None:
-                streams = _kept(self._path, foreign, t_offset_us, slices, frames=self._frames, folder=self._folder)
+                options = {"frames": self._frames, "folder": self._folder, "topic": self._stream}
+                streams, said = _kept(self._path, foreign, t_offset_us, slices, options)
             else:  # their times do not say which part they belong to
-                streams = []
+                streams, said = [], []
                 foreign.left_out |= {stream.name: len(stream.t_us) for stream in foreign.streams}
-        notes += _unsaid(foreign, streams)
+        notes += [*said, *_unsaid(foreign, streams)]
         return Facts(
             size=normal.size,
             frame_px=foreign.frame_px,
@@ -236,23 +239,28 @@ def _reading(where: str) -> Iterator[None]:
 
 
 def _kept(
-    path: Path, foreign: Foreign, t_offset_us: int, slices: int, *, frames: bool, folder: Path | None
-) -> list[Stream]:
-    """The other streams of the file that are kept, in the recording's clock; what came is no longer left out."""
+    path: Path, foreign: Foreign, t_offset_us: int, slices: int, options: dict[str, Any]
+) -> tuple[list[Stream], list[str]]:
+    """The other streams of the file that are kept, in the recording's clock, and notes on how they came there.
+
+    What came is no longer left out.
+    """
     read = OTHER_STREAMS.get(foreign.format)
-    streams = []
+    streams, notes = [], []
     counts: Counter[str] = Counter()
-    others = read(path, frames=frames, folder=folder) if read is not None and foreign.left_out else ()
-    for stream, name, unreadable in chain((Other(one, one.name) for one in foreign.streams), others):
+    span_us = (t_offset_us, t_offset_us + slices * SLICE_US)
+    others = read(path, span_us=span_us, **options) if read is not None and foreign.left_out else ()
+    for stream, name, unreadable, note in chain((Other(one, one.name) for one in foreign.streams), others):
         for counted in (name, f"packets of {name}"):
             foreign.left_out.pop(counted, None)
         within = replace(stream, t_us=stream.t_us - t_offset_us).within(slices)
+        notes += [note] if note else []
         counts[f"{name} outside the recording"] += within.left_out
         counts[f"unreadable packets of {name}"] += unreadable
         if len(within.t_us):
             streams.append(within)
     foreign.left_out |= +counts
-    return streams
+    return streams, notes
 
 
 def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:

@@ -11,8 +11,9 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.imports import BAG
+from evetac_cli.formats.read.bags.bag_files import is_bag_folder
+from evetac_cli.formats.read.bags.host_clock import clock_of_bag, on_sensor_clock
 from evetac_cli.formats.read.bags.read_bag_stream import read_bag_stream
-from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder
 from evetac_cli.formats.read.read_table import read_table
 from evetac_cli.store.streams import Stream
 from evetac_cli.text_files import open_regular
@@ -48,13 +49,25 @@ def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Str
     return replace(stream, name=name), notes
 
 
+def on_clock_of_events(stream: Stream, source: str, span_us: tuple[int, int]) -> tuple[Stream, str]:
+    """A stream of a bag whose events are on the sensor's own clock brought to that, and a note; else as it is.
+
+    span_us: from when to when the recording is, on the clock of its events: only one that is on the sensor's counts.
+    """
+    path, _ = _parted(source)
+    if not _is_bag(path):
+        return stream, ""
+    clock = clock_of_bag(path, span_us)
+    return (stream, "") if clock is None else on_sensor_clock(stream, clock, span_us)
+
+
 def aligned(stream: Stream, offset_s: float, t_offset_us: int, slices: int, source: str) -> Stream:
     """The samples of a stream within a recording, in its clock; InputError where there is none.
 
     offset_s: what brings the stream's clock to that of the event file. t_offset_us: where the recording begins in that.
     """
     shift_us = round(offset_s * 1e6) - t_offset_us
-    moved = replace(stream, t_us=stream.t_us + shift_us, offset_s=offset_s)
+    moved = replace(stream, t_us=stream.t_us + shift_us, offset_s=stream.offset_s + offset_s)
     within = moved.within(slices)
     if len(within.t_us):
         return within

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.streams import aligned, read_stream
+from evetac_cli.events import SLICE_US
+from evetac_cli.formats.streams import aligned, on_clock_of_events, read_stream
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params.recording import Attach
 from evetac_cli.stages import one_file
@@ -57,6 +58,9 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
             progress(number, len(sources), "streams read")
             stream, said = read_stream(source, name, folder)
             start_us, slices = int(recording.read("t_offset")), len(recording)
+            if name not in offsets:
+                stream, brought = on_clock_of_events(stream, source, (start_us, start_us + slices * SLICE_US))
+                said = [*said, brought] if brought else said
             stream = aligned(stream, offsets.get(name, 0.0), start_us, slices, source)
             notes += [f"{name}: {note}" for note in (f"times by {stream.clock}", *said)]
             added.append(stream)

@@ -93,7 +93,7 @@ def bag(path: Path, long: Path) -> None:
     pytest.importorskip("rosbags")
     from rosbags import rosbag1
 
-    from tests.formats.read.bags.test_read_rosbag import START_S, Types, mono
+    from tests.formats.read.bags.bag_writing import START_S, Types, mono
 
     types = Types("ros1")
     with open_recording(long) as source, rosbag1.Writer(path) as writer:

@@ -1,7 +1,8 @@
 """What event files hold beside events, as streams of the recording: IMU samples, triggers, and frames if asked for.
 
-Of AEDAT4 by faery, of bags by read_bag_stream. They are brought into the recording's clock; samples before its start or
-after its end are left out, and so is what cannot be read: whoever asks counts what did not come.
+Of AEDAT4 by faery, of bags by read_bag_stream and trigger_messages. They are brought into the recording's clock;
+samples before its start or after its end are left out, and so is what cannot be read: whoever asks counts what did not
+come.
 """
 
 from collections.abc import Iterator
@@ -22,8 +23,11 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     walk,
 )
 from evetac_cli.formats.read.aedat.aedat4_payloads import FIELDS
+from evetac_cli.formats.read.bags.host_clock import host_clock, on_sensor_clock
+from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
-from evetac_cli.formats.read.bags.read_rosbag import open_bag
+from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
+from evetac_cli.formats.read.bags.trigger_messages import OF_DV, read_triggers, trigger_topics
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 
@@ -32,18 +36,23 @@ NAMES = {"IMUS": "imu", "TRIG": "triggers", "FRME": "frames"}
 # As AEDAT4 defines them.
 UNITS = {"temperature": "degC", "accelerometer": "g", "gyroscope": "deg/s", "magnetometer": "uT"}
 TRIGGERS = "triggers; source 1 to 3: a signal from outside rises, falls, is a pulse; 6 to 9: a frame, its exposure"
+EDGES = "external triggers; id: the input; edge: 1 rises, 0 falls"
 CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # that are kept of an image
 
 
 class Other(NamedTuple):
-    """A stream beside the events, what its samples are called where they are counted, and packets that hold no such."""
+    """A stream beside the events, what its samples are called where they are counted, and packets that hold no such.
+
+    note: on how it came to the clock of the events.
+    """
 
     stream: Stream
     counted_as: str
     unreadable: int = 0
+    note: str = ""
 
 
-def aedat4_streams(path: Path, *, frames: bool, folder: Path | None) -> Iterator[Other]:
+def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -> Iterator[Other]:
     """IMU samples and triggers of an AEDAT4 file, and its frames if asked for, on the file's clock."""
     with path.open("rb") as handle:
         header = read_header(handle, str(path))
@@ -69,19 +78,35 @@ def aedat4_streams(path: Path, *, frames: bool, folder: Path | None) -> Iterator
         yield Other(_in_order(made), KINDS[stream.kind], contents.unreadable)
 
 
-def bag_streams(path: Path, *, frames: bool, folder: Path | None) -> Iterator[Other]:
-    """The IMU topics of a bag, and those of images if asked for, on its clock; none that cannot be read."""
+def bag_streams(
+    path: Path, *, frames: bool, folder: Path | None, topic: str | None = None, span_us: tuple[int, int] = (0, 0)
+) -> Iterator[Other]:
+    """Triggers and IMU topics of a bag, and those of images if asked for, on the clock of its events.
+
+    None that cannot be read. topic: of the events; the one that is read without being named otherwise. span_us: from
+    when to when the events are.
+    """
     kinds = {IMU, IMAGE, COMPRESSED} if frames else {IMU}
-    with open_bag(path) as (reader, _):
-        topics = {one.topic: one.msgtype for one in reader.connections if one.msgtype in kinds and one.msgcount}
+    bag = open_bag(path)
+    triggers = trigger_topics(bag)
+    topics = {one.topic: one.msgtype for one in bag.connections if one.msgtype in kinds and one.msgcount} | triggers
+    of_events = topic or next(iter(topics_of_events(bag, str(path))), "")
+    clock = host_clock(path, of_events) if topics else None
     taken: list[str] = []
-    for topic, kind in sorted(topics.items()):
+    for name, kind in sorted(topics.items()):
         try:
-            stream, _ = read_bag_stream(path, topic, folder)
+            if name in triggers:
+                what = TRIGGERS if kind in OF_DV else EDGES
+                stream = replace(read_triggers(path, name, folder), what=what)
+            else:
+                stream, _ = read_bag_stream(path, name, folder)
         except InputError:
             continue
-        taken.append(free_name(topic.strip("/"), taken))
-        yield Other(_in_order(replace(stream, name=taken[-1])), f"messages on {topic} ({kind})")
+        taken.append(free_name(name.strip("/"), taken))
+        stream, note = _in_order(replace(stream, name=taken[-1])), ""
+        if clock is not None:
+            stream, note = on_sensor_clock(stream, clock, span_us)
+        yield Other(stream, f"messages on {name} ({kind})", note=note)
 
 
 def _in_order(stream: Stream) -> Stream:

@@ -15,7 +15,7 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.devices.opening import require_arm
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.bags.read_rosbag import is_bag_folder
+from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import part_costs

@@ -1,7 +1,7 @@
 """A topic of a ROS bag as a stream of samples: images, or the numbers of any message that ROS itself defines.
 
-rosbags finds the messages and decodes them by its own definitions, never by those that a bag brings along: these would
-become code. Names are those of the fields, `pose.position.x`; units those that the definitions state (REP 103).
+rosbags decodes the messages by its own definitions, never by those that a bag brings along: these would become code.
+Names are those of the fields, `pose.position.x`; units those that the definitions state (REP 103).
 Images and numbers wait on disk, so a bag of hours takes no more memory than a short one.
 """
 
@@ -16,7 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, install_hint
-from evetac_cli.formats.read.bags.read_rosbag import TYPES, bag_in_words, open_bag
+from evetac_cli.formats.read.bags.bag_chunks import Connection
+from evetac_cli.formats.read.bags.message_definitions import checksum
+from evetac_cli.formats.read.bags.open_bag import bag_in_words, open_bag
+from evetac_cli.formats.read.bags.read_rosbag import layout
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import LARGEST_FRAME_PX, Stream, free_name
 
@@ -53,24 +56,24 @@ def read_bag_stream(path: Path, topic: str, folder: Path | None) -> tuple[Stream
     topic: or, where it is empty, the only one that is not of events. folder: on whose disk it waits.
     """
     where = f"{path}: {topic}" if topic else str(path)
-    with open_bag(path) as (reader, ros2):
-        connections = _of_topic(reader.connections, topic, where)
-        topic, kind = connections[0].topic, connections[0].msgtype
-        where = f"{path}: {topic}"
-        decode = _decoder(kind, ros2, {connection.digest for connection in connections}, where)
-        messages = _decoded(reader.messages(connections), decode, where)
-        reader_of = _Images(where) if kind in (IMAGE, COMPRESSED) else _Numbers(where)
-        t_us, *values = joined_on_disk(folder, reader_of.parts(messages)) or (np.empty(0, np.int64),)
+    bag = open_bag(path)
+    connections = _of_topic(bag.connections, topic, where)
+    topic, kind = connections[0].topic, connections[0].msgtype
+    where = f"{path}: {topic}"
+    decode = _decoder(kind, connections, where)
+    messages = _decoded(bag.messages(connections), decode, where)
+    reader_of = _Images(where) if kind in (IMAGE, COMPRESSED) else _Numbers(where)
+    t_us, *values = joined_on_disk(folder, reader_of.parts(messages)) or (np.empty(0, np.int64),)
     if not len(t_us):
         raise InputError("no message on this topic", where=where)
     clock = "header.stamp" if reader_of.stamped else "the time at which the bag was given the message"
     stream = Stream("", t_us, what=kind.replace("/msg/", "/"), source=f"{path.name}: {topic}", clock=clock)
-    return reader_of.filled(stream, values), []
+    return reader_of.filled(stream, values), bag.notes
 
 
-def _of_topic(connections: list[Any], topic: str, where: str) -> list[Any]:
+def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Connection]:
     """The connections of a topic; InputError where it is not there, of two types, or not the only one to choose."""
-    others = sorted({one.topic for one in connections if one.msgtype not in TYPES})
+    others = sorted({one.topic for one in connections if not layout(one)})
     chosen = topic or (others[0] if len(others) == 1 else "")
     of_topic = [one for one in connections if one.topic == chosen]
     if not of_topic:
@@ -80,19 +83,24 @@ def _of_topic(connections: list[Any], topic: str, where: str) -> list[Any]:
         raise InputError(message, where=where, expected=named or "a topic", found=topic, hint=hint)
     if len({one.msgtype for one in of_topic}) > 1:
         raise InputError("messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic))
+    if len({one.encoding for one in of_topic}) > 1 or of_topic[0].encoding not in ("cdr", "ros1"):
+        found = ", ".join(sorted({one.encoding for one in of_topic}))[:80]
+        raise InputError("messages that are packed in another way", where=where, expected="cdr or ros1", found=found)
     return of_topic
 
 
-def _decoder(kind: str, ros2: bool, digests: set[str], where: str) -> Callable[[bytes], Any]:
+def _decoder(kind: str, connections: list[Connection], where: str) -> Callable[[bytes], Any]:
     """What makes an object of the bytes of a message; InputError for a type that ROS does not define, or otherwise."""
     from rosbags.typesys import Stores, get_typestore
 
+    ros2 = connections[0].ros2
     store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
     if kind not in store.fielddefs:
         raise InputError("messages of a type that is not read here", where=where, expected=READ, found=kind)
     if ros2:
         return lambda message: store.deserialize_cdr(message, kind)
     ours = store.generate_msgdef(kind)[1]
+    digests = {one.digest or checksum(one.msgtype, one.definition) for one in connections}
     if digests - {ours, "*"}:
         theirs = ", ".join(sorted(digests))[:120]
         raise InputError(f"{kind} has another definition here", where=where, expected=f"checksum {ours}", found=theirs)
@@ -101,15 +109,10 @@ def _decoder(kind: str, ros2: bool, digests: set[str], where: str) -> Callable[[
 
 def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str) -> Iterator[tuple[int, Any]]:
     """Time of reception in ns and content of each message."""
-    messages, number = iter(messages), 0
-    while True:
+    for number, (_, received_ns, message) in enumerate(messages):
         with bag_in_words(where, f"message {number}"):
-            message = next(messages, None)
-            content = None if message is None else decode(message[2])
-        if message is None:
-            return
-        yield int(message[1]), content
-        number += 1
+            content = decode(message)
+        yield received_ns, content
 
 
 class _Reader:

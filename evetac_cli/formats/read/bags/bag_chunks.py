@@ -1,0 +1,238 @@
+"""What ROS 1 bags and MCAP files have in common: connections, and chunks of messages that follow each other in a file.
+
+Why read here and not by rosbags or mcap: both go by the index at the end of a file, which a recorder that was killed
+never wrote, and leave out, or refuse, what it does not list; and they unpack at once whatever chunks claim the same
+time. So a table of the chunks is made by going from record to record, as it is of AEDAT4, and whatever lies in whole
+chunks is read. What is missing is said in the notes.
+"""
+
+import heapq
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.bags.rosbag_unpacking import TooLarge, unpack
+
+MOST_HELD_BYTES = 256 << 20  # of messages that wait for earlier ones of a later chunk
+MOST_RECORD_BYTES = 1 << 24  # of one that is no chunk and no message: a definition has some kB
+RUN_BYTES = 1 << 20  # of messages outside of chunks that are treated as one
+
+Record = tuple[int, int, bytes | memoryview]  # number of the connection, time of reception in ns, message
+
+
+class Connection(NamedTuple):
+    """A topic with the type of its messages, as one file has it.
+
+    number: within the file. msgtype: as `package/msg/Name`. encoding: of the messages; cdr is that of ROS 2, ros1 that
+    of ROS 1. definition: of the type, as text, and digest: its checksum in ROS 1; each empty where it is not known.
+    """
+
+    number: int
+    topic: str
+    msgtype: str
+    encoding: str
+    definition: str = ""
+    digest: str = ""
+    msgcount: int = 0
+
+    @property
+    def ros2(self) -> bool:
+        """Whether its messages are packed as ROS 2 does."""
+        return self.encoding == "cdr"
+
+
+class Chunk(NamedTuple):
+    """Where the content of a chunk is in the file, how it is packed, and which messages it holds.
+
+    counts: messages by the number of their connection; None where the file does not say it.
+    """
+
+    at: int
+    size: int
+    packing: str
+    unpacked: int
+    crc: int  # of what was unpacked; 0: not known
+    start_ns: int
+    counts: dict[int, int] | None
+
+
+@dataclass
+class Table:
+    """What a file holds, and what is known to be missing: in notes, and whether its end is."""
+
+    connections: dict[int, Connection] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    cut_short: bool = False
+
+
+class ChunkedFile:
+    """A file of chunks: its table, and its messages. Formats say how records are found in a file and in a chunk."""
+
+    def __init__(self, path: Path, where: str) -> None:
+        """Read the table; InputError where the file holds no message that can be read, though it is not whole.
+
+        where: what the user calls the file.
+        """
+        self.path, self.where = path, where
+        self.table = Table()
+        self.stated: int | None = None  # messages, as the file says
+        self._run: Chunk | None = None  # of messages outside of chunks
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            end, closed = self._walk(file, size)
+            self._end_run()
+            if not closed:
+                self._distrust_last_index()
+            broken = self._count(file)
+        self._say_what_is_missing(size - end, closed, broken)
+        self.connections = [
+            one._replace(msgcount=sum((chunk.counts or {}).get(number, 0) for chunk in self.table.chunks))
+            for number, one in sorted(self.table.connections.items())
+        ]
+
+    def messages(self, numbers: Collection[int], lost: Counter[str]) -> Iterator[Record]:
+        """All messages of some connections, in the order of their reception; what is broken is counted in `lost`.
+
+        Chunks overlap in time. A message waits until no later chunk can hold an earlier one, or until too many wait.
+        """
+        waiting: list[tuple[int, int, int, bytes]] = []
+        held = count = 0
+        wanted = (chunk for chunk in self.table.chunks if any((chunk.counts or {}).get(one) for one in numbers))
+        with self.path.open("rb") as file:
+            for chunk in sorted(wanted, key=lambda chunk: chunk.start_ns):
+                while waiting and (waiting[0][0] < chunk.start_ns or held > MOST_HELD_BYTES):
+                    time_ns, _, number, message = heapq.heappop(waiting)
+                    held -= len(message)
+                    yield number, time_ns, message
+                try:
+                    records = list(self._records(self._content(file, chunk)))
+                except TooLarge:
+                    raise
+                except ValueError as error:
+                    lost[str(error)] += 1
+                    continue
+                for record in records:
+                    if not isinstance(record, Connection) and record[0] in numbers:
+                        message = bytes(record[2])
+                        heapq.heappush(waiting, (record[1], count, record[0], message))
+                        count, held = count + 1, held + len(message)
+        while waiting:
+            time_ns, _, number, message = heapq.heappop(waiting)
+            yield number, time_ns, message
+
+    def _walk(self, file: BinaryIO, size: int) -> tuple[int, bool]:
+        """Fill the table from record to record; returns where the last whole one ends, and whether the file is closed.
+
+        InputError for what cannot be read at all.
+        """
+        raise NotImplementedError
+
+    def _records(self, content: bytes) -> Iterator[Connection | Record]:
+        """The connections and messages of a chunk that was unpacked; ValueError where it is damaged."""
+        raise NotImplementedError
+
+    def _crc(self, content: bytes) -> int:
+        """The checksum of a chunk, as the format has it."""
+        raise NotImplementedError
+
+    def _take_message(self, at: int, size: int, number: int, time_ns: int) -> None:
+        """A message outside of chunks: it joins those right before it, and they count as a chunk."""
+        run = self._run
+        if run is None or run.at + run.size != at or run.size + size > RUN_BYTES:
+            self._end_run()
+            run = Chunk(at, 0, "", 0, 0, time_ns, {})
+        counts = run.counts or {}
+        counts[number] = counts.get(number, 0) + 1
+        length = run.size + size
+        self._run = run._replace(size=length, unpacked=length, start_ns=min(run.start_ns, time_ns), counts=counts)
+
+    def _end_run(self) -> None:
+        if self._run is not None:
+            self.table.chunks.append(self._run)
+            self._run = None
+
+    def _take_chunk(self, chunk: Chunk) -> None:
+        self._end_run()
+        self.table.chunks.append(chunk)
+
+    def _take_index(self, number: int, count: int, start_ns: int | None = None) -> None:
+        """How many messages of a connection the last chunk holds, and when the first of them came."""
+        if not self.table.chunks:
+            return
+        chunk = self.table.chunks[-1]
+        if start_ns is not None:
+            start_ns = start_ns if chunk.counts is None else min(start_ns, chunk.start_ns)
+            chunk = chunk._replace(start_ns=start_ns)
+        self.table.chunks[-1] = chunk._replace(counts={**(chunk.counts or {}), number: count})
+
+    def _distrust_last_index(self) -> None:
+        """Of the last chunk before a damage some indexes may be missing: it is looked into."""
+        if self.table.chunks:
+            self.table.chunks[-1] = self.table.chunks[-1]._replace(counts=None)
+
+    def _skip(self, at: int, later: int) -> None:
+        """Go on with a chunk that the index of the file names, past a damage."""
+        self._end_run()
+        self._distrust_last_index()
+        self.table.notes.append(f"damaged: {later - at:,} bytes from byte {at:,} on are lost")
+        self.table.cut_short = True
+
+    def _content(self, file: BinaryIO, chunk: Chunk) -> bytes:
+        file.seek(chunk.at)
+        packed = file.read(chunk.size)
+        if len(packed) < chunk.size:
+            raise ValueError("the file has become shorter")
+        content = unpack(chunk.packing, packed, chunk.unpacked)
+        if chunk.crc and self._crc(content) != chunk.crc:
+            raise ValueError("its checksum is another one")
+        return content
+
+    def _count(self, file: BinaryIO) -> Counter[str]:
+        """Look into chunks of which the file does not say what they hold; what is broken is left out and counted."""
+        broken: Counter[str] = Counter()
+        whole: list[Chunk] = []
+        for chunk in self.table.chunks:
+            if chunk.counts is not None and chunk.counts.keys() <= self.table.connections.keys():
+                whole.append(chunk)
+                continue
+            counts: Counter[int] = Counter()
+            start_ns = None
+            try:
+                for record in self._records(self._content(file, chunk)):
+                    if isinstance(record, Connection):
+                        self.table.connections.setdefault(record.number, record)
+                    else:
+                        counts[record[0]] += 1
+                        start_ns = record[1] if start_ns is None else min(start_ns, record[1])
+            except TooLarge:
+                raise
+            except ValueError as error:
+                broken[str(error)] += 1
+                continue
+            whole.append(chunk._replace(counts=dict(counts), start_ns=start_ns or 0))
+        self.table.chunks = whole
+        return broken
+
+    def _say_what_is_missing(self, lost_bytes: int, closed: bool, broken: Counter[str]) -> None:
+        table = self.table
+        count = sum(sum((chunk.counts or {}).values()) for chunk in table.chunks)
+        if (not closed or broken) and not count:
+            found = next(iter(broken), f"{lost_bytes:,} bytes that are no whole chunk")
+            message = "no message can be read: the bag is cut short or damaged"
+            raise InputError(message, where=self.where, found=found)
+        if broken:
+            table.notes.append(f"damaged: {broken.total()} chunks of messages cannot be read ({next(iter(broken))})")
+        if not closed and lost_bytes:
+            table.notes.append(
+                f"cut short or damaged: kept the {count:,} messages of {len(table.chunks):,} whole chunks;"
+                f" the last {lost_bytes:,} bytes are lost"
+            )
+        elif not closed:
+            table.notes.append(f"the recorder never closed the bag: kept the {count:,} messages that it wrote")
+        elif self.stated is not None and self.stated != count and not broken and not table.cut_short:
+            table.notes.append(f"the file says that it has {self.stated:,} messages, and has {count:,}")
+        table.cut_short = table.cut_short or not closed or bool(broken)

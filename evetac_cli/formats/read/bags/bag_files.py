@@ -1,0 +1,257 @@
+"""The files of a bag: which there are, and each in a form that can be read, without a change to any of them.
+
+What lies beside a file may belong to it. A recorder of ROS 2 that was killed leaves messages in `NAME.db3-wal`, which
+SQLite joins to the file when it opens it for writing; so such a file is copied, and the copy joined. A bag in several
+files is read as one where its folder is named, and the notes name what lies beside a file that is named by itself.
+"""
+
+import re
+import shutil
+import sqlite3
+import weakref
+from collections.abc import Callable
+from contextlib import closing
+from functools import lru_cache
+from pathlib import Path, PurePath
+from tempfile import mkdtemp
+from typing import Any, NamedTuple
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.bags import db3_rows, mcap_records, rosbag1_records
+from evetac_cli.formats.read.bags.bag_chunks import ChunkedFile
+from evetac_cli.formats.read.bags.db3_rows import Db3File
+from evetac_cli.formats.read.bags.mcap_records import McapFile
+from evetac_cli.formats.read.bags.rosbag1_records import Rosbag1File
+from evetac_cli.formats.read.bags.rosbag_unpacking import unpack_file
+from evetac_cli.text_files import open_regular, read_bytes
+
+ZSTD = b"\x28\xb5\x2f\xfd"
+METADATA = "metadata.yaml"
+MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
+BAGS: dict[bytes, Callable[[Path, str], ChunkedFile | Db3File]] = {
+    db3_rows.MAGIC: Db3File,
+    mcap_records.MAGIC: McapFile,
+    rosbag1_records.MAGIC: Rosbag1File,
+}
+ENDINGS = (".db3", ".mcap")  # of the files of a folder, packed or not
+BESIDE = ("-wal", "-journal")  # what SQLite leaves beside a file that was not closed
+PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.bag(?:\.active)?|\.db3|\.mcap)(\.zstd)?")
+MOST_NAMED = 8
+
+
+class Files(NamedTuple):
+    """The files of a bag in their order, notes on them, and how many messages the folder says that they hold."""
+
+    paths: list[Path]
+    notes: list[str]
+    stated: int | None = None
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether this folder is a bag of ROS 2, with or without its metadata.yaml, which comes last."""
+    return (path / METADATA).is_file() or bool(_inside(path))
+
+
+def files_of(path: Path) -> Files:
+    """The files of a bag, named by its folder or by one of them; InputError where some are not there."""
+    if not path.is_dir():
+        open_regular(path).close()
+        others = _parts_beside(path)
+        more = f"beside it: {_named(others)}, which may be parts of the same recording" if others else ""
+        return Files([path], [more] if more else [])
+    for inside in sorted(path.iterdir()):
+        if not inside.is_dir():
+            open_regular(inside).close()
+    if (path / METADATA).exists():
+        listed, trouble = _listed(path)
+        if listed is not None:
+            return listed
+        note = f"{METADATA} cannot be used ({trouble})"
+    else:
+        note = f"there is no {METADATA} (a recorder that was killed writes none)"
+    files = _inside(path)
+    if not files:
+        raise InputError(
+            "the folder holds no file of a bag", where=str(path), expected=" or ".join(ENDINGS), found=note
+        )
+    names = [name for file in files if (name := PART.fullmatch(file.name))]
+    if len(files) > 1 and (len(names) < len(files) or len({name[1] for name in names}) > 1):
+        hint = f"name one of them, as in {path / files[0].name}"
+        raise InputError("which file of the folder is the bag?", where=str(path), found=_named(files), hint=hint)
+    if len(files) > 1:
+        numbered = {int(name[2]): file for name, file in zip(names, files, strict=True)}
+        lacking = [number for number in range(min(numbered), max(numbered)) if number not in numbered]
+        if lacking:
+            raise _missing(path, [f"number {number}" for number in lacking], files)
+        files = [file for _, file in sorted(numbered.items())]
+    return Files(files, [f"{note}; read {_named(files)}"])
+
+
+def opened(path: Path, where: str) -> tuple[ChunkedFile | Db3File, list[str], bool]:
+    """A file of a bag with its table, notes on how it came to be readable, and whether something of it is missing."""
+    stamps = tuple(_stamp(one) for one in (path, *_beside(path)))
+    readable = _readable(path, stamps)
+    return _table(readable.path, stamps, where), readable.notes, readable.cut_short
+
+
+class _Readable:
+    """A file that can be read as it is, or the copy of one, which is gone with this object."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self.cut_short = False
+
+    def copy(self) -> Path:
+        """Where the copy is to be."""
+        folder = mkdtemp(prefix="evetac-bag-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.path = Path(folder) / "copy"
+        return self.path
+
+
+@lru_cache(maxsize=2)
+def _readable(path: Path, stamps: tuple[Any, ...]) -> _Readable:
+    """The file, or what comes of unpacking it, of joining what waits beside it, or of leaving out half a page."""
+    readable = _Readable(path)
+    size = stamps[0][1]
+    with open_regular(path) as file:
+        head = file.read(db3_rows.HEAD_BYTES)
+        file.seek(0)
+        if head.startswith(ZSTD):
+            with readable.copy().open("wb") as target:
+                if not unpack_file(file, size, target):
+                    readable.notes.append("the packed file ends early")
+                    readable.cut_short = True
+            return readable
+        beside = _beside(path) if head.startswith(db3_rows.MAGIC) else []
+        rest = size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
+        if not rest and not beside:
+            return readable
+        with readable.copy().open("wb") as target:
+            shutil.copyfileobj(file, target, 1 << 20)
+            target.truncate(size - rest)
+    if rest:  # a page of which a part is missing would be read as one with zeros
+        readable.notes.append(f"the last {rest:,} bytes are no whole page")
+        readable.cut_short = True
+    for one in beside:
+        shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
+    if (path, *beside) != (path, *_beside(path)) or tuple(_stamp(one) for one in (path, *beside)) != stamps:
+        raise InputError("the bag is being written", where=str(path), hint="stop the recorder first")
+    for one in beside:
+        if trouble := _joined(readable.path):
+            readable.notes.append(f"what waits in {one.name} ({one.stat().st_size:,} bytes) is lost: {trouble}")
+            readable.cut_short = True
+        else:
+            readable.notes.append(f"read with what waited in {one.name} ({one.stat().st_size:,} bytes)")
+    return readable
+
+
+def _joined(copy: Path) -> str:
+    """Let SQLite join to a copy what waits beside it, or take back what was not finished; returns why it cannot."""
+    try:
+        with closing(sqlite3.connect(copy)) as database:
+            database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            (mode,) = database.execute("PRAGMA journal_mode = DELETE").fetchone()
+        return "" if mode == "delete" else f"journal mode {mode}"
+    except sqlite3.DatabaseError as error:
+        return str(error)
+
+
+@lru_cache(maxsize=16)
+def _table(path: Path, stamps: tuple[Any, ...], where: str) -> ChunkedFile | Db3File:
+    """The table of a file that the user calls `where`: made once, as long as the file stays the same."""
+    del stamps
+    with path.open("rb") as file:
+        head = file.read(max(map(len, BAGS)))
+    reader = next((reader for begins, reader in BAGS.items() if head.startswith(begins)), None)
+    if reader is None:
+        expected = "a file of SQLite, MCAP or ROS 1"
+        raise InputError("not a file of a bag", where=where, expected=expected, found=f"begins with {head[:13]!r}")
+    return reader(path, where)
+
+
+def _stamp(path: Path) -> tuple[str, int, int, int]:
+    state = path.stat()
+    return str(path), state.st_size, state.st_mtime_ns, state.st_ino
+
+
+def _beside(path: Path) -> list[Path]:
+    """What SQLite left beside a file, as far as something is in it."""
+    beside = [path.with_name(path.name + ending) for ending in BESIDE]
+    found = [one for one in beside if one.exists()]
+    for one in found:
+        open_regular(one).close()
+    return [one for one in found if one.stat().st_size]
+
+
+def _page_bytes(path: Path) -> int:
+    with path.open("rb") as file:
+        return db3_rows.page_bytes(file.read(db3_rows.HEAD_BYTES))
+
+
+def _inside(folder: Path) -> list[Path]:
+    """The files of a folder that can be those of a bag, by their names."""
+    names = sorted(one for one in folder.iterdir() if one.name.removesuffix(".zstd").endswith(ENDINGS))
+    # A recorder that was killed while it packed a file leaves both.
+    return [one for one in names if not one.is_dir() and not (one.suffix == ".zstd" and one.with_suffix("") in names)]
+
+
+def _parts_beside(path: Path) -> list[Path]:
+    """Files beside one that carry its name with another number, or that its folder's metadata list with it."""
+    part = PART.fullmatch(path.name)
+    others: set[Path] = set()
+    if part:
+        for one in path.parent.iterdir():
+            other = PART.fullmatch(one.name)
+            if other and other[1] == part[1] and other[3][:4] == part[3][:4] and one.name != path.name:
+                others.add(one)
+    return sorted(others)
+
+
+def _listed(folder: Path) -> tuple[Files | None, str]:
+    """The files that the folder's metadata list; None, and why, where these cannot be used."""
+    from ruamel.yaml import YAML
+
+    text = read_bytes(folder / METADATA, MOST_METADATA_BYTES)
+    try:
+        about = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+        names = [PurePath(name).name for name in about["relative_file_paths"]]
+        packed = about.get("compression_format") or ""
+        stated = about.get("message_count")
+    except RecursionError:
+        return None, "nested too deeply"
+    except Exception as error:  # the parser of YAML and what it makes of a text raise anything
+        return None, (str(error).strip().splitlines() or [type(error).__name__])[0][:100]
+    if not names:
+        return None, "it lists no file"
+    if packed not in ("", "none", "zstd"):
+        raise InputError(
+            "the bag is packed in a way that is not read here",
+            where=str(folder),
+            expected="zstd",
+            found=str(packed)[:40],
+        )
+    inside = _inside(folder)
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing:
+        raise _missing(folder, missing, inside)
+    more = [one for one in inside if one.name not in names]
+    note = f"not read: {_named(more)}, which {METADATA} does not list; name it to read it" if more else ""
+    paths = [folder / name for name in dict.fromkeys(names)]
+    return Files(paths, [note] if note else [], stated if type(stated) is int else None), ""
+
+
+def _missing(folder: Path, missing: list[str], inside: list[Path]) -> InputError:
+    return InputError(
+        "a part of the bag is missing",
+        where=str(folder),
+        expected=", ".join(missing[:MOST_NAMED]),
+        found=_named(inside) or "no file of a bag",
+        hint=f"copy it into the folder; each part can be named by itself, as in {inside[0]}" if inside else "",
+    )
+
+
+def _named(files: list[Path]) -> str:
+    names = [file.name for file in files]
+    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

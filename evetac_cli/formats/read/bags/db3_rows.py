@@ -1,0 +1,179 @@
+"""Files of ROS 2 in SQLite (`.db3`), whole or cut: their rows, by the library of Python.
+
+Why not by rosbags: it opens them so that SQLite overlooks what waits beside a file, and reads them in the order of an
+index, which a recorder that was killed may have left without the last rows. Here the table itself is read, never an
+index; of a file that is cut or damaged, from both ends as far as its pages are there. A value of the file is taken only
+for what it must be, no function of the file's own is run, and the file is never written to.
+"""
+
+import sqlite3
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.bags.bag_chunks import Connection, Record, Table
+
+MAGIC = b"SQLite format 3\x00"
+MOST_VALUE_BYTES = 512 << 20  # of a message
+HEAD_BYTES, PAGE_BYTES_AT, PAGES_AT = 100, 16, 28  # of the head of the file, and in it
+ROWS_AT_ONCE = 1 << 16
+READS = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
+FUNCTIONS = {"count"}
+DEFINED_AS = "ros2msg"
+
+
+class Db3File:
+    """A file of SQLite: its connections, and its messages."""
+
+    def __init__(self, path: Path, where: str) -> None:
+        """Read which messages there are; InputError where that cannot be read. where: what the user calls the file."""
+        self.path, self.where = path, where
+        self.table = Table()
+        try:
+            self._read(salvage=False)
+        except sqlite3.DatabaseError as error:
+            self._read(salvage=True, trouble=str(error))
+        numbers = self._rows["topic"]
+        for number, one in self.table.connections.items():
+            count = int(np.count_nonzero(numbers == number))
+            self.table.connections[number] = one._replace(msgcount=count)
+        self.connections = [one for _, one in sorted(self.table.connections.items())]
+
+    def messages(self, numbers: Collection[int], lost: Counter[str]) -> Iterator[Record]:
+        """All messages of some connections, in the order of their reception; what is broken is counted in `lost`."""
+        rows = self._rows[np.isin(self._rows["topic"], list(numbers))]
+        rows = rows[np.argsort(rows["time_ns"], kind="stable")]
+        with closing(self._connected(salvage=self.table.cut_short)) as database:
+            for row, number, time_ns in rows.tolist():
+                try:
+                    content = database.execute("SELECT data FROM messages WHERE rowid = ?", (row,)).fetchone()
+                except sqlite3.DatabaseError as error:
+                    lost[str(error)] += 1
+                    continue
+                if content is None or not isinstance(content[0], bytes):
+                    lost["a row without a message"] += 1
+                    continue
+                yield number, time_ns, content[0]
+
+    def _connected(self, *, salvage: bool) -> sqlite3.Connection:
+        """The file, open for reading alone; with `salvage` also where it is shorter than it says."""
+        uri = f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1"
+        database = sqlite3.connect(uri, uri=True)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_VALUE_BYTES)
+        database.execute("PRAGMA trusted_schema = OFF")
+        if salvage:
+            database.execute("PRAGMA writable_schema = ON")  # in memory alone: it lets SQLite open a file that was cut
+        database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        database.set_authorizer(_allowed)
+        return database
+
+    def _read(self, *, salvage: bool, trouble: str = "") -> None:
+        """Fill the table of what there is."""
+        try:
+            with closing(self._connected(salvage=salvage)) as database:
+                self._check_tables(database)
+                self.table.connections = {one.number: one for one in self._topics(database)}
+                self._rows, whole = _rows(database, salvage=salvage)
+        except sqlite3.DatabaseError as error:
+            if not salvage:
+                raise
+            raise self._unreadable(str(error)) from None
+        if not salvage:
+            return
+        if not len(self._rows):
+            raise self._unreadable(trouble)
+        missing = _missing_bytes(self.path)
+        lost = f"; {missing:,} bytes at its end are missing" if missing > 0 else ""
+        kept = f"kept {len(self._rows):,} messages" + ("" if whole else ", those that its pages lead to")
+        self.table.notes.append(f"cut short or damaged ({trouble}): {kept}{lost}")
+        self.table.cut_short = True
+
+    def _unreadable(self, trouble: str) -> InputError:
+        missing = _missing_bytes(self.path)
+        found = trouble + (f"; {missing:,} bytes at its end are missing" if missing > 0 else "")
+        hint = "copy it again, if it is longer where it was recorded" if missing > 0 else ""
+        return InputError("no message of the database can be read", where=self.where, found=found, hint=hint)
+
+    def _check_tables(self, database: sqlite3.Connection) -> None:
+        """InputError unless topics and messages are plain tables: a view or a virtual one could be anything."""
+        rows = database.execute("SELECT name, type, rootpage FROM sqlite_master").fetchall()
+        kinds = {str(name): (kind, page) for name, kind, page in rows if kind in ("table", "view")}
+        found = {name: kinds.get(name, ("", 0)) for name in ("topics", "messages")}
+        if any(kind != "table" or not page for kind, page in found.values()):
+            names = ", ".join(sorted(kinds))[:200] or "no table"
+            raise InputError("not a bag of ROS 2", where=self.where, expected="tables topics, messages", found=names)
+        self._has_definitions = kinds.get("message_definitions", ("", 0))[0] == "table"
+
+    def _topics(self, database: sqlite3.Connection) -> Iterator[Connection]:
+        definitions: dict[str, str] = {}
+        if self._has_definitions:
+            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            definitions = {str(kind): str(text) for kind, how, text in database.execute(query) if how == DEFINED_AS}
+        for number, name, kind, encoding in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+            if not isinstance(number, int):
+                raise InputError("a topic without a number", where=self.where, found=str(number)[:40])
+            yield Connection(number, str(name), str(kind), str(encoding), definitions.get(str(kind), ""))
+
+
+ROW = np.dtype([("row", "<i8"), ("topic", "<i8"), ("time_ns", "<i8")])
+
+
+def _rows(database: sqlite3.Connection, *, salvage: bool) -> tuple[NDArray[Any], bool]:
+    """Place, topic and time of every message, in the order of the file, and whether these are all.
+
+    With `salvage` from the first on as far as it goes, and then from the last one back.
+    """
+    rows, error = _scanned(database, "ASC")
+    if error is None:
+        return rows, True
+    if not salvage:
+        raise error
+    last, _ = _scanned(database, "DESC")
+    if len(rows):
+        last = last[last["row"] > rows["row"][-1]]
+    return np.concatenate([rows, last[::-1]]), False
+
+
+def _scanned(database: sqlite3.Connection, order: str) -> tuple[NDArray[Any], sqlite3.DatabaseError | None]:
+    """Rows in the order of their place until one cannot be read; then that error too."""
+    parts: list[NDArray[Any]] = [np.empty(0, ROW)]
+    some: list[tuple[int, int, int]] = []
+    trouble = None
+    try:
+        query = f"SELECT rowid, topic_id, timestamp FROM messages NOT INDEXED ORDER BY rowid {order}"
+        for row in database.execute(query):
+            if all(type(number) is int for number in row):
+                some.append(row)
+            if len(some) == ROWS_AT_ONCE:
+                parts.append(np.array(some, ROW))
+                some = []
+    except sqlite3.DatabaseError as error:
+        trouble = error
+    return np.concatenate([*parts, np.array(some, ROW)]), trouble
+
+
+def page_bytes(head: bytes) -> int:
+    """How large the pages of a file are, by its head; 1 where that makes no sense."""
+    size = int.from_bytes(head[PAGE_BYTES_AT : PAGE_BYTES_AT + 2])
+    return 1 << 16 if size == 1 else max(1, size)
+
+
+def _missing_bytes(path: Path) -> int:
+    """By how much a file is shorter than its head says."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+        size = file.seek(0, 2)
+    return int.from_bytes(head[PAGES_AT : PAGES_AT + 4]) * page_bytes(head) - size
+
+
+def _allowed(action: int, name: str | None, function: str | None, *_: str | None) -> int:
+    """Reading tables is all that a query may do."""
+    fine = action in READS or (action == sqlite3.SQLITE_FUNCTION and function in FUNCTIONS)
+    return sqlite3.SQLITE_OK if fine else sqlite3.SQLITE_DENY

@@ -1,0 +1,195 @@
+"""The two clocks of a bag brought together: the sensor's, of its events, and the host's, of the headers of messages.
+
+A driver may leave the times of events on the sensor's own clock, which began when it was plugged in, while IMU samples,
+images and poses of the same bag have the host's. Packets of events hold both: the host's time in their header, the
+sensor's in their first event. How far the host is ahead is the median of the difference, over pieces of the recording,
+as the two clocks drift apart. The spread of the differences says how well that is known. A header's time is when the
+driver had received the packet, so all are late by what that took: some ms, the same sign for all, and not corrected.
+
+Not every bag has two clocks: where the headers agree with the events, nothing is moved.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.bags.bag_chunks import Connection
+from evetac_cli.formats.read.bags.open_bag import open_bag
+from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, layout, topics_of_events
+from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder
+from evetac_cli.store.streams import Stream
+
+SAME_CLOCK_US = 1_000_000  # a header is this near to its events where both are on one clock
+ALIKE_US = 10_000  # two cameras whose clocks differ by no more are synchronized
+MOST_PACKETS = 2000  # of which the times are compared
+PIECE_US, PIECE_PACKETS = 10_000_000, 20  # of a piece of the recording, at least
+# Bits of EVT words: of the word, of its type; types of the high bits of time, and of what then holds the low ones.
+EVT = {"evt2": ("<u4", 28, 0x8, (0x0, 0x1)), "evt3": ("<u2", 12, 0x8, (0x6,))}
+TURN_US = {"evt2": 1 << 34, "evt3": 1 << 24}  # after which the time of the words begins anew
+
+
+class Pair(NamedTuple):
+    """When a packet was received, on the host's clock, and when its first event was, on the sensor's."""
+
+    host_us: int
+    sensor_us: int
+
+
+@dataclass(frozen=True)
+class HostClock:
+    """How far the host's clock is ahead of the sensor's, at some times of the host."""
+
+    topic: str
+    host_us: NDArray[np.float64]
+    ahead_us: NDArray[np.float64]
+    sensor_span_us: tuple[int, int]
+    host_span_us: tuple[int, int]
+    packets: int
+    spread_us: float  # within which nine of ten packets lie, around the median
+
+    def to_sensor(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of the host on the sensor's clock."""
+        ahead = np.interp(t_us.astype(np.float64), self.host_us, self.ahead_us - self.ahead_us[0])
+        moved: NDArray[np.int64] = t_us - round(self.ahead_us[0]) - np.rint(ahead).astype(np.int64)
+        return moved
+
+    @property
+    def ahead_s(self) -> float:
+        """The median over the recording."""
+        return float(np.median(self.ahead_us)) / 1e6
+
+    def text(self) -> str:
+        """What was found, in words."""
+        drift_ms = (self.ahead_us.max() - self.ahead_us.min()) / 1000
+        return (
+            f"the host's clock is {self.ahead_s:.6f} s ahead of the sensor's of {self.topic}, by the times of"
+            f" {self.packets:,} packets (nine of ten within {self.spread_us / 1000:.2g} ms, drift {drift_ms:.2g} ms)"
+        )
+
+
+def host_clock(path: Path, topic: str) -> HostClock | None:
+    """The clocks of the events on a topic and of their headers; None where these are one, or cannot be compared."""
+    pairs = list(_pairs(path, topic))
+    if not pairs:
+        return None
+    host_us, sensor_us = (np.array(times, np.int64) for times in zip(*pairs, strict=True))
+    ahead_us = host_us - sensor_us
+    if abs(float(np.median(ahead_us))) <= SAME_CLOCK_US:
+        return None
+    order = np.argsort(host_us, kind="stable")
+    span_us = int(host_us[order[-1]] - host_us[order[0]])
+    pieces = np.array_split(order, max(1, min(span_us // PIECE_US, len(order) // PIECE_PACKETS)))
+    knots_us = np.array([np.median(host_us[piece]) for piece in pieces])
+    medians_us = np.array([np.median(ahead_us[piece]) for piece in pieces])
+    off_us = ahead_us - np.interp(host_us.astype(np.float64), knots_us, medians_us)
+    return HostClock(
+        topic,
+        knots_us,
+        medians_us,
+        (int(sensor_us.min()), int(sensor_us.max())),
+        (int(host_us.min()), int(host_us.max())),
+        len(pairs),
+        float(np.quantile(np.abs(off_us), 0.9)),
+    )
+
+
+def clock_of_bag(path: Path, span_us: tuple[int, int]) -> HostClock | None:
+    """The two clocks of a bag whose events were at the time of a recording; None where there is one, or several do.
+
+    span_us: from when to when the recording is, on the clock of its events.
+    """
+    try:
+        topics = topics_of_events(open_bag(path), str(path))
+    except InputError:  # of a definition that is none of ours
+        return None
+    clocks = [clock for topic in topics if (clock := host_clock(path, topic)) is not None]
+    fitting = [clock for clock in clocks if _overlap(clock.sensor_span_us, span_us)]
+    ahead_us = [clock.ahead_s * 1e6 for clock in fitting]
+    return fitting[0] if fitting and max(ahead_us) - min(ahead_us) <= ALIKE_US else None
+
+
+def on_sensor_clock(stream: Stream, clock: HostClock, span_us: tuple[int, int]) -> tuple[Stream, str]:
+    """A stream with the host's times brought to the sensor's clock, and a note on it; the stream as it is otherwise.
+
+    span_us: from when to when the recording is, on the clock of its events. It tells which clock a stream is on.
+    """
+    if not len(stream.t_us) or not _overlap(clock.sensor_span_us, span_us):
+        return stream, ""
+    moved_us = clock.to_sensor(stream.t_us)
+    if not _overlap((int(moved_us[0]), int(moved_us[-1])), span_us):
+        return stream, ""
+    if _overlap((int(stream.t_us[0]), int(stream.t_us[-1])), span_us):
+        return (
+            stream,
+            f"{clock.text()}; which of the two {stream.name or 'the stream'} is on cannot be told: left as it is",
+        )
+    brought = f"{stream.clock}, brought to the sensor's clock"
+    moved = replace(stream, t_us=moved_us, clock=brought, offset_s=-clock.ahead_s)
+    return moved, f"{clock.text()}: brought {stream.name} to the sensor's clock"
+
+
+def _overlap(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    return one[0] <= other[1] and other[0] <= one[1]
+
+
+def _pairs(path: Path, topic: str) -> Iterator[Pair]:
+    """The times of some packets, evenly over the bag; none where the first one shows that there is but one clock."""
+    bag = open_bag(path)
+    chosen = [one for one in bag.connections if one.topic == topic and layout(one) not in ("", IMAGE)]
+    every = max(1, sum(one.msgcount for one in chosen) // MOST_PACKETS)
+    first: Pair | None = None
+    for number, (connection, received_ns, message) in enumerate(bag.messages(chosen)):
+        if number % every and first is not None:
+            continue
+        found = _pair(connection, received_ns, message)
+        if found is None:
+            continue
+        pair, turn_us = found
+        if first is None:
+            if abs(pair.host_us - pair.sensor_us) <= SAME_CLOCK_US:
+                return
+            first = pair
+        if turn_us:
+            ahead_us = (pair.host_us - first.host_us) - (pair.sensor_us - first.sensor_us)
+            pair = pair._replace(sensor_us=pair.sensor_us + turn_us * round(ahead_us / turn_us))
+        yield pair
+
+
+def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pair, int] | None:
+    """The times of a packet, and after which time the sensor's begins anew, 0 for never; None for an odd packet."""
+    try:
+        stamp_us = Fields(message, ros2=connection.ros2).header() or received_ns // 1000
+        content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
+        if not isinstance(content, Packet):
+            times = content[1].t
+        elif content.encoding in EVT:
+            t_us = _first_time_us(content)
+            return None if t_us is None else (Pair(stamp_us, t_us), TURN_US[content.encoding])
+        else:
+            decode = decoder(content.encoding)
+            times = decode(content).t if decode is not None else np.empty(0, np.int64)
+    except ValueError:
+        return None
+    return (Pair(stamp_us, int(times[0])), 0) if len(times) else None
+
+
+def _first_time_us(packet: Packet) -> int | None:
+    """The first time that words of EVT2 or EVT3 say in full."""
+    dtype, shift, high, low = EVT[packet.encoding]
+    size = np.dtype(dtype).itemsize
+    words = np.frombuffer(packet.content[: len(packet.content) // size * size], dtype).astype(np.int64)
+    kinds = words >> shift
+    highs = np.flatnonzero(kinds == high)
+    lows = np.flatnonzero(np.isin(kinds, low))
+    lows = lows[lows > highs[0]] if len(highs) else lows[:0]
+    if not len(lows):
+        return None
+    upper, lower = int(words[highs[highs < lows[0]][-1]]), int(words[lows[0]])
+    if packet.encoding == "evt2":
+        return (upper & 0xFFFFFFF) << 6 | lower >> 22 & 0x3F
+    return (upper & 0xFFF) << 12 | lower & 0xFFF

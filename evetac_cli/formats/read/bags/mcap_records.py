@@ -1,0 +1,153 @@
+"""MCAP files, of ROS 2 (CDR) or ROS 1, closed or not, with and without an index: records, by the library mcap.
+
+A file is a magic number and then records, each of a type (1 byte), a length (8 bytes) and so many bytes. Messages lie
+in chunks, or by themselves. After a chunk come indexes, one for each of its channels; after the last one a summary, a
+footer that says where that begins, and the magic number again: https://mcap.dev/spec
+"""
+
+import struct
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+from zlib import crc32
+
+from evetac_cli.formats.read.bags.bag_chunks import MOST_RECORD_BYTES, Chunk, ChunkedFile, Connection, Record
+from evetac_cli.formats.read.bags.message_definitions import full_name
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS = 2, 3, 4, 5, 6, 7, 8, 11
+HEAD = struct.Struct("<BQ")  # type and length
+CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, bytes unpacked, checksum, bytes of the name of the packing
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, time of the log, of the publisher
+INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of what follows: 16 a message
+SUMMARY_AT = struct.Struct("<Q")  # the first field of the footer
+COUNT = struct.Struct("<Q")  # the first field of the statistics
+FOOTER_BYTES = HEAD.size + 20 + len(MAGIC)
+CHUNK_AT_BYTE = 16  # of a chunk's entry in the summary
+MOST_PACKING_BYTES = 32  # of the name of a packing
+DEFINED_AS = ("ros1msg", "ros2msg")  # codings of definitions that message_definitions reads
+
+
+class McapFile(ChunkedFile):
+    """A file of MCAP."""
+
+    def __init__(self, path: Path, where: str) -> None:
+        self._schemas: dict[int, tuple[str, str]] = {}  # name and definition
+        super().__init__(path, where)
+
+    def _walk(self, file: BinaryIO, size: int) -> tuple[int, bool]:
+        at = len(MAGIC)
+        while at + HEAD.size <= size:
+            file.seek(at)
+            kind, length = HEAD.unpack(file.read(HEAD.size))
+            end = at + HEAD.size + length
+            if kind and end <= size and self._take(file, kind, at, length):
+                at = end
+                if kind == FOOTER:
+                    file.seek(at)
+                    return (size, True) if file.read(len(MAGIC)) == MAGIC else (at, False)
+                continue
+            later = next((place for place in _listed(file, size) if place > at), None)
+            if later is None:
+                break
+            self._skip(at, later)
+            at = later
+        return at, False
+
+    def _take(self, file: BinaryIO, kind: int, at: int, length: int) -> bool:
+        """Take a record into the table; False where it is not what it says it is."""
+        if kind == CHUNK:
+            return self._take_head(file, at + HEAD.size, length)
+        if kind == MESSAGE:
+            content = file.read(MESSAGE_HEAD.size)
+            if len(content) < MESSAGE_HEAD.size or length < MESSAGE_HEAD.size:
+                return False
+            number, _, time_ns, _ = MESSAGE_HEAD.unpack(content)
+            self._take_message(at, HEAD.size + length, number, time_ns)
+            return True
+        if kind not in (SCHEMA, CHANNEL, MESSAGE_INDEX, STATISTICS):
+            return True
+        if length > MOST_RECORD_BYTES:
+            return False
+        content = file.read(length)
+        try:
+            if kind == MESSAGE_INDEX:
+                number, index_bytes = INDEX_HEAD.unpack_from(content)
+                self._take_index(number, index_bytes // 16)
+            elif kind == STATISTICS:
+                (self.stated,) = COUNT.unpack_from(content)
+            elif (connection := self._defined(kind, content)) is not None:
+                self.table.connections.setdefault(connection.number, connection)
+        except (struct.error, ValueError):
+            return False
+        return True
+
+    def _take_head(self, file: BinaryIO, at: int, length: int) -> bool:
+        head = file.read(CHUNK_HEAD.size + MOST_PACKING_BYTES + 8)
+        if len(head) < CHUNK_HEAD.size:
+            return False
+        start_ns, _, unpacked, crc, name_bytes = CHUNK_HEAD.unpack_from(head)
+        begin = CHUNK_HEAD.size + name_bytes + 8
+        if name_bytes > MOST_PACKING_BYTES or begin > length or begin > len(head):
+            return False
+        packing = head[CHUNK_HEAD.size : begin - 8].decode(errors="replace")
+        (packed,) = struct.unpack_from("<Q", head, begin - 8)
+        if begin + packed > length:
+            return False
+        self._take_chunk(Chunk(at + begin, packed, packing, unpacked, crc, start_ns, None))
+        return True
+
+    def _records(self, content: bytes) -> Iterator[Connection | Record]:
+        view = memoryview(content)
+        end = 0
+        while end < len(content):
+            if end + HEAD.size > len(content):
+                raise ValueError("a record ends early")
+            kind, length = HEAD.unpack_from(content, end)
+            at, end = end + HEAD.size, end + HEAD.size + length
+            if end > len(content):
+                raise ValueError("a record ends early")
+            if kind == MESSAGE:
+                if length < MESSAGE_HEAD.size:
+                    raise ValueError("a message without its head")
+                number, _, time_ns, _ = MESSAGE_HEAD.unpack_from(content, at)
+                yield number, time_ns, view[at + MESSAGE_HEAD.size : end]
+            elif kind in (SCHEMA, CHANNEL) and (connection := self._defined(kind, content[at:end])) is not None:
+                yield connection
+
+    def _defined(self, kind: int, content: bytes) -> Connection | None:
+        """What a record of a schema or channel defines; ValueError where it is damaged."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Schema
+
+        try:
+            if kind == SCHEMA:
+                schema = Schema.read(ReadDataStream(BytesIO(content)))
+                text = schema.data.decode(errors="replace") if schema.encoding in DEFINED_AS else ""
+                self._schemas.setdefault(schema.id, (full_name(schema.name), text))
+                return None
+            channel = Channel.read(ReadDataStream(BytesIO(content)))
+        except (McapError, struct.error) as error:
+            raise ValueError(f"a definition is damaged: {error}") from None
+        name, text = self._schemas.get(channel.schema_id, ("", ""))
+        return Connection(channel.id, channel.topic, name, channel.message_encoding, text)
+
+    def _crc(self, content: bytes) -> int:
+        return crc32(content)
+
+
+def _listed(file: BinaryIO, size: int) -> Iterator[int]:
+    """Where the chunks begin, by the summary at the end of the file, as far as there is one."""
+    file.seek(max(0, size - FOOTER_BYTES))
+    footer = file.read(FOOTER_BYTES)
+    if len(footer) < FOOTER_BYTES or footer[0] != FOOTER or not footer.endswith(MAGIC):
+        return
+    (at,) = SUMMARY_AT.unpack_from(footer, HEAD.size)
+    while len(MAGIC) < at < size - FOOTER_BYTES:
+        file.seek(at)
+        kind, length = HEAD.unpack(file.read(HEAD.size))
+        if kind == CHUNK_INDEX and length >= CHUNK_AT_BYTE + 8:
+            yield struct.unpack("<Q", file.read(CHUNK_AT_BYTE + 8)[CHUNK_AT_BYTE:])[0]
+        at += HEAD.size + length

@@ -1,0 +1,101 @@
+"""Bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`), each as one: connections and messages of all its files.
+
+The content of the files decides, not their names and not what the folder's metadata say of them. Readers of the
+formats: rosbag1_records, mcap_records, db3_rows; rosbags, of the extra `convert`, has the types that ROS itself defines
+and what unpacks chunks.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+
+from evetac_cli.errors import InputError, install_hint
+from evetac_cli.formats.read.bags import bag_files
+from evetac_cli.formats.read.bags.bag_chunks import Connection
+from evetac_cli.formats.read.bags.rosbag_unpacking import unpack_message, zstd_module
+
+LIBRARIES = ("rosbags.typesys", "mcap.records", "lz4.frame", "ruamel.yaml")
+Message = tuple[Connection, int, bytes]  # and the time of its reception in ns
+
+
+class Bag:
+    """All files of a bag: its connections, its messages, and notes on what lies beside it or is missing.
+
+    notes: after `messages` also what could not be read. cut_short: whether messages are known to be missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the tables of all files; InputError where they are not there or hold no message that can be read."""
+        self.path = path
+        files = bag_files.files_of(path)
+        self._files = files.paths
+        self.notes, self.cut_short = list(files.notes), False
+        counts: Counter[Connection] = Counter()
+        for file in self._files:
+            table, joined, cut = bag_files.opened(file, self._where(file))
+            of = f"{file.name}: " if path.is_dir() and len(self._files) > 1 else ""
+            self.notes += [of + note for note in (*joined, *table.table.notes)]
+            self.cut_short |= cut or table.table.cut_short
+            for one in table.connections:
+                counts[_alike(one)] += one.msgcount
+        self.connections = [
+            one._replace(number=number, msgcount=count) for number, (one, count) in enumerate(counts.items())
+        ]
+        held = counts.total()
+        if files.stated is not None and files.stated != held:
+            self.notes.append(f"{bag_files.METADATA} says that the bag has {files.stated:,} messages; it has {held:,}")
+            self.cut_short |= files.stated > held
+
+    def _where(self, file: Path) -> str:
+        return str(file) if file == self.path else f"{self.path}: {file.name}"
+
+    def messages(self, connections: Collection[Connection]) -> Iterator[Message]:
+        """All messages of some connections, file after file, in the order of their reception; InputError in words."""
+        wanted = {_alike(one): one for one in connections}
+        lost: Counter[str] = Counter()
+        for file in self._files:
+            with bag_in_words(str(self.path), "a message"):
+                table, _, _ = bag_files.opened(file, self._where(file))
+                numbers = {one.number: wanted[_alike(one)] for one in table.connections if _alike(one) in wanted}
+                for number, time_ns, message in table.messages(numbers, lost):
+                    connection = numbers[number]
+                    packed = connection.ros2 and message[: len(bag_files.ZSTD)] == bag_files.ZSTD
+                    yield connection, time_ns, unpack_message(bytes(message)) if packed else bytes(message)
+        if lost:
+            self.cut_short = True
+            reason, count = next(iter(lost)), lost.total()
+            note = f"damaged: {count:,} chunks or messages cannot be read ({reason})"
+            self.notes += [note] if note not in self.notes else []
+
+
+def _alike(connection: Connection) -> Connection:
+    """What is the same of a connection in all files of a bag."""
+    return connection._replace(number=0, msgcount=0)
+
+
+def open_bag(path: Path) -> Bag:
+    """The bag, with the tables of its files; InputError in words."""
+    where = str(path)
+    try:
+        for name in LIBRARIES:
+            import_module(name)
+        zstd_module()
+    except ImportError as error:
+        hint = install_hint("convert")
+        raise InputError("ROS bags need rosbags and mcap", where=where, found=str(error), hint=hint) from None
+    with bag_in_words(where, "the bag"):
+        return Bag(path)
+
+
+@contextmanager
+def bag_in_words(where: str, what: str) -> Iterator[None]:
+    """Damaged bags make libraries, and the parsers below them, raise anything."""
+    try:
+        yield
+    except (MemoryError, OSError, InputError):
+        raise
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        raise InputError(f"{what} cannot be read", where=where, found=reason) from None
