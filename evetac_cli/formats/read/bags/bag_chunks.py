@@ -232,7 +232,7 @@ class ChunkedFile:
                 f" the last {lost_bytes:,} bytes are lost"
             )
         elif not closed:
-            table.notes.append(f"the recorder never closed the bag: kept the {count:,} messages that it wrote")
+            table.notes.append(f"the bag has no end, as if its recorder was killed: kept its {count:,} messages")
         elif self.stated is not None and self.stated != count and not broken and not table.cut_short:
             table.notes.append(f"the file says that it has {self.stated:,} messages, and has {count:,}")
         table.cut_short = table.cut_short or not closed or bool(broken)

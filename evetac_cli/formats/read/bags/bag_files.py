@@ -34,7 +34,8 @@ BAGS: dict[bytes, Callable[[Path, str], ChunkedFile | Db3File]] = {
     rosbag1_records.MAGIC: Rosbag1File,
 }
 ENDINGS = (".db3", ".mcap")  # of the files of a folder, packed or not
-BESIDE = ("-wal", "-journal")  # what SQLite leaves beside a file that was not closed
+WAL = "-wal"
+BESIDE = (WAL, "-journal")  # what SQLite leaves beside a file that was not closed
 PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.bag(?:\.active)?|\.db3|\.mcap)(\.zstd)?")
 MOST_NAMED = 8
 
@@ -119,32 +120,40 @@ def _readable(path: Path, stamps: tuple[Any, ...]) -> _Readable:
         head = file.read(db3_rows.HEAD_BYTES)
         file.seek(0)
         if head.startswith(ZSTD):
-            with readable.copy().open("wb") as target:
+            with readable.copy().open("w+b") as target:
                 if not unpack_file(file, size, target):
                     readable.notes.append("the packed file ends early")
                     readable.cut_short = True
+                size = target.tell()
+                target.seek(0)
+                target.truncate(size - _half_page(target.read(db3_rows.HEAD_BYTES), size))
             return readable
         beside = _beside(path) if head.startswith(db3_rows.MAGIC) else []
-        rest = size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
+        rest = _half_page(head, size)
         if not rest and not beside:
             return readable
         with readable.copy().open("wb") as target:
             shutil.copyfileobj(file, target, 1 << 20)
             target.truncate(size - rest)
-    if rest:  # a page of which a part is missing would be read as one with zeros
+    if rest:
         readable.notes.append(f"the last {rest:,} bytes are no whole page")
         readable.cut_short = True
     for one in beside:
         shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
     if (path, *beside) != (path, *_beside(path)) or tuple(_stamp(one) for one in (path, *beside)) != stamps:
         raise InputError("the bag is being written", where=str(path), hint="stop the recorder first")
-    for one in beside:
-        if trouble := _joined(readable.path):
-            readable.notes.append(f"what waits in {one.name} ({one.stat().st_size:,} bytes) is lost: {trouble}")
-            readable.cut_short = True
-        else:
-            readable.notes.append(f"read with what waited in {one.name} ({one.stat().st_size:,} bytes)")
+    names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
+    if beside and (trouble := _joined(readable.path)):
+        readable.notes.append(f"what waits in {names} is lost: {trouble}")
+        readable.cut_short = True
+    elif beside:
+        readable.notes.append(f"read with {names} beside it, as SQLite does")
     return readable
+
+
+def _half_page(head: bytes, size: int) -> int:
+    """Bytes at the end of a database that are no whole page: SQLite would take what is missing of it for zeros."""
+    return size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
 
 
 def _joined(copy: Path) -> str:
@@ -152,10 +161,14 @@ def _joined(copy: Path) -> str:
     try:
         with closing(sqlite3.connect(copy)) as database:
             database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            waits = Path(f"{copy}{WAL}").exists()
+            _, frames, done = database.execute("PRAGMA wal_checkpoint").fetchone()
             (mode,) = database.execute("PRAGMA journal_mode = DELETE").fetchone()
-        return "" if mode == "delete" else f"journal mode {mode}"
     except sqlite3.DatabaseError as error:
         return str(error)
+    if waits and (frames < 1 or done < frames):
+        return "SQLite finds nothing in it that is whole"
+    return "" if mode == "delete" else f"it stays in the mode {mode}"
 
 
 @lru_cache(maxsize=16)

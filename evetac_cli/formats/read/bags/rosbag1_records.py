@@ -32,7 +32,7 @@ class Rosbag1File(ChunkedFile):
 
     def _walk(self, file: BinaryIO, size: int) -> tuple[int, bool]:
         at = len(MAGIC)
-        self._index_at = 0
+        self._index_at = self._places = self._stated_places = 0
         while at < size:
             record = _record(file, at, size)
             if record is not None and self._take(file, at, *record):
@@ -43,7 +43,7 @@ class Rosbag1File(ChunkedFile):
                 return at, False
             self._skip(at, later)
             at = later
-        return at, self._index_at > 0
+        return at, self._index_at > 0 and self._places == self._stated_places
 
     def _take(self, file: BinaryIO, at: int, header: Header, begin: int, end: int) -> bool:
         """Take a record into the table; False where it is not what it says it is."""
@@ -53,12 +53,15 @@ class Rosbag1File(ChunkedFile):
                 if header.get(b"encryptor"):
                     raise InputError("the bag is encrypted", where=self.where, found=_text(header, b"encryptor"))
                 self._index_at = PLACE.unpack(header[b"index_pos"])[0]
+                self._stated_places = _number(header, b"chunk_count")
             elif kind == CHUNK:
                 packing, unpacked = _text(header, b"compression"), _number(header, b"size")
                 if end > begin:
                     self._take_chunk(Chunk(begin, end - begin, packing, unpacked, 0, 0, None))
             elif kind == MESSAGE:
                 self._take_message(at, end - at, _number(header, b"conn"), _time_ns(header[b"time"]))
+            elif kind == CHUNK_PLACE:
+                self._places += 1
             elif kind in (INDEX, CONNECTION):
                 if end - begin > MOST_RECORD_BYTES:
                     return False

@@ -57,9 +57,17 @@ class Types:
         header = self.header(START_S * 10**6, frame)
         return self.make("dvs_msgs/msg/EventArray", header, FRAME[1], FRAME[0], events)
 
-    def packet(self, content: bytes, encoding: str, seq: int = 0, base_ns: int = 0, big: bool = False) -> Any:
+    def packet(
+        self,
+        content: bytes,
+        encoding: str,
+        seq: int = 0,
+        base_ns: int = 0,
+        big: bool = False,
+        stamp_us: int = START_S * 10**6,
+    ) -> Any:
         words = np.frombuffer(content, np.uint8)
-        header = self.header(START_S * 10**6)
+        header = self.header(stamp_us)
         name = "event_camera_msgs/msg/EventPacket"
         return self.make(name, header, FRAME[1], FRAME[0], seq, base_ns, encoding, big, words)
 
@@ -100,6 +108,34 @@ def write_bag(folder: Path, bag: str, types: Types, topics: dict[str, Sequence[A
             connection = writer.add_connection(topic, kind, typestore=types.store)
             for number, message in enumerate(messages):
                 writer.write(connection, (START_S + number) * 10**9, types.raw(message))
+    return path
+
+
+def write_mcap(path: Path, types: Types, topics: dict[str, Sequence[Any]], **options: Any) -> Path:
+    """Write a file by the library mcap, with the options of its writer: messages in turns, one of each topic a second.
+
+    times: when each round of messages was received, in s; order of the file otherwise. finish: whether it is closed.
+    """
+    from mcap.writer import Writer
+
+    times, finish, coding = options.pop("times", None), options.pop("finish", True), options.pop("coding", "cdr")
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start(profile="ros2", library="test")
+        channels = {}
+        for topic, messages in topics.items():
+            kind = messages[0].__msgtype__
+            text = types.store.generate_msgdef(kind, ros_version=2 if coding == "cdr" else 1)[0]
+            name = kind if coding == "cdr" else kind.replace("/msg/", "/")
+            schema = writer.register_schema(name, "ros2msg" if coding == "cdr" else "ros1msg", text.encode())
+            channels[topic] = writer.register_channel(topic, coding, schema)
+        for number in range(max(map(len, topics.values()))):
+            for topic, messages in topics.items():
+                if number < len(messages):
+                    time_ns = (times[number] if times else START_S + number) * 10**9
+                    writer.add_message(channels[topic], time_ns, types.raw(messages[number]), time_ns)
+        if finish:
+            writer.finish()
     return path
 
 

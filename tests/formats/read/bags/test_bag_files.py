@@ -1,0 +1,314 @@
+"""The files of a bag: what lies beside a file, bags in several files, and what the metadata of a folder are worth."""
+
+import re
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli.events import Events
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read.bags import bag_files
+from evetac_cli.formats.read.bags.rosbag_unpacking import zstd_module
+from evetac_cli.formats.streams import read_stream
+from tests.formats.read.bags.bag_writing import Types, Write, drawn, listed, mono, shifted, write_mcap
+from tests.importing import event_rows, refusal
+
+EVENTS = drawn(400)
+
+
+def messages(types: Types, size: int = 10) -> list[Any]:
+    """All events in messages of so many."""
+    rows = listed(EVENTS)
+    return [types.array(rows[k : k + size]) for k in range(0, len(rows), size)]
+
+
+def state(folder: Path) -> dict[str, tuple[bytes, int]]:
+    """What a folder holds."""
+    return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
+
+
+def opened(whole: Path, copy: Path, journal: str) -> tuple[sqlite3.Connection, list[tuple[Any, ...]]]:
+    """A database like another, without its messages, open for writing in a mode of its journal; and the messages."""
+    shutil.copyfile(whole, copy)
+    database = sqlite3.connect(copy)
+    rows = database.execute("SELECT * FROM messages").fetchall()
+    database.execute("DELETE FROM messages")
+    database.commit()
+    database.execute("VACUUM")
+    assert database.execute(f"PRAGMA journal_mode = {journal}").fetchone() == (journal.lower(),)
+    return database, rows
+
+
+def killed(whole: Path, folder: Path, *, in_file: int) -> Path:
+    """What a recorder leaves that was killed: so many messages in the database, the others in what waits beside it."""
+    folder.mkdir()
+    made, left = folder.with_name(f"{folder.name}.making.db3"), folder / "bag_0.db3"
+    database, rows = opened(whole, made, "WAL")
+    database.execute("PRAGMA wal_autocheckpoint = 0")
+    for number, row in enumerate(rows):
+        database.execute("INSERT INTO messages VALUES(?, ?, ?, ?)", row)
+        database.commit()
+        if number + 1 == in_file:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    for path in made.parent.glob(f"{made.name}*"):
+        shutil.copyfile(path, folder / path.name.replace(made.name, left.name))
+    database.close()
+    return left
+
+
+@pytest.fixture
+def whole(write: Write) -> Path:
+    """The file of a bag in SQLite, with all events in 40 messages."""
+    types = Types("db3")
+    return next(write("db3", types, {"/e": messages(types)}, "whole").glob("*.db3"))
+
+
+@pytest.mark.parametrize("in_file", [0, 7, 39])
+@pytest.mark.parametrize("named", ["file", "folder", "with metadata"])
+def test_what_waits_beside_a_database_is_read(whole: Path, tmp_path: Path, in_file: int, named: str) -> None:
+    """Assert that all messages come, whatever part of them waits beside the file, and that no file is touched."""
+    left = killed(whole, tmp_path / "left", in_file=in_file)
+    if named == "with metadata":
+        text = whole.with_name("metadata.yaml").read_text().replace("whole.db3", left.name)
+        (left.parent / "metadata.yaml").write_text(text)
+    before = state(left.parent)
+    assert set(before) - {"metadata.yaml"} == {"bag_0.db3", "bag_0.db3-wal", "bag_0.db3-shm"}
+    left.parent.chmod(0o555)
+    try:
+        imported = read_events(left if named == "file" else left.parent)
+    finally:
+        left.parent.chmod(0o755)
+    assert event_rows(imported) == shifted(EVENTS)
+    assert "read with bag_0.db3-wal (" in " ".join(imported.notes)
+    assert state(left.parent) == before
+
+
+def test_a_stream_is_read_with_what_waits_too(write: Write, tmp_path: Path) -> None:
+    """Assert that attach gets the samples that wait beside a database, and says so."""
+    types = Types("db3")
+    numbers = [types.make("std_msgs/msg/Float64", float(k)) for k in range(40)]
+    file = next(write("db3", types, {"/n": numbers}, "numbers").glob("*.db3"))
+    stream, notes = read_stream(str(killed(file, tmp_path / "left", in_file=5)), "n")
+    assert stream.columns["data"].tolist() == list(range(40))
+    assert "bag_0.db3-wal" in notes[0]
+
+
+def test_what_was_not_finished_is_taken_back(whole: Path, tmp_path: Path) -> None:
+    """Assert that a transaction that was being written is undone by the journal beside the file, in a copy."""
+    database, rows = opened(whole, tmp_path / "made.db3", "DELETE")
+    database.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", rows[:20])
+    database.commit()
+    database.execute("PRAGMA cache_size = 1")
+    database.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", rows[20:])
+    left = tmp_path / "left"
+    left.mkdir()
+    for ending in ("", "-journal"):
+        shutil.copyfile(tmp_path / f"made.db3{ending}", left / f"bag.db3{ending}")
+    database.close()
+    before = state(left)
+    assert len(before["bag.db3-journal"][0]) > 512
+    imported = read_events(left / "bag.db3")
+    assert event_rows(imported) == shifted(EVENTS)[:200]
+    assert "read with bag.db3-journal (" in imported.notes[0]
+    assert state(left) == before
+
+
+def test_what_waits_and_is_damaged_is_said_to_be_lost(whole: Path, tmp_path: Path) -> None:
+    """Assert that what is in the file comes, and that the note says what does not."""
+    left = killed(whole, tmp_path / "left", in_file=7)
+    wal = left.with_name("bag_0.db3-wal")
+    size = wal.stat().st_size
+    wal.write_bytes(bytes(size))
+    imported = read_events(left)
+    assert event_rows(imported) == shifted(EVENTS)[:70]
+    assert f"what waits in bag_0.db3-wal ({size:,} bytes) is lost" in imported.notes[0]
+
+
+def test_a_bag_that_is_being_written_is_refused(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a database that changes while it is copied is not read as a mixture of two states."""
+    left = killed(whole, tmp_path / "left", in_file=7)
+    copy = shutil.copyfileobj
+
+    def and_more(source: Any, target: Any, *more: int) -> None:
+        copy(source, target, *more)
+        with left.with_name("bag_0.db3-wal").open("ab") as wal:
+            wal.write(b"more")
+
+    monkeypatch.setattr(bag_files.shutil, "copyfileobj", and_more)
+    assert "the bag is being written" in refusal(left)
+
+
+@pytest.mark.parametrize("said", ['""', "mcap", "sqlite3", "my_own_plugin"])
+@pytest.mark.parametrize("bag", ["db3", "mcap"])
+def test_the_files_say_how_a_bag_is_stored(write: Write, bag: str, said: str) -> None:
+    """Assert that the storage that the metadata name, or leave empty, does not matter."""
+    types = Types(bag)
+    folder = write(bag, types, {"/e": messages(types)})
+    about = folder / "metadata.yaml"
+    text = re.sub("storage_identifier: .*", f"storage_identifier: {said}", about.read_text())
+    assert f"storage_identifier: {said}\n" in text
+    about.write_text(text)
+    imported = read_events(folder)
+    assert event_rows(imported) == shifted(EVENTS)
+    assert imported.notes == []
+
+
+def split(folder: Path, parts: int = 3, start: int = 0) -> Path:
+    """A folder of a bag in several files of MCAP, without metadata."""
+    types = Types("mcap")
+    every = messages(types)
+    folder.mkdir()
+    size = -(-len(every) // parts)
+    for number in range(parts):
+        write_mcap(folder / f"trial_{start + number}.mcap", types, {"/e": every[size * number : size * (number + 1)]})
+    return folder
+
+
+def about(folder: Path, *names: str, count: int = 40, **more: str) -> Path:
+    """Metadata that list these files."""
+    fields = {"version": 5, "storage_identifier": "mcap", "message_count": count, **more}
+    lines = [*(f"  {name}: {value}" for name, value in fields.items()), "  relative_file_paths:"]
+    text = "\n".join(["rosbag2_bagfile_information:", *lines, *(f"  - {name}" for name in names)])
+    (folder / "metadata.yaml").write_text(text + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("start", [0, 8])
+def test_all_files_of_a_folder_are_one_bag(tmp_path: Path, start: int) -> None:
+    """Assert that a bag in several files is read whole, in the order of its numbers, with metadata and without."""
+    folder = split(tmp_path / "bag", 3, start)
+    imported = read_events(folder)
+    assert event_rows(imported) == shifted(EVENTS)
+    (note,) = imported.notes
+    assert "there is no metadata.yaml" in note and f"trial_{start}.mcap, trial_{start + 1}.mcap" in note
+    about(folder, *(f"trial_{start + number}.mcap" for number in range(3)))
+    imported = read_events(folder)
+    assert event_rows(imported) == shifted(EVENTS)
+    assert imported.notes == []
+
+
+@pytest.mark.parametrize("text", ["", "{", "rosbag2_bagfile_information: {}", "rosbag2_bagfile_information: []", "- 5"])
+def test_metadata_that_are_none_are_done_without(tmp_path: Path, text: str) -> None:
+    """Assert that metadata that were not finished, or are something else, cost nothing but a note."""
+    folder = split(tmp_path / "bag")
+    (folder / "metadata.yaml").write_text(text)
+    imported = read_events(folder)
+    assert event_rows(imported) == shifted(EVENTS)
+    assert "metadata.yaml cannot be used" in imported.notes[0]
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    """Assert that a bag of which a file is missing is refused, listed or not, and that its files can be read alone."""
+    folder = split(tmp_path / "bag")
+    (folder / "trial_1.mcap").unlink()
+    words = refusal(folder)
+    assert "a part of the bag is missing" in words and "number 1" in words
+    words = refusal(about(folder, *(f"trial_{number}.mcap" for number in range(3))))
+    assert "trial_1.mcap" in words and f"{folder}/trial_0.mcap" in words
+    assert event_rows(read_events(folder / "trial_0.mcap")) == shifted(EVENTS)[:140]
+
+
+def test_files_that_are_not_read_are_named(tmp_path: Path) -> None:
+    """Assert that a note names files that the metadata do not list, and parts beside a file that is named itself."""
+    folder = about(split(tmp_path / "bag"), "trial_0.mcap", "trial_1.mcap", count=28)
+    imported = read_events(folder)
+    assert event_rows(imported) == shifted(EVENTS)[:280]
+    assert imported.notes == ["not read: trial_2.mcap, which metadata.yaml does not list; name it to read it"]
+    imported = read_events(folder / "trial_1.mcap")
+    assert imported.size == 140
+    assert imported.notes == ["beside it: trial_0.mcap, trial_2.mcap, which may be parts of the same recording"]
+    shutil.copyfile(folder / "trial_2.mcap", tmp_path / "alone.mcap")
+    assert read_events(tmp_path / "alone.mcap").notes == []
+
+
+def test_parts_of_ros_1_are_named(write: Write, tmp_path: Path) -> None:
+    """Assert that the parts that rosbag's --split makes are named, each with the date on which it was begun."""
+    types = Types("ros1")
+    names = ["press_2024-05-01-10-00-00_0", "press_2024-05-01-10-05-00_1", "rub_2024-05-01-10-05-00_1", "other_1_x"]
+    for name in names:
+        path = write("ros1", types, {"/e": messages(types)}, name)
+    notes = read_events(path.with_name(f"{names[0]}.bag")).notes
+    assert notes == [f"beside it: {names[1]}.bag, which may be parts of the same recording"]
+    assert read_events(path).notes == []
+
+
+def test_a_folder_of_other_files_asks_which(tmp_path: Path) -> None:
+    """Assert that files with names of their own are not taken for one bag."""
+    types = Types("mcap")
+    for name in ("left", "right"):
+        write_mcap(tmp_path / f"{name}.mcap", types, {"/e": messages(types)})
+    words = refusal(tmp_path)
+    assert "which file of the folder is the bag?" in words and "left.mcap, right.mcap" in words
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(40, []), (41, ["41 messages; it has 40"]), (7, ["7 messages; it has 40"])]
+)
+def test_metadata_that_say_another_count_are_noted(tmp_path: Path, count: int, said: list[str]) -> None:
+    """Assert that all messages come whatever the metadata say, and that a note tells of the difference."""
+    folder = about(split(tmp_path / "bag", 1), "trial_0.mcap", count=count)
+    imported = read_events(folder)
+    assert event_rows(imported) == shifted(EVENTS)
+    said = f"metadata.yaml says that the bag has {count} messages; it has 40"
+    assert imported.notes == ([] if count == 40 else [said])
+
+
+def test_ways_of_packing_that_are_not_read_are_refused(tmp_path: Path) -> None:
+    """Assert that metadata with another way of packing are believed: its messages would look damaged."""
+    folder = about(split(tmp_path / "bag", 1), "trial_0.mcap", compression_format="lz4")
+    assert "packed in a way that is not read here" in refusal(folder)
+
+
+@pytest.mark.parametrize("bag", ["db3", "mcap"])
+def test_packed_files_are_read_as_far_as_they_go(write: Write, bag: str) -> None:
+    """Assert that a file that was packed as a whole is read, with its twin that was not removed, and cut too."""
+    types = Types(bag)
+    events = drawn(60_000)
+    folder = write(bag, types, {"/e": packets(types, events)}, "plain")
+    (plain,) = folder.glob(f"*.{bag}")
+    (folder / "metadata.yaml").unlink()
+    if bag == "mcap":
+        write_mcap(plain, types, {"/e": packets(types, events)}, chunk_size=20_000)
+    packed = plain.with_name(f"{plain.name}.zstd")
+    packed.write_bytes(zstd_module().compress(plain.read_bytes()))
+    assert read_events(folder).size == events.size  # the recorder was killed before it removed the file
+    plain.unlink()
+    assert read_events(folder).size == events.size
+    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size * 7 // 10])
+    imported = read_events(folder)
+    assert events.size // 2 < imported.size < events.size
+    assert event_rows(imported) == shifted(events)[: imported.size]
+    assert "the packed file ends early" in imported.notes[1] and len(imported.notes) == 3
+
+
+def packets(types: Types, events: Events, size: int = 500) -> list[Any]:
+    """Events in packets of so many."""
+    made = []
+    for number, first in enumerate(range(0, events.size, size)):
+        part = events.part(first, first + size)
+        base_ns = 1000 * int(part.t[0])
+        made.append(types.packet(mono(part, base_ns), "mono", number, base_ns))
+    return made
+
+
+def test_no_copy_is_left(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the copy of a file is gone once another file is read."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    made: list[str] = []
+    make: Callable[..., str] = bag_files.mkdtemp
+
+    def counted(**options: Any) -> str:
+        made.append(make(dir=scratch, **options))
+        return made[-1]
+
+    monkeypatch.setattr(bag_files, "mkdtemp", counted)
+    for name in ("one", "two", "three"):
+        read_events(killed(whole, tmp_path / name, in_file=7))
+    assert len(made) == 3 and len(list(scratch.iterdir())) <= 2
+    bag_files._readable.cache_clear()
+    assert not list(scratch.iterdir())

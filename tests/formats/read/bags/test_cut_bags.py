@@ -1,0 +1,397 @@
+"""Bags whose recorder was killed, that were cut or are damaged: what lies in whole chunks comes, the rest is said."""
+
+import re
+import sqlite3
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read.bags import bag_chunks
+from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
+from evetac_cli.formats.streams import read_stream
+from tests.formats.read.bags.bag_writing import Types, Write, drawn, listed, mono, shifted, write_bag, write_mcap
+from tests.importing import event_rows, refusal
+
+mcap_writer = pytest.importorskip("mcap.writer")
+from mcap.reader import make_reader  # noqa: E402
+from mcap.writer import CompressionType, IndexType  # noqa: E402
+from rosbags.rosbag1 import Reader as Reader1  # noqa: E402
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+
+EVENTS = drawn(20_000)
+ROWS = shifted(EVENTS)
+SIZE = 100  # events of a message
+PACKINGS = ("none", "lz4", "bz2")
+
+
+def packets(types: Types, size: int = SIZE) -> list[Any]:
+    """All events in packets, each on its own time base."""
+    made = []
+    for number, first in enumerate(range(0, EVENTS.size, size)):
+        part = EVENTS.part(first, first + size)
+        base_ns = 1000 * int(part.t[0])
+        made.append(types.packet(mono(part, base_ns), "mono", number, base_ns))
+    return made
+
+
+def ros1(path: Path, packing: str = "none", chunk_bytes: int = 20_000) -> Path:
+    """A bag of ROS 1 in small chunks, with another topic between the events."""
+    types = Types("ros1")
+    writer = Writer1(path)
+    if packing != "none":
+        writer.set_compression(Writer1.CompressionFormat[packing.upper()])
+    writer.chunk_threshold = chunk_bytes
+    with writer:
+        events = writer.add_connection("/e", "event_camera_msgs/msg/EventPacket", typestore=types.store)
+        numbers = writer.add_connection("/n", "std_msgs/msg/Float64", typestore=types.store)
+        for number, message in enumerate(packets(types)):
+            writer.write(events, (1 + number) * 10**9, types.raw(message))
+            writer.write(numbers, (1 + number) * 10**9, types.raw(types.make("std_msgs/msg/Float64", float(number))))
+    return path
+
+
+def mcap(path: Path, **options: Any) -> Path:
+    """An MCAP file in small chunks, with another topic between the events."""
+    types = Types("mcap")
+    numbers = [types.make("std_msgs/msg/Float64", float(number)) for number in range(EVENTS.size // SIZE)]
+    return write_mcap(path, types, {"/e": packets(types), "/n": numbers}, **{"chunk_size": 20_000, **options})
+
+
+def ends(path: Path) -> list[tuple[int, int]]:
+    """Where each chunk of a whole bag ends, and how many packets of events lie up to there; by other libraries."""
+    if path.suffix == ".mcap":
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+            assert summary is not None
+            places = [(one.chunk_start_offset, one.chunk_length) for one in summary.chunk_indexes]
+            counts = []
+            for one in summary.chunk_indexes:
+                channel = next(number for number, channel in summary.channels.items() if channel.topic == "/e")
+                file.seek(one.message_index_offsets[channel] + 9 + 2)
+                counts.append(struct.unpack("<I", file.read(4))[0] // 16)
+    else:
+        with Reader1(path) as reader:
+            number = next(one.id for one in reader.connections if one.topic == "/e")
+            places = [(chunk.datapos, chunk.datasize) for chunk in reader.chunks.values()]
+            counts = [info.connection_counts.get(number, 0) for info in reader.chunk_infos]
+    return [(at + size, count) for (at, size), count in zip(places, np.cumsum(counts).tolist(), strict=True)]
+
+
+def made(folder: Path, kind: str) -> Path:
+    """A whole bag of a kind."""
+    name, _, packing = kind.partition(" ")
+    if name == "ros1":
+        return ros1(folder / "a.bag", packing)
+    return mcap(folder / "a.mcap", compression=CompressionType[packing])
+
+
+KINDS = [*(f"ros1 {packing}" for packing in PACKINGS), *(f"mcap {packing}" for packing in ("NONE", "LZ4", "ZSTD"))]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whole_chunks_of_a_cut_bag_come(kind: str, tmp_path: Path) -> None:
+    """Assert that every message of each chunk that ends before the cut comes, no other, and that the loss is said."""
+    whole = made(tmp_path, kind)
+    data, chunks = whole.read_bytes(), ends(whole)
+    assert len(chunks) > 5
+    assert event_rows(read_events(whole)) == ROWS
+    rng = np.random.default_rng(1)
+    cuts = [end + more for end, _ in chunks for more in (-1, 0, 1)] + rng.integers(chunks[0][0], len(data), 20).tolist()
+    for cut in cuts:
+        expected = SIZE * max((count for end, count in chunks if end <= cut), default=0)
+        path = tmp_path / f"cut{whole.suffix}"
+        path.write_bytes(data[:cut])
+        if not expected:
+            assert "no message can be read" in refusal(path)
+            continue
+        foreign = open_rosbag(path, None, None)
+        imported = read_events(path)
+        assert event_rows(imported) == ROWS[:expected]
+        assert foreign.cut_short
+        words = " ".join(imported.notes)
+        messages = int(re.findall("kept (?:the|its) ([0-9]+) messages", words)[0])
+        assert messages >= 2 * expected // SIZE - 1  # with those of the other topic
+        assert "bytes are lost" in words or "the bag has no end" in words
+
+
+def test_the_bytes_that_are_lost_are_counted(tmp_path: Path) -> None:
+    """Assert how many bytes a note calls lost: those after the last whole record."""
+    whole = mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
+    end = ends(whole)[3][0]
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[:end] + b"\x06" + struct.pack("<Q", 5000) + bytes(4991))
+    notes = read_events(path).notes
+    assert "the last 5,000 bytes are lost" in notes[0] and "4 whole chunks" in notes[0]
+
+
+@pytest.mark.parametrize("kind", ["ros1 none", "mcap ZSTD"])
+def test_streams_of_a_cut_bag_come(kind: str, tmp_path: Path) -> None:
+    """Assert that attach reads the whole chunks of a bag, too, and says what is lost."""
+    whole = made(tmp_path, kind)
+    path = tmp_path / f"cut{whole.suffix}"
+    path.write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
+    stream, notes = read_stream(f"{path}:/n", "n")
+    values = stream.columns["data"].tolist()
+    assert values == list(range(len(values))) and 50 < len(values) < 200
+    assert "bytes are lost" in " ".join(notes)
+
+
+def test_messages_of_an_unfinished_chunk_of_ros_1_come(tmp_path: Path) -> None:
+    """Assert that messages that rosbag wrote into a chunk it never finished come: its record says it is empty."""
+    whole = ros1(tmp_path / "a.bag", chunk_bytes=10**9)  # one chunk
+    data = bytearray(whole.read_bytes())
+    with Reader1(whole) as reader:
+        (info,) = reader.chunk_infos
+        (chunk,) = reader.chunks.values()
+    size = data.index(b"size=", info.pos)
+    data[size + 5 : size + 9] = bytes(4)
+    data[chunk.datapos - 4 : chunk.datapos] = bytes(4)
+    at = data.index(b"index_pos=")
+    data[at + 10 : at + 18] = bytes(8)
+    path = tmp_path / "killed.bag.active"
+    path.write_bytes(data[: chunk.datapos + chunk.datasize * 3 // 4])
+    imported = read_events(path)
+    assert 0.7 * EVENTS.size < imported.size < 0.8 * EVENTS.size
+    assert event_rows(imported) == ROWS[: imported.size]
+    assert "cut short or damaged" in imported.notes[0]
+
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "as the library writes it": {},
+    "not in chunks": {"use_chunking": False},
+    "no index": {"index_types": IndexType.NONE},
+    "chunks alone are listed": {"index_types": IndexType.CHUNK},
+    "no statistics": {"use_statistics": False},
+    "no channels in the summary": {"repeat_channels": False, "repeat_schemas": False},
+    "nothing in the summary": {
+        "index_types": IndexType.NONE,
+        "repeat_channels": False,
+        "repeat_schemas": False,
+        "use_statistics": False,
+        "use_summary_offsets": False,
+    },
+    "never closed": {"finish": False},
+    "never closed, not in chunks": {"finish": False, "use_chunking": False},
+}
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("what", OPTIONS)
+def test_no_index_is_needed(what: str, compression: CompressionType, tmp_path: Path) -> None:
+    """Assert that all messages of MCAP files come, with whatever parts of the summary a writer leaves out."""
+    path = mcap(tmp_path / "a.mcap", compression=compression, **OPTIONS[what])
+    imported = read_events(path)
+    complete = "finish" not in OPTIONS[what]
+    expected = ROWS if complete else ROWS[: imported.size]
+    assert event_rows(imported) == expected and imported.size > 0.9 * EVENTS.size
+    others = imported.left_out["messages on /n (std_msgs/msg/Float64)"]
+    assert others == imported.size // SIZE if complete else others >= imported.size // SIZE - 1
+    said = f"the bag has no end, as if its recorder was killed: kept its {others + imported.size // SIZE} messages"
+    assert [note for note in imported.notes if "left out" not in note] == ([] if complete else [said])
+
+
+def test_messages_come_in_the_order_of_their_reception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that messages that lie in a file in another order come in that of their times, also across chunks."""
+    types = Types("mcap")
+    made = packets(types)
+    order = np.arange(len(made)) // 20 * 20 + np.random.default_rng(3).permuted(
+        np.arange(len(made)).reshape(-1, 20) % 20, axis=1
+    ).reshape(-1)
+    for options in ({}, {"use_chunking": False}, {"index_types": IndexType.NONE}):
+        path = write_mcap(
+            tmp_path / "a.mcap",
+            types,
+            {"/e": [made[at] for at in order]},
+            times=[1_700_000_000 + int(at) for at in order],
+            chunk_size=8000,
+            **options,
+        )
+        assert event_rows(read_events(path)) == ROWS
+
+
+def test_chunks_of_one_time_do_not_all_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that messages are given out where too many of chunks that claim one time would have to wait."""
+    types = Types("mcap")
+    path = write_mcap(tmp_path / "a.mcap", types, {"/e": packets(types)}, times=[7] * 200, chunk_size=8000)
+    monkeypatch.setattr(bag_chunks, "MOST_HELD_BYTES", 20_000)
+    held = []
+    push = bag_chunks.heapq.heappush
+
+    def pushed(heap: list[Any], item: Any) -> None:
+        push(heap, item)
+        held.append(sum(len(one[3]) for one in heap))
+
+    monkeypatch.setattr(bag_chunks.heapq, "heappush", pushed)
+    assert event_rows(read_events(path)) == ROWS
+    assert max(held) < 20_000 + 2 * 8000
+
+
+@pytest.mark.parametrize("kind", ["mcap ZSTD", "mcap NONE", "ros1 lz4"])
+def test_a_damaged_chunk_costs_its_messages(kind: str, tmp_path: Path) -> None:
+    """Assert that the chunks around a damaged one come, and that a note tells of it."""
+    whole = made(tmp_path, kind)
+    chunks = ends(whole)
+    data = bytearray(whole.read_bytes())
+    data[chunks[4][0] - 40 : chunks[4][0] - 20] = bytes(20)
+    whole.write_bytes(data)
+    imported = read_events(whole)
+    lost = slice(SIZE * chunks[3][1], SIZE * chunks[4][1])
+    assert event_rows(imported) == ROWS[: lost.start] + ROWS[lost.stop :]
+    assert "damaged: 1 chunks or messages cannot be read" in " ".join(imported.notes)
+
+
+@pytest.mark.parametrize("kind", ["mcap ZSTD", "ros1 none"])
+def test_the_index_leads_past_a_damage(kind: str, tmp_path: Path) -> None:
+    """Assert that what lies behind a record that is destroyed comes, where the file's own index knows where that is."""
+    whole = made(tmp_path, kind)
+    chunks = ends(whole)
+    data = bytearray(whole.read_bytes())
+    data[chunks[3][0] : chunks[3][0] + 12] = b"\xff" * 12
+    whole.write_bytes(data)
+    imported = read_events(whole)
+    assert event_rows(imported) == ROWS
+    assert "bytes from byte" in imported.notes[0] and open_rosbag(whole, None, None).cut_short
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.6, 0.9, 0.99, 0.9999])
+def test_rows_of_a_cut_database_come(share: float, write: Write, tmp_path: Path) -> None:
+    """Assert that the messages on the pages of a database that are there come, and that the loss is said."""
+    types = Types("db3")
+    (whole,) = write("db3", types, {"/e": packets(types)}).glob("*.db3")
+    data = whole.read_bytes()
+    path = tmp_path / "cut.db3"
+    path.write_bytes(data[: int(share * len(data))])
+    imported = read_events(path)
+    assert event_rows(imported) == ROWS[: imported.size]
+    assert (share - 0.15) * EVENTS.size < imported.size < EVENTS.size
+    words = " ".join(imported.notes)
+    assert f"kept {imported.size // SIZE:,} messages" in words
+    page = 4096
+    assert f"{len(data) - int(share * len(data)) // page * page:,} bytes at its end are missing" in words
+    assert open_rosbag(path, None, None).cut_short
+
+
+def test_rows_of_a_damaged_database_come_from_both_ends(write: Write, tmp_path: Path) -> None:
+    """Assert that messages before and after a page that is destroyed come."""
+    types = Types("db3")
+    (path,) = write("db3", types, {"/e": packets(types)}).glob("*.db3")
+    with sqlite3.connect(path) as database:
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    database.close()
+    data = bytearray(path.read_bytes())
+    leaves = [at for at in range(0, len(data), 4096) if data[at] == 0x0D and at > root * 4096]
+    middle = leaves[len(leaves) // 2]
+    data[middle : middle + 4096] = bytes(4096)
+    path.write_bytes(data)
+    imported = read_events(path, sort=True)
+    rows = event_rows(imported)
+    assert 0.7 * EVENTS.size < len(rows) < EVENTS.size
+    assert set(rows) < set(ROWS) and rows[0] == ROWS[0] and rows[-1] == ROWS[-1]
+    assert "malformed" in " ".join(imported.notes)
+
+
+def test_a_database_without_pages_is_refused(write: Write, tmp_path: Path) -> None:
+    """Assert that a database of which no message can be read says how much is missing, and what would help."""
+    types = Types("db3")
+    (whole,) = write("db3", types, {"/e": packets(types)}).glob("*.db3")
+    path = tmp_path / "cut.db3"
+    path.write_bytes(whole.read_bytes()[: 2 * 4096])
+    words = refusal(path)
+    assert "bytes at its end are missing" in words and "if it is longer where it was recorded" in words
+
+
+HOSTILE = {
+    "a view": ("CREATE VIEW messages AS WITH RECURSIVE t(x) AS (SELECT 1 UNION ALL SELECT x FROM t) SELECT x FROM t"),
+    "a column that is computed": (
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER,"
+        " data BLOB AS (zeroblob(900000000)))"
+    ),
+    "a table of another program": "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)",
+    "texts in place of numbers": "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id TEXT, timestamp TEXT, data)",
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_database_that_computes_is_refused(what: str, tmp_path: Path) -> None:
+    """Assert that views, computed columns and virtual tables in place of messages run nothing."""
+    path = tmp_path / "a.db3"
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+    database.execute("INSERT INTO topics VALUES(1, '/e', 'dvs_msgs/msg/EventArray', 'cdr')")
+    database.execute(HOSTILE[what])
+    if "TABLE" in HOSTILE[what] and "VIRTUAL" not in HOSTILE[what]:
+        columns = "topic_id, timestamp" + ("" if " AS " in HOSTILE[what] else ", data")
+        values = "'one', 'now', x'00'" if "TEXT" in HOSTILE[what] else "1, 1"
+        database.execute(f"INSERT INTO messages({columns}) VALUES({values})")
+    database.commit()
+    database.close()
+    assert refusal(path)
+
+
+def test_a_bomb_in_a_cut_bag_is_refused(tmp_path: Path) -> None:
+    """Assert that the limits of unpacking hold where chunks are looked into for lack of an index."""
+    types = Types("mcap")
+    message = types.array(listed(drawn(10)), frame="x" * (70 << 20))
+    path = write_mcap(tmp_path / "a.mcap", types, {"/e": [message]}, finish=False, chunk_size=1)
+    assert path.stat().st_size < 1 << 20
+    assert "unpacks to more than" in refusal(path)
+
+
+def test_chunks_that_lie_about_their_size_are_left_out(tmp_path: Path) -> None:
+    """Assert that a chunk with another size or checksum than it says is damaged, and not read as far as it goes."""
+    whole = mcap(tmp_path / "a.mcap")
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    at = summary.chunk_indexes[2].chunk_start_offset
+    for place, value in ((at + 9 + 16, struct.pack("<Q", 3)), (at + 9 + 24, b"\x01\x02\x03\x04")):
+        data = bytearray(whole.read_bytes())
+        data[place : place + len(value)] = value
+        path = tmp_path / "lies.mcap"
+        path.write_bytes(data)
+        imported = read_events(path)
+        assert imported.size < EVENTS.size and "cannot be read" in " ".join(imported.notes)
+
+
+def test_messages_of_ros_1_in_mcap_come(tmp_path: Path) -> None:
+    """Assert that MCAP files that were made of bags of ROS 1 are read, with the layout of ROS 1."""
+    types = Types("ros1")
+    rows = listed(EVENTS)[:500]
+    numbers: Sequence[Any] = [types.make("std_msgs/msg/Float64", float(k)) for k in range(5)]
+    messages = [types.array(rows[k : k + 100]) for k in range(0, 500, 100)]
+    path = write_mcap(tmp_path / "a.mcap", types, {"/e": messages, "/n": numbers}, coding="ros1")
+    assert event_rows(read_events(path)) == ROWS[:500]
+    stream, _ = read_stream(f"{path}:/n", "n")
+    assert stream.columns["data"].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_mutated_bags_give_events_or_words(tmp_path: Path) -> None:
+    """Assert that bags of every kind, cut and damaged anywhere, never end in anything else."""
+    types = Types("db3")
+    bags = [
+        ros1(tmp_path / "a.bag", "lz4"),
+        mcap(tmp_path / "a.mcap"),
+        mcap(tmp_path / "b.mcap", use_chunking=False),
+        next(write_bag(tmp_path, "db3", types, {"/e": packets(types)}, name="c").glob("*.db3")),
+    ]
+    rng = np.random.default_rng(2)
+    for whole in bags:
+        data = whole.read_bytes()
+        for trial in range(25):
+            mutated = bytearray(data)
+            if trial % 3 == 0:
+                del mutated[rng.integers(20, len(mutated)) :]
+            for at in rng.integers(13, len(mutated), 6 if trial % 2 else 0):
+                mutated[at] = rng.integers(256)
+            path = tmp_path / f"mutated{whole.suffix}"
+            path.write_bytes(mutated)
+            try:
+                imported = read_events(path, sort=True)
+                assert imported.size <= EVENTS.size
+            except Exception as error:
+                assert type(error).__name__ == "InputError", (whole, trial)
