@@ -37,7 +37,7 @@ EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
-BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat")
+BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat", ".bin", ".es")
 # Frames of event cameras that are sold or in data sets, smallest first; and one that holds them all.
 FRAMES_PX = ((128, 128), (240, 180), (304, 240), (320, 240), (346, 260), (320, 320), (640, 480), (1280, 720))
 ANY_FRAME_PX = (2048, 2048)
@@ -75,12 +75,27 @@ FORMATS = (
 )
 
 OTHER_STREAMS = {"aedat4": aedat4_streams, "rosbag": bag_streams}  # who reads what is kept beside the events
+SAVED = "numpy.savez('A.npz', t_us=t, x=x, y=y, p=p) saves columns, x and y from 0, p 1 where it got brighter"
+# The five bytes of an event of N-MNIST and N-Caltech101, whose files begin with no mark.
+FIVE_BYTES = (
+    "if it is of N-MNIST or N-Caltech101: b = numpy.fromfile('A.bin', 'u1').astype(int).reshape(-1, 5); numpy.savez("
+    "'A.npz', t_us=(b[:, 2] & 127) << 16 | b[:, 3] << 8 | b[:, 4], x=b[:, 0], y=b[:, 1], p=b[:, 2] >> 7)"
+)
 # Files that people keep beside their event files: how they begin, what they are, and how to convert them.
 OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
     ((b"#!AER-DAT",), "AEDAT of another version", "convert it to AEDAT4 with the maker's DV, or to text"),
     ((b"#ROSBAG",), "a ROS bag older than 2.0", "rosbag migrate"),
     ((b"PK\x05\x06",), "an empty archive", "pack it again"),
     ((b"\x1f\x8b",), "gzip", "unpack it with gunzip"),
+    ((b"\x28\xb5\x2f\xfd",), "Zstandard", "unpack it with zstd -d, or name the folder of the bag that it belongs to"),
+    (
+        (b"Event Stream",),
+        "Event Stream (.es)",
+        "faery converts it, if it is of a DVS or ATIS: python -c"
+        " \"import faery; faery.events_stream_from_file('A.es').to_file('A.aedat4')\"",
+    ),
+    ((b"MATLAB 5.0 MAT-file",), "a file of MATLAB", f"scipy.io.loadmat('A.mat') reads it; {SAVED}"),
+    ((b"MATLAB 7.3 MAT-file",), "a file of MATLAB", f"h5py.File('A.mat')['TD/ts'][()].ravel() is a column; {SAVED}"),
     (
         (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
         "a Python pickle",
@@ -361,13 +376,16 @@ def _format(path: Path) -> Format:
     where = str(path)
     head = _head(path)
     for format_ in FORMATS:
-        if any(head.startswith(format_.begins, at) for at in format_.at):
+        if head.startswith(format_.begins):
             return format_
     for starts, name, hint in OTHER_FILES:
         if head.startswith(starts):
             raise InputError(
                 "not a file of events that can be read", where=where, expected=EXPECTED, found=name, hint=hint
             )
+    for format_ in FORMATS:  # behind a block of somebody's own
+        if any(head.startswith(format_.begins, at) for at in format_.at):
+            return format_
     first_line = head.partition(b"\n")[0]
     binary = any(byte < 32 and byte not in b"\t\f\r" for byte in first_line)
     if binary or path.suffix.lower() in BINARY_SUFFIXES:
@@ -376,6 +394,7 @@ def _format(path: Path) -> Format:
             where=where,
             expected=EXPECTED,
             found=f"a file that begins with {head[:16]!r}",
+            hint=FIVE_BYTES if path.suffix.lower() == ".bin" and not path.stat().st_size % 5 else "",
         )
     return TEXT
 
@@ -383,7 +402,7 @@ def _format(path: Path) -> Format:
 def _head(path: Path) -> bytes:
     """The first bytes of a plain file that has some."""
     if path.is_dir():
-        hint = "a ROS 2 bag without its metadata.yaml? name the .db3 or .mcap file in it"
+        hint = "name a file in it; of a bag of ROS 2, the folder that holds its .db3 or .mcap files"
         raise InputError("this is a folder", where=str(path), expected=EXPECTED, hint=hint)
     if not path.is_file():
         what = "a device or pipe" if path.exists() else "no such file"
