@@ -25,13 +25,13 @@ from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
-from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams
+from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.disk import leave_if_interrupted
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.streams import Stream, free_name
 
 EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -74,7 +74,8 @@ FORMATS = (
     BAG,
 )
 
-OTHER_STREAMS = {"aedat4": aedat4_streams, "rosbag": bag_streams}  # who reads what is kept beside the events
+# Who reads what is kept beside the events.
+OTHER_STREAMS = {"aedat3": aedat3_streams, "aedat4": aedat4_streams, "rosbag": bag_streams}
 SAVED = "numpy.savez('A.npz', t_us=t, x=x, y=y, p=p) saves columns, x and y from 0, p 1 where it got brighter"
 # The five bytes of an event of N-MNIST and N-Caltech101, whose files begin with no mark.
 FIVE_BYTES = (
@@ -261,14 +262,17 @@ def _kept(
     What came is no longer left out.
     """
     read = OTHER_STREAMS.get(foreign.format)
-    streams, notes = [], []
+    streams: list[Stream] = []
+    notes: list[str] = []
     counts: Counter[str] = Counter()
     span_us = (t_offset_us, t_offset_us + slices * SLICE_US)
     others = read(path, span_us=span_us, **options) if read is not None and foreign.left_out else ()
     for stream, name, unreadable, note in chain((Other(one, one.name) for one in foreign.streams), others):
         for counted in (name, f"packets of {name}"):
             foreign.left_out.pop(counted, None)
-        within = replace(stream, t_us=stream.t_us - t_offset_us).within(slices)
+        taken = [one.name for one in streams]
+        free = free_name(stream.name, taken) if stream.name in taken else stream.name
+        within = replace(stream, name=free, t_us=stream.t_us - t_offset_us).within(slices)
         notes += [note] if note else []
         counts[f"{name} outside the recording"] += within.left_out
         counts[f"unreadable packets of {name}"] += unreadable

@@ -1,8 +1,8 @@
 """What event files hold beside events, as streams of the recording: IMU samples, triggers, and frames if asked for.
 
-Of AEDAT4 by faery, of bags by read_bag_stream and trigger_messages. They are brought into the recording's clock;
-samples before its start or after its end are left out, and so is what cannot be read: whoever asks counts what did not
-come.
+Of AEDAT4 by faery, of AEDAT 3.1 by aedat3_streams, of bags by read_bag_stream and trigger_messages. They are brought
+into the recording's clock; samples before its start or after its end are left out, and so is what cannot be read:
+whoever asks counts what did not come.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.read.aedat.aedat3_streams import TRIGGERS as AEDAT3_TRIGGERS
+from evetac_cli.formats.read.aedat.aedat3_streams import UNITS, read_samples
 from evetac_cli.formats.read.aedat.aedat4_packets import (
     KINDS,
     Header,
@@ -28,15 +30,14 @@ from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
 from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
 from evetac_cli.formats.read.bags.trigger_messages import OF_DV, read_triggers, trigger_topics
+from evetac_cli.formats.read.read_prophesee import TRIGGERS as EDGES
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 
 IMU = "sensor_msgs/msg/Imu"
 NAMES = {"IMUS": "imu", "TRIG": "triggers", "FRME": "frames"}
-# As AEDAT4 defines them.
-UNITS = {"temperature": "degC", "accelerometer": "g", "gyroscope": "deg/s", "magnetometer": "uT"}
 TRIGGERS = "triggers; source 1 to 3: a signal from outside rises, falls, is a pulse; 6 to 9: a frame, its exposure"
-EDGES = "external triggers; id: the input; edge: 1 rises, 0 falls"
+IMU_OF_CAMERA, CAMERAS = "inertial measurement unit of the camera", "the camera's, as of the events"
 CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # that are kept of an image
 
 
@@ -67,15 +68,24 @@ def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -
                 yield Other(Stream(NAMES[stream.kind], t_us), KINDS[stream.kind], contents.unreadable)
             continue
         taken.append(free_name(NAMES[stream.kind], taken) if NAMES[stream.kind] in taken else NAMES[stream.kind])
-        made = Stream(taken[-1], t_us, source=f"{path.name}: {stream.name}", clock="the camera's, as of the events")
+        made = Stream(taken[-1], t_us, source=f"{path.name}: {stream.name}", clock=CAMERAS)
         if stream.kind == "FRME":
             made = replace(made, frames=values[0], what="frames of the camera")
         else:
             columns = dict(zip(_columns(stream.kind), values, strict=True))
             units = {name: UNITS.get(name.partition("_")[0], "") for name in columns}
-            what = TRIGGERS if stream.kind == "TRIG" else "inertial measurement unit of the camera"
+            what = TRIGGERS if stream.kind == "TRIG" else IMU_OF_CAMERA
             made = replace(made, columns=columns, units=units, what=what)
         yield Other(_in_order(made), KINDS[stream.kind], contents.unreadable)
+
+
+def aedat3_streams(path: Path, *, folder: Path | None, **_: Any) -> Iterator[Other]:
+    """IMU samples and triggers of an AEDAT 3.1 file, on the file's clock."""
+    for stream, counted_as, others in read_samples(path, folder):
+        what = AEDAT3_TRIGGERS if stream.name == "triggers" else IMU_OF_CAMERA
+        made = replace(_in_order(stream), what=what, clock=CAMERAS)
+        note = f"{others:,} {counted_as} are marked as not valid, or are of another kind than {stream.name}"
+        yield Other(made, counted_as, note=note if others else "")
 
 
 def bag_streams(

@@ -27,8 +27,8 @@ HEAD_LIMIT_BYTES = 1 << 20
 HEADER = struct.Struct("<hhiiiiii")
 EVENT = np.dtype([("data", "<u4"), ("t", "<u4")])
 BATCH_EVENTS = 1 << 18
-SPECIAL, POLARITY = 0, 1
-NAMES = {SPECIAL: "special events", 2: "frames", 3: "IMU samples", 4: "IMU samples"}
+SPECIAL, POLARITY, FRAME, IMU6, IMU9 = range(5)
+NAMES = {SPECIAL: "special events", FRAME: "frames", IMU6: "IMU samples", IMU9: "IMU samples"}
 LARGEST_TYPE = 200  # cAER's own are below 20, those of users from 100 on
 OVERFLOW_BITS = 31
 FRAMES_PX = (
@@ -64,11 +64,10 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
         for packet in _packets(handle, start):
             counts[packet.source, packet.kind] += packet.events
             end = packet.end
-    with_events = sorted(source for source, kind in counts if kind == POLARITY)
-    if not with_events:
+    source = min((source for source, kind in counts if kind == POLARITY), default=None)
+    if source is None:
         held = ", ".join(f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items())
         raise InputError("holds no event stream", where=where, found=held or "no packet that can be read")
-    source = with_events[0]
     own_px = next((px for name, px in FRAMES_PX if sources.get(source, "").upper().startswith(name)), None)
     foreign = Foreign("aedat3", choose_frame(own_px, frame_px, where), ())
     foreign.assumed = "rows from the top, polarity bit 1 brighter, time in microseconds"
@@ -83,6 +82,14 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
         foreign.cut_short = True
     foreign.batches = _batches(path, start, source, foreign)
     return foreign
+
+
+def packets_beside(handle: BinaryIO, where: str) -> Iterator[Packet]:
+    """The packets of the source whose events are read that hold something else."""
+    _, start = _head(handle, where)
+    of_source = list(_packets(handle, start))
+    source = min((packet.source for packet in of_source if packet.kind == POLARITY), default=None)
+    return (packet for packet in of_source if packet.source == source and packet.kind != POLARITY)
 
 
 def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:

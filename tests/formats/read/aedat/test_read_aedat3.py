@@ -92,6 +92,62 @@ def test_everything_else_is_counted(tmp_path: Path) -> None:
     }
 
 
+def imu(t: int, values: list[float], valid: int = 1) -> bytes:
+    return struct.pack(f"<Ii{len(values)}f", valid, t, *values)
+
+
+@pytest.mark.parametrize(("kind", "name", "count"), [(3, "imu", 7), (4, "imu9", 10)])
+def test_imu_samples_are_kept(tmp_path: Path, kind: int, name: str, count: int) -> None:
+    """Assert times, values and units of IMU samples, by the layout of libcaer, over an overflow of the clock."""
+    events = EVENTS._replace(t=EVENTS.t + 2**31 - 1_000_000)
+    size = 8 + 4 * count
+    values = [[k + axis / 8 for axis in range(count)] for k in range(5)]
+    before = [imu(2**31 - 900_000 + k, values[k]) for k in range(2)] + [imu(5, values[0], valid=0)]
+    after = [imu(700 + k, values[k]) for k in range(2, 5)]
+    others = packet(kind, [imu(9, values[0])], source=2, size=size)
+    content = (
+        packet(kind, before, size=size) + packets_of(events) + packet(kind, after, overflows=1, size=size) + others
+    )
+    imported = read_events(write(tmp_path / "a.aedat", content))
+    assert_equal(imported, events)
+    (stream,) = imported.streams
+    assert stream.name == name
+    times = [2**31 - 900_000, 2**31 - 899_999, *(2**31 + 702 + k for k in range(3))]
+    assert (stream.t_us + imported.t_offset_us).tolist() == times
+    names = [f"{part}_{axis}" for part in ("accelerometer", "gyroscope") for axis in "xyz"]
+    names += ["temperature", *(f"magnetometer_{axis}" for axis in "xyz")][: count - 6]
+    assert list(stream.columns) == names
+    assert np.array_equal(np.stack(list(stream.columns.values()), axis=1), values)
+    assert (stream.units["accelerometer_z"], stream.units["gyroscope_x"], stream.units["temperature"]) == (
+        "g",
+        "deg/s",
+        "degC",
+    )
+    assert imported.left_out == {"IMU samples of source 2": 1}
+    assert f"1 IMU samples are marked as not valid, or are of another kind than {name}" in imported.notes
+
+
+def test_triggers_are_kept(tmp_path: Path) -> None:
+    """Assert that edges and pulses on all inputs come, called as AEDAT4 does, and other special events do not."""
+    first = int(EVENTS.t[0])
+    special = [struct.pack("<Ii", kind << 1 | 1, first + kind) for kind in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14)]
+    content = packets_of(EVENTS) + packet(0, special) + packet(0, [struct.pack("<Ii", 2 << 1, first + 99)])
+    imported = read_events(write(tmp_path / "a.aedat", content))
+    (stream,) = imported.streams
+    assert stream.t_us.tolist() == [2, 3, 4, 6, 7, 8, 9, 10, 11]
+    assert stream.columns["source"].tolist() == [1, 2, 3] * 3
+    assert stream.columns["input"].tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert imported.left_out == {}
+    assert "5 special events are marked as not valid, or are of another kind than triggers" in imported.notes
+
+
+def test_samples_of_another_size_stay_counted(tmp_path: Path) -> None:
+    """Assert that IMU samples in another layout than the published one are left out and counted."""
+    content = packets_of(EVENTS) + packet(3, [bytes([1]) + bytes(39)] * 3, size=40)
+    imported = read_events(write(tmp_path / "a.aedat", content))
+    assert imported.streams == [] and imported.left_out == {"IMU samples": 3}
+
+
 def test_of_a_cut_file_what_is_whole(tmp_path: Path) -> None:
     """Assert that a file that ends in a packet, or is damaged there, gives the packets before, and says so."""
     path = write(tmp_path / "a.aedat", packets_of(EVENTS, 1000))
