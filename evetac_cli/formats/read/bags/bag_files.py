@@ -34,8 +34,9 @@ BAGS: dict[bytes, Callable[[Path, str], ChunkedFile | Db3File]] = {
     rosbag1_records.MAGIC: Rosbag1File,
 }
 ENDINGS = (".db3", ".mcap")  # of the files of a folder, packed or not
-WAL = "-wal"
-BESIDE = (WAL, "-journal")  # what SQLite leaves beside a file that was not closed
+WAL, JOURNAL = "-wal", "-journal"
+OTHER_NAME = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
+BESIDE = (WAL, JOURNAL)  # what SQLite leaves beside a file that was not closed
 PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.bag(?:\.active)?|\.db3|\.mcap)(\.zstd)?")
 MOST_NAMED = 8
 
@@ -91,7 +92,7 @@ def files_of(path: Path) -> Files:
 def opened(path: Path, where: str) -> tuple[ChunkedFile | Db3File, list[str], bool]:
     """A file of a bag with its table, notes on how it came to be readable, and whether something of it is missing."""
     stamps = tuple(_stamp(one) for one in (path, *_beside(path)))
-    readable = _readable(path, stamps)
+    readable = _readable(path, stamps, where)
     return _table(readable.path, stamps, where), readable.notes, readable.cut_short
 
 
@@ -112,7 +113,7 @@ class _Readable:
 
 
 @lru_cache(maxsize=2)
-def _readable(path: Path, stamps: tuple[Any, ...]) -> _Readable:
+def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
     """The file, or what comes of unpacking it, of joining what waits beside it, or of leaving out half a page."""
     readable = _Readable(path)
     size = stamps[0][1]
@@ -141,7 +142,8 @@ def _readable(path: Path, stamps: tuple[Any, ...]) -> _Readable:
     for one in beside:
         shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
     if (path, *beside) != (path, *_beside(path)) or tuple(_stamp(one) for one in (path, *beside)) != stamps:
-        raise InputError("the bag is being written", where=str(path), hint="stop the recorder first")
+        raise InputError("the bag is being written", where=where, hint="stop the recorder first")
+    _refuse_other_names(readable.path, where)
     names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
     if beside and (trouble := _joined(readable.path)):
         readable.notes.append(f"what waits in {names} is lost: {trouble}")
@@ -149,6 +151,19 @@ def _readable(path: Path, stamps: tuple[Any, ...]) -> _Readable:
     elif beside:
         readable.notes.append(f"read with {names} beside it, as SQLite does")
     return readable
+
+
+def _refuse_other_names(copy: Path, where: str) -> None:
+    """InputError for a journal that names another file, as those of several databases at once do, and no bag's.
+
+    SQLite would remove the file that it names, whatever that is.
+    """
+    journal = Path(f"{copy}{JOURNAL}")
+    if journal.exists() and journal.stat().st_size >= len(OTHER_NAME):
+        with journal.open("rb") as file:
+            file.seek(-len(OTHER_NAME), 2)
+            if file.read() == OTHER_NAME:
+                raise InputError("the journal beside the bag names another file", where=where, found=JOURNAL)
 
 
 def _half_page(head: bytes, size: int) -> int:

@@ -3,6 +3,7 @@
 import re
 import shutil
 import sqlite3
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -97,24 +98,47 @@ def test_a_stream_is_read_with_what_waits_too(write: Write, tmp_path: Path) -> N
     assert "bag_0.db3-wal" in notes[0]
 
 
-def test_what_was_not_finished_is_taken_back(whole: Path, tmp_path: Path) -> None:
-    """Assert that a transaction that was being written is undone by the journal beside the file, in a copy."""
-    database, rows = opened(whole, tmp_path / "made.db3", "DELETE")
+def unfinished(whole: Path, left: Path) -> Path:
+    """What a recorder leaves that was killed in a transaction: 20 messages, and a journal to take back the others."""
+    database, rows = opened(whole, left.with_name("made.db3"), "DELETE")
     database.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", rows[:20])
     database.commit()
     database.execute("PRAGMA cache_size = 1")
     database.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", rows[20:])
-    left = tmp_path / "left"
     left.mkdir()
     for ending in ("", "-journal"):
-        shutil.copyfile(tmp_path / f"made.db3{ending}", left / f"bag.db3{ending}")
+        shutil.copyfile(left.with_name(f"made.db3{ending}"), left / f"bag.db3{ending}")
     database.close()
+    return left / "bag.db3"
+
+
+def test_what_was_not_finished_is_taken_back(whole: Path, tmp_path: Path) -> None:
+    """Assert that a transaction that was being written is undone by the journal beside the file, in a copy."""
+    left = unfinished(whole, tmp_path / "left").parent
     before = state(left)
     assert len(before["bag.db3-journal"][0]) > 512
     imported = read_events(left / "bag.db3")
     assert event_rows(imported) == shifted(EVENTS)[:200]
     assert "read with bag.db3-journal (" in imported.notes[0]
     assert state(left) == before
+
+
+def test_a_journal_removes_no_other_file(whole: Path, tmp_path: Path) -> None:
+    """Assert that a journal that names another file is refused: SQLite itself removes what it names."""
+    path = unfinished(whole, tmp_path / "left")
+    named = tmp_path / "of-somebody.txt"
+    named.write_bytes(b"anything\n" * 99)
+    name = str(named).encode()
+    end = struct.pack(">II", len(name), sum(name)) + bytes.fromhex("d9d505f920a163d7")
+    with path.with_name("bag.db3-journal").open("ab") as journal:
+        journal.write(struct.pack(">I", (1 << 30) // 4096 + 1) + name + end)
+    shutil.copytree(path.parent, tmp_path / "again")
+    assert "names another file" in refusal(path)
+    assert named.exists()
+    database = sqlite3.connect(tmp_path / "again" / "bag.db3")
+    database.execute("SELECT count(*) FROM messages").fetchone()
+    database.close()
+    assert not named.exists()  # what SQLite does
 
 
 def test_what_waits_and_is_damaged_is_said_to_be_lost(whole: Path, tmp_path: Path) -> None:
