@@ -225,14 +225,14 @@ class ChunkedFile:
             message = "no message can be read: the bag is cut short or damaged"
             raise InputError(message, where=self.where, found=found)
         if broken:
-            table.notes.append(f"damaged: {broken.total()} chunks of messages cannot be read ({next(iter(broken))})")
+            table.notes.append(f"chunks that are damaged and cannot be read: {broken.total():,} ({next(iter(broken))})")
         if not closed and lost_bytes:
             table.notes.append(
-                f"cut short or damaged: kept the {count:,} messages of {len(table.chunks):,} whole chunks;"
+                f"cut short or damaged: kept {count:,} messages, those in whole chunks;"
                 f" the last {lost_bytes:,} bytes are lost"
             )
         elif not closed:
-            table.notes.append(f"the bag has no end, as if its recorder was killed: kept its {count:,} messages")
+            table.notes.append(f"the bag has no end, as if its recorder was killed: kept {count:,} messages")
         elif self.stated is not None and self.stated != count and not broken and not table.cut_short:
             table.notes.append(f"the file says that it has {self.stated:,} messages, and has {count:,}")
         table.cut_short = table.cut_short or not closed or bool(broken)

@@ -7,10 +7,8 @@ files is read as one where its folder is named, and the notes name what lies bes
 
 import re
 import shutil
-import sqlite3
 import weakref
 from collections.abc import Callable
-from contextlib import closing
 from functools import lru_cache
 from pathlib import Path, PurePath
 from tempfile import mkdtemp
@@ -19,6 +17,7 @@ from typing import Any, NamedTuple
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.bags import db3_rows, mcap_records, rosbag1_records
 from evetac_cli.formats.read.bags.bag_chunks import ChunkedFile
+from evetac_cli.formats.read.bags.db3_beside import JOURNAL, WAL, joined
 from evetac_cli.formats.read.bags.db3_rows import Db3File
 from evetac_cli.formats.read.bags.mcap_records import McapFile
 from evetac_cli.formats.read.bags.rosbag1_records import Rosbag1File
@@ -34,9 +33,6 @@ BAGS: dict[bytes, Callable[[Path, str], ChunkedFile | Db3File]] = {
     rosbag1_records.MAGIC: Rosbag1File,
 }
 ENDINGS = (".db3", ".mcap")  # of the files of a folder, packed or not
-WAL, JOURNAL = "-wal", "-journal"
-OTHER_NAME = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
-BESIDE = (WAL, JOURNAL)  # what SQLite leaves beside a file that was not closed
 PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.bag(?:\.active)?|\.db3|\.mcap)(\.zstd)?")
 MOST_NAMED = 8
 
@@ -143,47 +139,18 @@ def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
         shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
     if (path, *beside) != (path, *_beside(path)) or tuple(_stamp(one) for one in (path, *beside)) != stamps:
         raise InputError("the bag is being written", where=where, hint="stop the recorder first")
-    _refuse_other_names(readable.path, where)
     names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
-    if beside and (trouble := _joined(readable.path)):
-        readable.notes.append(f"what waits in {names} is lost: {trouble}")
+    if beside and (lost := joined(readable.path, where)):
+        readable.notes.append(f"of what waits in {names} a part is lost: {lost}")
         readable.cut_short = True
     elif beside:
         readable.notes.append(f"read with {names} beside it, as SQLite does")
     return readable
 
 
-def _refuse_other_names(copy: Path, where: str) -> None:
-    """InputError for a journal that names another file, as those of several databases at once do, and no bag's.
-
-    SQLite would remove the file that it names, whatever that is.
-    """
-    journal = Path(f"{copy}{JOURNAL}")
-    if journal.exists() and journal.stat().st_size >= len(OTHER_NAME):
-        with journal.open("rb") as file:
-            file.seek(-len(OTHER_NAME), 2)
-            if file.read() == OTHER_NAME:
-                raise InputError("the journal beside the bag names another file", where=where, found=JOURNAL)
-
-
 def _half_page(head: bytes, size: int) -> int:
     """Bytes at the end of a database that are no whole page: SQLite would take what is missing of it for zeros."""
     return size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
-
-
-def _joined(copy: Path) -> str:
-    """Let SQLite join to a copy what waits beside it, or take back what was not finished; returns why it cannot."""
-    try:
-        with closing(sqlite3.connect(copy)) as database:
-            database.execute("SELECT count(*) FROM sqlite_master").fetchone()
-            waits = Path(f"{copy}{WAL}").exists()
-            _, frames, done = database.execute("PRAGMA wal_checkpoint").fetchone()
-            (mode,) = database.execute("PRAGMA journal_mode = DELETE").fetchone()
-    except sqlite3.DatabaseError as error:
-        return str(error)
-    if waits and (frames < 1 or done < frames):
-        return "SQLite finds nothing in it that is whole"
-    return "" if mode == "delete" else f"it stays in the mode {mode}"
 
 
 @lru_cache(maxsize=16)
@@ -206,7 +173,7 @@ def _stamp(path: Path) -> tuple[str, int, int, int]:
 
 def _beside(path: Path) -> list[Path]:
     """What SQLite left beside a file, as far as something is in it."""
-    beside = [path.with_name(path.name + ending) for ending in BESIDE]
+    beside = [path.with_name(path.name + ending) for ending in (WAL, JOURNAL)]
     found = [one for one in beside if one.exists()]
     for one in found:
         open_regular(one).close()

@@ -66,7 +66,7 @@ class Bag:
         if lost:
             self.cut_short = True
             reason, count = next(iter(lost)), lost.total()
-            note = f"damaged: {count:,} chunks or messages cannot be read ({reason})"
+            note = f"chunks or messages that are damaged and cannot be read: {count:,} ({reason})"
             self.notes += [note] if note not in self.notes else []
 
 

@@ -149,7 +149,45 @@ def test_what_waits_and_is_damaged_is_said_to_be_lost(whole: Path, tmp_path: Pat
     wal.write_bytes(bytes(size))
     imported = read_events(left)
     assert event_rows(imported) == shifted(EVENTS)[:70]
-    assert f"what waits in bag_0.db3-wal ({size:,} bytes) is lost" in imported.notes[0]
+    assert f"of what waits in bag_0.db3-wal ({size:,} bytes) a part is lost: SQLite finds nothing" in imported.notes[0]
+
+
+@pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.6, False), (0.9, False), (0.3, True), (0.7, True)])
+def test_what_waits_is_read_up_to_a_damage(whole: Path, tmp_path: Path, share: float, cut: bool) -> None:
+    """Assert that of a damaged or cut `-wal` what is before the damage comes, and that a note tells of the rest."""
+    left = killed(whole, tmp_path / "left", in_file=7)
+    wal = left.with_name("bag_0.db3-wal")
+    data = bytearray(wal.read_bytes())
+    at = int(share * len(data))
+    if cut:
+        del data[at:]
+    else:
+        data[at : at + 9] = b"\xff" * 9
+    wal.write_bytes(data)
+    imported = read_events(left)
+    assert 70 < imported.size < EVENTS.size
+    assert event_rows(imported) == shifted(EVENTS)[: imported.size]
+    assert "a part is lost: " in imported.notes[0]
+    assert ("are no whole page" if cut else "SQLite stops at a damage") in imported.notes[0]
+
+
+def test_what_an_earlier_turn_left_is_no_loss(whole: Path, tmp_path: Path) -> None:
+    """Assert that pages that were long joined, and lie behind those that wait, are not called lost."""
+    made, left = tmp_path / "made.db3", tmp_path / "left"
+    left.mkdir()
+    database, rows = opened(whole, made, "WAL")
+    database.execute("PRAGMA wal_autocheckpoint = 0")
+    for number, row in enumerate(rows):
+        database.execute("INSERT INTO messages VALUES(?, ?, ?, ?)", row)
+        database.commit()
+        if number == 35:
+            database.execute("PRAGMA wal_checkpoint")  # leaves the pages there, to be written over
+    for path in tmp_path.glob("made.db3*"):
+        shutil.copyfile(path, left / path.name)
+    database.close()
+    imported = read_events(left / "made.db3")
+    assert event_rows(imported) == shifted(EVENTS)
+    assert "read with made.db3-wal (" in imported.notes[0]
 
 
 def test_a_bag_that_is_being_written_is_refused(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

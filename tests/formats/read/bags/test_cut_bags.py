@@ -114,7 +114,7 @@ def test_whole_chunks_of_a_cut_bag_come(kind: str, tmp_path: Path) -> None:
         assert event_rows(imported) == ROWS[:expected]
         assert foreign.cut_short
         words = " ".join(imported.notes)
-        messages = int(re.findall("kept (?:the|its) ([0-9]+) messages", words)[0])
+        messages = int(re.findall("kept ([0-9]+) messages", words)[0])
         assert messages >= 2 * expected // SIZE - 1  # with those of the other topic
         assert "bytes are lost" in words or "the bag has no end" in words
 
@@ -126,7 +126,7 @@ def test_the_bytes_that_are_lost_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole.read_bytes()[:end] + b"\x06" + struct.pack("<Q", 5000) + bytes(4991))
     notes = read_events(path).notes
-    assert "the last 5,000 bytes are lost" in notes[0] and "4 whole chunks" in notes[0]
+    assert "those in whole chunks; the last 5,000 bytes are lost" in notes[0]
 
 
 @pytest.mark.parametrize("kind", ["ros1 none", "mcap ZSTD"])
@@ -191,7 +191,7 @@ def test_no_index_is_needed(what: str, compression: CompressionType, tmp_path: P
     assert event_rows(imported) == expected and imported.size > 0.9 * EVENTS.size
     others = imported.left_out["messages on /n (std_msgs/msg/Float64)"]
     assert others == imported.size // SIZE if complete else others >= imported.size // SIZE - 1
-    said = f"the bag has no end, as if its recorder was killed: kept its {others + imported.size // SIZE} messages"
+    said = f"the bag has no end, as if its recorder was killed: kept {others + imported.size // SIZE} messages"
     assert [note for note in imported.notes if "left out" not in note] == ([] if complete else [said])
 
 
@@ -242,7 +242,7 @@ def test_a_damaged_chunk_costs_its_messages(kind: str, tmp_path: Path) -> None:
     imported = read_events(whole)
     lost = slice(SIZE * chunks[3][1], SIZE * chunks[4][1])
     assert event_rows(imported) == ROWS[: lost.start] + ROWS[lost.stop :]
-    assert "damaged: 1 chunks or messages cannot be read" in " ".join(imported.notes)
+    assert "damaged and cannot be read: 1 (" in " ".join(imported.notes)
 
 
 @pytest.mark.parametrize("kind", ["mcap ZSTD", "ros1 none"])

@@ -1,0 +1,81 @@
+"""What SQLite leaves beside a database that was not closed: joined to a copy of it, and what of it is lost.
+
+    NAME-wal       pages that were written and not yet copied into the file: a head of 32 bytes, then frames, each of 24
+                   bytes and a page; https://www.sqlite.org/walformat.html
+    NAME-journal   pages as they were before a transaction that was not finished, to be put back
+
+SQLite joins both when it opens a database for writing, so that is done with a copy. It takes what is whole and says
+nothing of the rest.
+"""
+
+import sqlite3
+import struct
+from contextlib import closing
+from pathlib import Path
+
+from evetac_cli.errors import InputError
+
+WAL, JOURNAL = "-wal", "-journal"
+FRAMES_AT = 32
+PAGE_BYTES_AT, SALTS_AT = 8, 16  # in the head of -wal
+FRAME = struct.Struct(">IIQ")  # page, pages of the file if a transaction ends here, the salts of the head
+FRAME_HEAD_BYTES = 24
+OTHER_NAME = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
+
+
+def joined(copy: Path, where: str) -> str:
+    """Join to the copy of a database what waits beside it; returns what of that is lost, in words.
+
+    InputError for a journal that names another file, as those of several databases at once do, and no bag's: SQLite
+    would remove that file, whatever it is.
+    """
+    journal, wal = (Path(f"{copy}{ending}") for ending in (JOURNAL, WAL))
+    has_journal, has_wal = journal.exists(), wal.exists()
+    if has_journal and _names_another(journal):
+        raise InputError("the journal beside the bag names another file", where=where, found=f"NAME{JOURNAL}")
+    try:
+        with closing(sqlite3.connect(copy)) as database:
+            database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            _, frames, done = database.execute("PRAGMA wal_checkpoint").fetchone()
+            lost = _lost_frames(wal, max(0, frames)) if has_wal else ""
+            (mode,) = database.execute("PRAGMA journal_mode = DELETE").fetchone()
+            if has_journal:
+                (check,) = database.execute("PRAGMA quick_check(1)").fetchone()
+                lost = lost or ("" if check == "ok" else str(check).splitlines()[0][:100])
+    except sqlite3.DatabaseError as error:
+        return str(error)
+    return lost or ("" if mode == "delete" and frames == done else "SQLite does not join all of it")
+
+
+def _names_another(journal: Path) -> bool:
+    if journal.stat().st_size < len(OTHER_NAME):
+        return False
+    with journal.open("rb") as file:
+        file.seek(-len(OTHER_NAME), 2)
+        return file.read() == OTHER_NAME
+
+
+def _lost_frames(wal: Path, taken: int) -> str:
+    """What SQLite did not take of a `-wal` though it was finished, in words.
+
+    Frames of an earlier turn, which have other salts, and of a transaction that was not finished, are none of it.
+    """
+    size = wal.stat().st_size
+    with wal.open("rb") as file:
+        head = file.read(FRAMES_AT)
+        if len(head) < FRAMES_AT:
+            return "its head is cut"
+        page_bytes = int.from_bytes(head[PAGE_BYTES_AT : PAGE_BYTES_AT + 4])
+        salts = int.from_bytes(head[SALTS_AT : SALTS_AT + 8])
+        step = FRAME_HEAD_BYTES + max(1, page_bytes)
+        finished = 0
+        for at in range(FRAMES_AT + taken * step, size - step + 1, step):
+            file.seek(at)
+            page, pages, of = FRAME.unpack(file.read(FRAME.size))
+            finished += (pages > 0 and of == salts) or not page
+    if not taken and size > FRAMES_AT:
+        return "SQLite finds nothing in it that is whole"
+    if finished:
+        return f"SQLite stops at a damage, with {finished:,} transactions or empty pages behind it"
+    rest = (size - FRAMES_AT) % step
+    return f"its last {rest:,} bytes are no whole page" if rest else ""
