@@ -56,7 +56,7 @@ ONLY_IN = {
     "tornado": ("realtime/live_page/*",),
     "pyarrow": ("formats/read/*", "formats/write/*", "formats/write/lerobot/*"),
     "av": ("formats/write/lerobot/write_lerobot.py",),
-    "mcap": ("formats/write/write_mcap.py",),
+    "mcap": ("formats/write/write_mcap.py", "formats/read/bags/*"),
     "rerun": ("inspect/view/rerun_file.py",),
     "gymnasium": ("gym.py",),
 }

@@ -16,11 +16,9 @@ import pytest
 
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.write.write_aedat4 import EVENT, description
-from tests.formats.read.bags.test_read_rosbag import BAGS, START_S, Types
-from tests.formats.read.bags.test_read_rosbag import write as bag_writer
+from tests.formats.read.bags.bag_writing import BAGS, START_S, Types, write_bag
 from tests.importing import FRAME, refusal
 
-bag = bag_writer  # a fixture
 COUNT = 400
 X, Y, P = np.arange(COUNT) % 640, np.arange(COUNT) * 7 % 480, np.arange(COUNT) % 3 % 2
 MARKS = 0x0123456789ABC000 + np.arange(COUNT)  # times that stand nowhere else in a file
@@ -311,7 +309,7 @@ def test_a_wrap_that_only_the_numbers_tell(tmp_path: Path, name: str, bits: int)
 
 @pytest.mark.parametrize("kind", BAGS)
 @pytest.mark.parametrize("encoding", ["dvs_msgs", "mono", "libcaer", "evt3"])
-def test_clocks_in_bags(bag: Callable[..., Path], kind: str, encoding: str) -> None:
+def test_clocks_in_bags(tmp_path: Path, kind: str, encoding: str) -> None:
     """Assert the same of bags: small steps back, a restart, and of evt3 a wrap with lost messages."""
     types = Types(kind)
 
@@ -335,7 +333,7 @@ def test_clocks_in_bags(bag: Callable[..., Path], kind: str, encoding: str) -> N
                 # each message begins with the high bits of its time, as drivers send them
                 content = np.array(evt3_words_of(events), "<u2").tobytes()
             messages.append(types.packet(content, encoding, first // 50, base_us * 1000))
-        return bag(kind, types, {"/e": messages}, name)
+        return write_bag(tmp_path, kind, types, {"/e": messages}, name=name)
 
     t = steady(3_000_000)
     t[200] = t[199] - 999

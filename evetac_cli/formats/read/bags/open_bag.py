@@ -8,7 +8,7 @@ and what unpacks chunks.
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 from evetac_cli.errors import InputError, install_hint
@@ -79,12 +79,13 @@ def open_bag(path: Path) -> Bag:
     """The bag, with the tables of its files; InputError in words."""
     where = str(path)
     try:
-        for name in LIBRARIES:
-            import_module(name)
+        missing = [name for name in LIBRARIES if find_spec(name) is None]
         zstd_module()
     except ImportError as error:
+        missing = [error.name or str(error)]
+    if missing:
         hint = install_hint("convert")
-        raise InputError("ROS bags need rosbags and mcap", where=where, found=str(error), hint=hint) from None
+        raise InputError("ROS bags need rosbags and mcap", where=where, found=f"no {missing[0]}", hint=hint)
     with bag_in_words(where, "the bag"):
         return Bag(path)
 
