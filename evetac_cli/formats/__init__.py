@@ -8,7 +8,7 @@ imports.py reads them; the content decides, not the file's name:
     HDF5            read/read_hdf5            DSEC, rpg, MVSEC, M3ED, v2e, Prophesee: a row of its table each
     npy, npz        read/read_numpy           structured arrays, named columns, or tables (N, 4)
     Prophesee       read/read_prophesee       RAW (EVT2, EVT2.1, EVT3) and DAT; needs the extra `convert` (faery)
-    ROS bags        read/bags/read_rosbag     of ROS 1 and ROS 2; needs the extra `convert` (rosbags)
+    ROS bags        read/bags/read_rosbag     of ROS 1 and ROS 2; needs the extra `convert` (rosbags, mcap)
     text, CSV       read/read_text            `t x y p` a line or as the first line names them; integers are in us
     pickle          read/calibration_pickle   the official software's dot grid, for `calibrate`; holds no events
 

@@ -7,8 +7,9 @@ chunks is read. What is missing is said in the notes.
 """
 
 import heapq
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -81,6 +82,8 @@ class ChunkedFile:
         self.table = Table()
         self.stated: int | None = None  # messages, as the file says
         self._run: Chunk | None = None  # of messages outside of chunks
+        self._listed: list[int] | None = None  # where chunks begin, by the index of the file
+        self._damages: list[tuple[int, int]] = []  # from which byte on, and how many
         with path.open("rb") as file:
             size = file.seek(0, 2)
             end, closed = self._walk(file, size)
@@ -174,12 +177,17 @@ class ChunkedFile:
         if self.table.chunks:
             self.table.chunks[-1] = self.table.chunks[-1]._replace(counts=None)
 
-    def _skip(self, at: int, later: int) -> None:
-        """Go on with a chunk that the index of the file names, past a damage."""
+    def _past(self, at: int, listed: Callable[[], Iterable[int]]) -> int | None:
+        """Where the next chunk after a damage begins, by the index of the file; None where it names none."""
+        if self._listed is None:
+            self._listed = sorted(set(listed()))
+        following = bisect_right(self._listed, at)
+        if following == len(self._listed):
+            return None
         self._end_run()
         self._distrust_last_index()
-        self.table.notes.append(f"damaged: {later - at:,} bytes from byte {at:,} on are lost")
-        self.table.cut_short = True
+        self._damages.append((at, self._listed[following] - at))
+        return self._listed[following]
 
     def _content(self, file: BinaryIO, chunk: Chunk) -> bytes:
         file.seek(chunk.at)
@@ -221,9 +229,12 @@ class ChunkedFile:
         table = self.table
         count = sum(sum((chunk.counts or {}).values()) for chunk in table.chunks)
         if (not closed or broken) and not count:
-            found = next(iter(broken), f"{lost_bytes:,} bytes that are no whole chunk")
+            held = next(iter(broken), f"{lost_bytes:,} bytes that are no whole chunk")
             message = "no message can be read: the bag is cut short or damaged"
-            raise InputError(message, where=self.where, found=found)
+            raise InputError(message, where=self.where, found=held)
+        if self._damages:
+            sizes = f"{sum(size for _, size in self._damages):,} bytes, the first at byte {self._damages[0][0]:,}"
+            table.notes.append(f"damaged: lost {sizes}; the index of the file led past that")
         if broken:
             table.notes.append(f"chunks that are damaged and cannot be read: {broken.total():,} ({next(iter(broken))})")
         if not closed and lost_bytes:
@@ -233,6 +244,6 @@ class ChunkedFile:
             )
         elif not closed:
             table.notes.append(f"the bag has no end, as if its recorder was killed: kept {count:,} messages")
-        elif self.stated is not None and self.stated != count and not broken and not table.cut_short:
+        elif self.stated is not None and self.stated != count and not broken and not self._damages:
             table.notes.append(f"the file says that it has {self.stated:,} messages, and has {count:,}")
-        table.cut_short = table.cut_short or not closed or bool(broken)
+        table.cut_short = not closed or bool(broken) or bool(self._damages)

@@ -5,10 +5,12 @@ SQLite joins to the file when it opens it for writing; so such a file is copied,
 files is read as one where its folder is named, and the notes name what lies beside a file that is named by itself.
 """
 
+import os
 import re
 import shutil
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path, PurePath
 from tempfile import mkdtemp
@@ -121,7 +123,8 @@ def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
                 if not unpack_file(file, size, target):
                     readable.notes.append("the packed file ends early")
                     readable.cut_short = True
-                size = target.tell()
+                target.flush()
+                size = os.fstat(target.fileno()).st_size
                 target.seek(0)
                 target.truncate(size - _half_page(target.read(db3_rows.HEAD_BYTES), size))
             return readable
@@ -174,15 +177,10 @@ def _stamp(path: Path) -> tuple[str, int, int, int]:
 def _beside(path: Path) -> list[Path]:
     """What SQLite left beside a file, as far as something is in it."""
     beside = [path.with_name(path.name + ending) for ending in (WAL, JOURNAL)]
-    found = [one for one in beside if one.exists()]
-    for one in found:
+    left = [one for one in beside if one.exists()]
+    for one in left:
         open_regular(one).close()
-    return [one for one in found if one.stat().st_size]
-
-
-def _page_bytes(path: Path) -> int:
-    with path.open("rb") as file:
-        return db3_rows.page_bytes(file.read(db3_rows.HEAD_BYTES))
+    return [one for one in left if one.stat().st_size]
 
 
 def _inside(folder: Path) -> list[Path]:
@@ -199,9 +197,12 @@ def _parts_beside(path: Path) -> list[Path]:
     if part:
         for one in path.parent.iterdir():
             other = PART.fullmatch(one.name)
-            if other and other[1] == part[1] and other[3][:4] == part[3][:4] and one.name != path.name:
+            if other and other[1] == part[1] and other[3][:4] == part[3][:4]:
                 others.add(one)
-    return sorted(others)
+    with suppress(InputError):  # metadata that lie beside it are not those of its bag
+        listed = _listed(path.parent)[0] if (path.parent / METADATA).exists() else None
+        others |= set(listed.paths) if listed is not None and path in listed.paths else set()
+    return sorted(others - {path})
 
 
 def _listed(folder: Path) -> tuple[Files | None, str]:

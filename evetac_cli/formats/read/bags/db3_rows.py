@@ -97,16 +97,16 @@ class Db3File:
 
     def _unreadable(self, trouble: str) -> InputError:
         missing = _missing_bytes(self.path)
-        found = trouble + (f"; {missing:,} bytes at its end are missing" if missing > 0 else "")
+        said = trouble + (f"; {missing:,} bytes at its end are missing" if missing > 0 else "")
         hint = "copy it again, if it is longer where it was recorded" if missing > 0 else ""
-        return InputError("no message of the database can be read", where=self.where, found=found, hint=hint)
+        return InputError("no message of the database can be read", where=self.where, found=said, hint=hint)
 
     def _check_tables(self, database: sqlite3.Connection) -> None:
         """InputError unless topics and messages are plain tables: a view or a virtual one could be anything."""
         rows = database.execute("SELECT name, type, rootpage FROM sqlite_master").fetchall()
         kinds = {str(name): (kind, page) for name, kind, page in rows if kind in ("table", "view")}
-        found = {name: kinds.get(name, ("", 0)) for name in ("topics", "messages")}
-        if any(kind != "table" or not page for kind, page in found.values()):
+        tables = {name: kinds.get(name, ("", 0)) for name in ("topics", "messages")}
+        if any(kind != "table" or not page for kind, page in tables.values()):
             names = ", ".join(sorted(kinds))[:200] or "no table"
             raise InputError("not a bag of ROS 2", where=self.where, expected="tables topics, messages", found=names)
         self._has_definitions = kinds.get("message_definitions", ("", 0))[0] == "table"

@@ -54,8 +54,8 @@ class HostClock:
 
     def to_sensor(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Times of the host on the sensor's clock."""
-        ahead = np.interp(t_us.astype(np.float64), self.host_us, self.ahead_us - self.ahead_us[0])
-        moved: NDArray[np.int64] = t_us - round(self.ahead_us[0]) - np.rint(ahead).astype(np.int64)
+        more_us = np.interp(t_us.astype(np.float64), self.host_us, self.ahead_us - self.ahead_us[0])
+        moved: NDArray[np.int64] = t_us - round(self.ahead_us[0]) - np.rint(more_us).astype(np.int64)
         return moved
 
     @property
@@ -146,10 +146,10 @@ def _pairs(path: Path, topic: str) -> Iterator[Pair]:
     for number, (connection, received_ns, message) in enumerate(bag.messages(chosen)):
         if number % every and first is not None:
             continue
-        found = _pair(connection, received_ns, message)
-        if found is None:
+        pair_and_turn = _pair(connection, received_ns, message)
+        if pair_and_turn is None:
             continue
-        pair, turn_us = found
+        pair, turn_us = pair_and_turn
         if first is None:
             if abs(pair.host_us - pair.sensor_us) <= SAME_CLOCK_US:
                 return

@@ -7,6 +7,7 @@ footer that says where that begins, and the magic number again: https://mcap.dev
 
 import struct
 from collections.abc import Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -48,10 +49,9 @@ class McapFile(ChunkedFile):
                     file.seek(at)
                     return (size, True) if file.read(len(MAGIC)) == MAGIC else (at, False)
                 continue
-            later = next((place for place in _listed(file, size) if place > at), None)
+            later = self._past(at, partial(_listed, file, size))
             if later is None:
                 break
-            self._skip(at, later)
             at = later
         return at, False
 

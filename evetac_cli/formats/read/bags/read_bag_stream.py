@@ -84,8 +84,10 @@ def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Con
     if len({one.msgtype for one in of_topic}) > 1:
         raise InputError("messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic))
     if len({one.encoding for one in of_topic}) > 1 or of_topic[0].encoding not in ("cdr", "ros1"):
-        found = ", ".join(sorted({one.encoding for one in of_topic}))[:80]
-        raise InputError("messages that are packed in another way", where=where, expected="cdr or ros1", found=found)
+        encodings = ", ".join(sorted({one.encoding for one in of_topic}))[:80]
+        raise InputError(
+            "messages that are packed in another way", where=where, expected="cdr or ros1", found=encodings
+        )
     return of_topic
 
 

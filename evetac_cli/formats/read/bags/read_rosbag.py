@@ -116,8 +116,8 @@ def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
     """
     topics: dict[str, str] = {}
     for connection in bag.connections:
-        if found := layout(connection):
-            topics[connection.topic] = found
+        if known := layout(connection):
+            topics[connection.topic] = known
         elif connection.msgtype in TYPES:
             raise InputError(
                 f"{connection.msgtype} has another definition here",

@@ -10,6 +10,7 @@ While a chunk is being written its record says that it is empty, so what was not
 import re
 import struct
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import BinaryIO
 
 from evetac_cli.errors import InputError
@@ -38,10 +39,9 @@ class Rosbag1File(ChunkedFile):
             if record is not None and self._take(file, at, *record):
                 at = record[2]
                 continue
-            later = next((place for place in _listed(file, self._index_at, size) if place > at), None)
+            later = self._past(at, partial(_listed, file, self._index_at, size))
             if later is None:
                 return at, False
-            self._skip(at, later)
             at = later
         return at, self._index_at > 0 and self._places == self._stated_places
 

@@ -283,6 +283,10 @@ def test_files_that_are_not_read_are_named(tmp_path: Path) -> None:
     imported = read_events(folder / "trial_1.mcap")
     assert imported.size == 140
     assert imported.notes == ["beside it: trial_0.mcap, trial_2.mcap, which may be parts of the same recording"]
+    (folder / "trial_0.mcap").rename(folder / "begin.mcap")
+    about(folder, "begin.mcap", "trial_1.mcap", count=28)
+    notes = read_events(folder / "begin.mcap").notes
+    assert notes == ["beside it: trial_1.mcap, which may be parts of the same recording"]
     shutil.copyfile(folder / "trial_2.mcap", tmp_path / "alone.mcap")
     assert read_events(tmp_path / "alone.mcap").notes == []
 
