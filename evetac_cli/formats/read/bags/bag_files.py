@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path, PurePath
-from tempfile import mkdtemp
+from tempfile import gettempdir, mkdtemp
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
@@ -24,6 +24,7 @@ from evetac_cli.formats.read.bags.db3_rows import Db3File
 from evetac_cli.formats.read.bags.mcap_records import McapFile
 from evetac_cli.formats.read.bags.rosbag1_records import Rosbag1File
 from evetac_cli.formats.read.bags.rosbag_unpacking import unpack_file
+from evetac_cli.store.disk import temporary_name
 from evetac_cli.text_files import open_regular, read_bytes
 
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -103,8 +104,9 @@ class _Readable:
         self.cut_short = False
 
     def copy(self) -> Path:
-        """Where the copy is to be."""
-        folder = mkdtemp(prefix="evetac-bag-")
+        """Where the copy is to be; those that processes left that no longer live are removed."""
+        name = temporary_name(Path(gettempdir()) / "evetac-bag").name
+        folder = mkdtemp(prefix=name.removesuffix("tmp"), suffix=".tmp")
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self.path = Path(folder) / "copy"
         return self.path

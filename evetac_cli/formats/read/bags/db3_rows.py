@@ -24,6 +24,7 @@ MAGIC = b"SQLite format 3\x00"
 MOST_VALUE_BYTES = 512 << 20  # of a message
 HEAD_BYTES, PAGE_BYTES_AT, PAGES_AT = 100, 16, 28  # of the head of the file, and in it
 ROWS_AT_ONCE = 1 << 16
+MESSAGES_AT_ONCE = 16
 READS = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
 FUNCTIONS = {"count"}
 DEFINED_AS = "ros2msg"
@@ -51,16 +52,13 @@ class Db3File:
         rows = self._rows[np.isin(self._rows["topic"], list(numbers))]
         rows = rows[np.argsort(rows["time_ns"], kind="stable")]
         with closing(self._connected(salvage=self.table.cut_short)) as database:
-            for row, number, time_ns in rows.tolist():
-                try:
-                    content = database.execute("SELECT data FROM messages WHERE rowid = ?", (row,)).fetchone()
-                except sqlite3.DatabaseError as error:
-                    lost[str(error)] += 1
-                    continue
-                if content is None or not isinstance(content[0], bytes):
-                    lost["a row without a message"] += 1
-                    continue
-                yield number, time_ns, content[0]
+            for first in range(0, len(rows), MESSAGES_AT_ONCE):
+                some = rows[first : first + MESSAGES_AT_ONCE]
+                contents = _contents(database, some["row"].tolist(), lost)
+                for row, number, time_ns in some.tolist():
+                    content = contents.get(row)
+                    if isinstance(content, bytes):
+                        yield number, time_ns, content
 
     def _connected(self, *, salvage: bool) -> sqlite3.Connection:
         """The file, open for reading alone; with `salvage` also where it is shorter than it says."""
@@ -163,6 +161,22 @@ def page_bytes(head: bytes) -> int:
     """How large the pages of a file are, by its head; 1 where that makes no sense."""
     size = int.from_bytes(head[PAGE_BYTES_AT : PAGE_BYTES_AT + 2])
     return 1 << 16 if size == 1 else max(1, size)
+
+
+def _contents(database: sqlite3.Connection, rows: list[int], lost: Counter[str]) -> dict[int, Any]:
+    """The messages in some rows; those that cannot be read are counted in `lost`."""
+    marks = ", ".join("?" * len(rows))
+    try:
+        contents = dict(database.execute(f"SELECT rowid, data FROM messages WHERE rowid IN ({marks})", rows))
+    except sqlite3.DatabaseError as error:
+        if len(rows) > 1:
+            return {row: content for one in rows for row, content in _contents(database, [one], lost).items()}
+        lost[str(error)] += 1
+        return {}
+    odd = sum(not isinstance(contents.get(row), bytes) for row in rows)
+    if odd:
+        lost["a row without a message"] += odd
+    return contents
 
 
 def _missing_bytes(path: Path) -> int:

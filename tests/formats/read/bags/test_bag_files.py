@@ -1,10 +1,12 @@
 """The files of a bag: what lies beside a file, bags in several files, and what the metadata of a folder are worth."""
 
+import os
 import re
 import shutil
 import sqlite3
 import struct
-from collections.abc import Callable
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -362,19 +364,26 @@ def packets(types: Types, events: Events, size: int = 500) -> list[Any]:
 
 
 def test_no_copy_is_left(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the copy of a file is gone once another file is read."""
+    """Assert that the copy of a file is gone once others are read, and that of a process that was killed, too."""
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    made: list[str] = []
-    make: Callable[..., str] = bag_files.mkdtemp
-
-    def counted(**options: Any) -> str:
-        made.append(make(dir=scratch, **options))
-        return made[-1]
-
-    monkeypatch.setattr(bag_files, "mkdtemp", counted)
-    for name in ("one", "two", "three"):
+    monkeypatch.setattr("tempfile.tempdir", str(scratch))
+    bag_files._readable.cache_clear()
+    left = killed(whole, tmp_path / "one", in_file=7)
+    code = f"""
+import os
+from evetac_cli.formats.imports import read_events
+read_events({str(left)!r})
+os.kill(os.getpid(), 9)
+"""
+    subprocess.run([sys.executable, "-c", code], env=os.environ | {"TMPDIR": str(scratch)}, check=False, timeout=300)
+    (of_dead,) = scratch.iterdir()
+    assert (of_dead / "copy").is_file()
+    read_events(left)
+    (of_this,) = scratch.iterdir()
+    assert of_this != of_dead
+    for name in ("two", "three", "four"):
         read_events(killed(whole, tmp_path / name, in_file=7))
-    assert len(made) == 3 and len(list(scratch.iterdir())) <= 2
+    assert len(list(scratch.iterdir())) == 2 and not of_this.exists()
     bag_files._readable.cache_clear()
     assert not list(scratch.iterdir())
