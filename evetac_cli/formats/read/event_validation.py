@@ -5,6 +5,7 @@ hand over batches of raw columns, which are checked and converted here.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +29,7 @@ SPAN_LIMIT_US = 6 * 3600 * 1_000_000  # 8 bytes a millisecond, some copies at a 
 # uint16 coordinates
 FRAME_LIMIT_PX = 2**16
 MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 in a column without signs
+SMALL_BATCH = 1 << 16  # events
 LIT_EVENTS = 1 << 20  # of so many events, which pixels they came from is kept
 LIT_PIXELS = 1 << 24  # of larger frames, several pixels count as one
 
@@ -248,11 +250,37 @@ class _Seen:
         return [f"polarity {value} is taken as -1, darker" for value in sorted(self._polarities) if value in MINUS_ONES]
 
 
+def _gathered(batches: Iterable[Columns], where: str) -> Iterator[Columns]:
+    """The same batches, small ones of the same types joined, so that what is done once a batch costs little."""
+    waiting: list[Columns] = []
+    count = 0
+
+    def joined() -> Columns:
+        nonlocal count
+        parts, starts = list(waiting), np.cumsum([0, *(len(part.t) for part in waiting)]).tolist()
+        waiting.clear()
+        count = 0
+        if len(parts) == 1:
+            return parts[0]
+        t, x, y, p = (np.concatenate(column) for column in zip(*(part[:4] for part in parts), strict=True))
+        return Columns(t, x, y, p, lambda row: parts[at := bisect_right(starts, row) - 1].place(row - starts[at]))
+
+    for batch in batches:
+        check_lengths([len(column) for column in batch[:4]], where)
+        if waiting and any(a.dtype != b.dtype for a, b in zip(waiting[0][:4], batch[:4], strict=True)):
+            yield joined()
+        waiting.append(batch)
+        count += len(batch.t)
+        if count >= SMALL_BATCH:
+            yield joined()
+    if waiting:
+        yield joined()
+
+
 def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
     """The events of each batch that can be used, in our types, and where the user finds them."""
     width, height = foreign.frame_px
-    for given in foreign.batches:
-        check_lengths([len(column) for column in given[:4]], where)
+    for given in _gathered(foreign.batches, where):
         seen.total += len(given.t)
         if (events := _without_fault(given, foreign.frame_px)) is not None:
             seen.polarities(given.p)

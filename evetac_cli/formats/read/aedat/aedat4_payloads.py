@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, install_hint
 
 MOST_BYTES = 1 << 28  # of a packet, decompressed
+PIECE_BYTES = 1 << 20  # that are decompressed at once: the library takes memory for as many
 PLAIN, LZ4, ZSTD = (0,), (1, 2), (3, 4)  # compressions
 EVENT = np.dtype(
     {"names": ["t", "x", "y", "on"], "formats": ["<i8", "<i2", "<i2", "u1"], "offsets": [0, 8, 10, 12], "itemsize": 16}
@@ -65,7 +66,7 @@ def content(kind: str, compression: int, payload: bytes) -> Any:
         if body[8:12] != kind.encode():
             raise ValueError(f"a packet that does not hold {kind}")
         tables = _Tables(body)
-        root = np.array([4 + tables.number("<u4", 4)])
+        root = 4 + tables.number("I", 4)
         if kind == "FRME":
             return _frame(tables, root)
         start, count = tables.vector(root, 0)
@@ -86,10 +87,12 @@ def _decompressed(compression: int, payload: bytes) -> bytes:
     try:
         if compression in LZ4:
             decompressor = lz4.frame.LZ4FrameDecompressor()
-            body: bytes = decompressor.decompress(payload, max_length=MOST_BYTES)
+            parts = [decompressor.decompress(payload, max_length=PIECE_BYTES)]
+            while parts[-1] and not decompressor.eof and len(parts) * PIECE_BYTES < MOST_BYTES:
+                parts.append(decompressor.decompress(b"", max_length=PIECE_BYTES))
             if not decompressor.eof:
                 raise ValueError("a compressed packet that does not end, or is too large")
-            return body
+            return b"".join(parts) if len(parts) > 1 else bytes(parts[0])
         body = zstandard.ZstdDecompressor().stream_reader(payload).read(MOST_BYTES + 1)
     except (RuntimeError, zstandard.ZstdError, MemoryError) as error:
         raise ValueError(str(error)) from None
@@ -99,22 +102,40 @@ def _decompressed(compression: int, payload: bytes) -> bytes:
 
 
 class _Tables:
-    """Reads numbers at any bytes of a flatbuffer, many at once; IndexError for those outside it."""
+    """Reads numbers at any bytes of a flatbuffer, one or many at once; IndexError or struct.error outside it."""
 
     def __init__(self, body: bytes) -> None:
         self.body = body
 
+    def number(self, code: str, at: int) -> int:
+        """The number at a byte, by its struct code."""
+        if at < 0:
+            raise IndexError("before its start")
+        return int(struct.unpack_from(f"<{code}", self.body, at)[0])
+
+    def place(self, table: int, slot: int) -> int:
+        """Where a table has a field; 0 where it leaves it out."""
+        shared = table - self.number("i", table)
+        offset = self.number("H", shared + 4 + 2 * slot) if 4 + 2 * slot < self.number("H", shared) else 0
+        return table + offset if offset else 0
+
+    def vector(self, table: int, slot: int) -> tuple[int, int]:
+        """Where the first element of a vector lies, and how many there are."""
+        at = self.place(table, slot)
+        if not at:
+            return 0, 0
+        start = at + self.number("I", at)
+        return start + 4, self.number("I", start)
+
     def numbers(self, dtype: str, at: NDArray[np.int64]) -> NDArray[Any]:
+        """The numbers at many bytes."""
         size = np.dtype(dtype).itemsize
         if len(at) and int(at.min()) < 0:
             raise IndexError("before its start")
         return np.ndarray((max(0, len(self.body) - size + 1),), dtype, self.body, strides=(1,))[at]
 
-    def number(self, dtype: str, at: int) -> int:
-        return int(self.numbers(dtype, np.array([at]))[0])
-
     def places(self, tables: NDArray[np.int64], slot: int) -> NDArray[np.int64]:
-        """Where each table has a field; 0 where it leaves it out."""
+        """Where each of many tables has a field; 0 where it leaves it out."""
         shared = tables - self.numbers("<i4", tables)
         has = np.flatnonzero(4 + 2 * slot < self.numbers("<u2", shared))
         offsets = np.zeros(len(tables), np.int64)
@@ -122,19 +143,11 @@ class _Tables:
         return np.where(offsets > 0, tables + offsets, 0)
 
     def values(self, tables: NDArray[np.int64], slot: int, dtype: str) -> NDArray[Any]:
-        """A number of each table; 0 where it leaves it out."""
+        """A number of each of many tables; 0 where it leaves it out."""
         at = self.places(tables, slot)
         values = np.zeros(len(tables), dtype)
         values[at > 0] = self.numbers(dtype, at[at > 0])
         return values
-
-    def vector(self, table: NDArray[np.int64], slot: int) -> tuple[int, int]:
-        """Where the first element of a vector lies, and how many there are."""
-        at = int(self.places(table, slot)[0])
-        if not at:
-            return 0, 0
-        start = at + self.number("<u4", at)
-        return start + 4, self.number("<u4", start)
 
 
 def _rows(tables: _Tables, start: int, count: int, fields: Sequence[tuple[str, str | None]]) -> Any:
@@ -158,10 +171,10 @@ def _rows(tables: _Tables, start: int, count: int, fields: Sequence[tuple[str, s
     return rows
 
 
-def _frame(tables: _Tables, root: NDArray[np.int64]) -> Frame:
+def _frame(tables: _Tables, root: int) -> Frame:
     t, format_, width, height = (
-        int(tables.values(root, slot, dtype)[0])
-        for slot, dtype in ((FRAME_T, "<i8"), (FRAME_FORMAT, "<i1"), (FRAME_WIDTH, "<i2"), (FRAME_HEIGHT, "<i2"))
+        tables.number(code, at) if (at := tables.place(root, slot)) else 0
+        for code, slot in (("q", FRAME_T), ("b", FRAME_FORMAT), ("h", FRAME_WIDTH), ("h", FRAME_HEIGHT))
     )
     if format_ not in FORMATS or width < 0 or height < 0:
         raise ValueError(f"a frame of {width} x {height} px in format {format_}")
