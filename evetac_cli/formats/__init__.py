@@ -2,18 +2,19 @@
 
 imports.py reads them; the content decides, not the file's name:
 
-    AEDAT4          read/aedat/read_aedat4    says its frame size; needs the extra `convert` (faery)
+    AEDAT4          read/aedat/read_aedat4    says its frame size; needs the extra `convert` (lz4, zstandard)
     AEDAT 3.1       read/aedat/read_aedat3    of cAER; (0, 0) at the top left
     AEDAT 2         read/aedat/read_aedat2    of jAER and v2e: DVS128 and DAVIS, turned so that top left is (0, 0)
     HDF5            read/read_hdf5            DSEC, rpg, MVSEC, M3ED, v2e, Prophesee: a row of its table each
     npy, npz        read/read_numpy           structured arrays, named columns, or tables (N, 4)
-    Prophesee       read/read_prophesee       RAW (EVT2, EVT2.1, EVT3) and DAT; needs the extra `convert` (faery)
+    Prophesee       read/read_prophesee       RAW (EVT2, EVT2.1, EVT3) and DAT, with external triggers
     ROS bags        read/bags/read_rosbag     of ROS 1 and ROS 2; needs the extra `convert` (rosbags, mcap)
     text, CSV       read/read_text            `t x y p` a line or as the first line names them; integers are in us
     pickle          read/calibration_pickle   the official software's dot grid, for `calibrate`; holds no events
 
-What a file leaves unsaid of its columns is assumed by one rule (read/column_order) and said; what it holds beside
-events is counted and said.
+What a file leaves unsaid of its columns is assumed by one rule (read/column_order, read/column_times), tested for sense
+and said; what it holds beside events is counted and said. A clock that wraps is followed by one rule (read/clock), and
+events out of order are judged by one (read/time_order).
 
 exports.py writes them:
 

@@ -2,7 +2,7 @@
 
     structured    fields t, x, y, p by the names in column_order; what tonic, expelliarmus and faery make
     (N, 4)        four columns, in the order that is said or fits (column_order)
-    columns       arrays t, x, y, p of one length in an npz
+    columns       arrays t, x, y, p of one length in an npz; or of EVIMO, where x and y are one array (N, 2)
 
 The bytes are read here in blocks and never given to numpy.load: objects, which a pickle would make, are refused, and
 of an archive no more is unpacked than a recording of its size can hold.
@@ -37,6 +37,7 @@ from evetac_cli.formats.read.column_order import (
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, check_lengths, choose_frame
 
+EVIMO = ("events_t", "events_xy", "events_p")
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 BATCH_ROWS = 1 << 18
 BATCH_BYTES = 1 << 22  # of one array
@@ -141,6 +142,11 @@ def _choose(
         chosen = [arrays[name] for name in used]
         check_lengths([math.prod(array.shape) for array in chosen], where)
         order = Order((0, 1, 2, 3), order.us_per_unit)
+    elif stream is None and _is_evimo(arrays):
+        used = list(EVIMO)
+        chosen = [arrays[name] for name in used]
+        check_lengths([chosen[at].shape[0] for at in (0, 1, 1, 2)], where)
+        order = Order((0, 1, 2, 3), None)
     elif tables and (stream is None or stream in tables):
         used = [tables[0] if stream is None else stream]
         chosen = [arrays[used[0]]]
@@ -164,9 +170,22 @@ def _choose(
     return chosen, order
 
 
+def _is_evimo(arrays: dict[str, Array]) -> bool:
+    """Whether there are the three arrays of EVIMO."""
+    if not all(name in arrays for name in EVIMO):
+        return False
+    t, xy, p = (arrays[name] for name in EVIMO)
+    pairs = xy.dtype.kind in "iuf" and len(xy.shape) == 2 and xy.shape[1] == 2 and not xy.columns_first
+    return t.is_column and pairs and p.is_column
+
+
 def _stretches(chosen: list[Array]) -> list[Stretch]:
-    """Where the values lie: four columns, or one stretch of rows."""
+    """Where the values lie: four columns, those of EVIMO, or one stretch of rows."""
     array = chosen[0]
+    if len(chosen) == len(EVIMO):
+        t, xy, p = chosen
+        pairs = Stretch(xy, np.dtype((xy.dtype, (2,))), 0, xy.shape[0])
+        return [Stretch(t, t.dtype, 0, t.shape[0]), pairs, Stretch(p, p.dtype, 0, p.shape[0])]
     if len(chosen) == 4:
         return [Stretch(one, one.dtype, 0, math.prod(one.shape)) for one in chosen]
     if array.dtype.names:

@@ -128,6 +128,21 @@ def test_blocks_join(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at index 50 from" in refusal(tmp_path / "late.npz", frame_px=FRAME)
 
 
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize("kind", [np.uint16, np.int32, np.float32])
+def test_the_arrays_of_evimo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, save: Any, kind: Any) -> None:
+    """Assert that pairs of column and row in one array, beside times in seconds and polarities, are events."""
+    monkeypatch.setattr(read_numpy, "BATCH_ROWS", 700)
+    xy = np.stack([EVENTS.x, EVENTS.y], axis=1).astype(kind)
+    arrays = {"events_t": EVENTS.t / 1e6, "events_xy": xy, "events_p": EVENTS.p, "meta": np.zeros(3)}
+    save(tmp_path / "a.npz", **arrays)
+    imported = read_events(tmp_path / "a.npz", frame_px=FRAME)
+    assert_equal(imported, EVENTS)
+    assert imported.left_out == {"values of meta": 3}
+    save(tmp_path / "b.npz", **arrays | {"events_xy": xy[:-1]})
+    assert "columns differ in length" in refusal(tmp_path / "b.npz", frame_px=FRAME)
+
+
 def test_a_unit_that_changes_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that fractions after whole times are not rounded away."""
     monkeypatch.setattr(read_numpy, "BATCH_ROWS", 5)
