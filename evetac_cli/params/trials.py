@@ -56,7 +56,7 @@ class Trials:
     )
     theta: float | None = parameter(
         None,
-        "Of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: 0.55.",
+        "Of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: the scene's, or 0.51.",
         low=0.5,
         high=1.0,
         panel=SOLVER,

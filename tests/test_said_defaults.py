@@ -1,0 +1,189 @@
+"""What help texts and docs say in words of the code: defaults, names and ranges that are written down elsewhere.
+
+A parameter whose default is None takes its value from a scene, a model or a module. Its help says which value that is,
+and nothing but this test keeps the two together.
+"""
+
+import dataclasses
+import inspect
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli import resources
+from evetac_cli.cli import flags
+from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW
+from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
+from evetac_cli.formats.write.lerobot import write_lerobot
+from evetac_cli.sim import scene
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.solver import Solver
+from evetac_cli.stages import train
+from evetac_cli.stages.identify import gripper_rows
+from evetac_cli.stages.record import SCENE_KINDS, capture_plan
+from evetac_cli.store.files import StageFile
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT, DOCTOR, SHARE, REPORT)}
+COMMANDS |= {f"evaluate {command.name}": command for command in EVALUATE}
+
+
+def _shipped() -> str:
+    with StageFile(resources.MODEL, "model") as model:
+        return f"{model.read('architecture')} {model.read('horizon_ms')} ms ahead"
+
+
+def _of_lerobot(name: str) -> Any:
+    return inspect.signature(write_lerobot.write).parameters[name].default
+
+
+# What is said of a parameter's default, made from the value that the code has.
+SAID: dict[tuple[str, str], Callable[[], str]] = {
+    ("trials", "tolerance_um"): lambda: f"the scene's, or {Solver.tolerance_um}",
+    ("trials", "theta"): lambda: f"the scene's, or {Solver.theta}",
+    ("trials", "node_pitch_mm"): lambda: f"the scene's, or {Solver.node_pitch_mm}",
+    ("trials", "camera_substeps"): lambda: f"the scene's, or {Solver.camera_substeps}",
+    ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",
+    ("record", "holding_ma"): lambda: f"what a virtual world asks for, {capture_plan.HOLDING_MA:g} otherwise",
+    ("record", "readout_rate"): lambda: DvxplorerSettings().readout_rate,
+    ("attach", "offset"): lambda: "0",
+    ("calibrate", "gel"): lambda: "as its columns say, 9 or 8, or the default grid",
+    ("identify", "pixel_mm"): lambda: f"that of --like, taken as known within {gripper_rows.SCALE_SHARE:.0%}",
+    ("train", "model"): lambda: f"{train.USUAL.model}, or that of --adapt",
+    ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",
+    ("train", "preset"): lambda: f"{train.USUAL.preset}, or with --adapt, which takes no other, adamw with small steps",
+    ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
+    ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
+    ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
+    ("grasp", "model"): lambda: f"the package's, {_shipped()}",
+    ("export", "fps"): lambda: str(_of_lerobot("fps")),
+    ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
+    ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),
+}
+EVERY = {(name, item.name): item for name, command in COMMANDS.items() for item in dataclasses.fields(command.params)}
+
+
+def said_default(text: str) -> str:
+    """What a help text says after "default:", to the end of the sentence; or the words before "(the default)"."""
+    if found := re.search(r"(?:; d|\. D)efault: ((?:[^.]|\.(?=\S))+)", text):
+        return " ".join(found[1].replace(" %", "%").split())
+    found = re.search(r"(\S+) \(the default\)", text)
+    return f"{found[1]} (the default)" if found else ""
+
+
+def has_a_value(said: str, choices: tuple[str, ...]) -> bool:
+    """Whether a default is said by a number, or by one of the parameter's choices, and not in words alone."""
+    return bool(re.search(r"\d", said)) or any(re.search(rf"\b{re.escape(choice)}\b", said) for choice in choices)
+
+
+def key_of(command: str, name: str) -> tuple[str, str]:
+    """A parameter by its command; record and grasp share those of their trials."""
+    return ("trials", name) if ("trials", name) in SAID and command in ("record", "grasp") else (command, name)
+
+
+@pytest.mark.parametrize(("command", "name"), EVERY)
+def test_said_defaults_are_those_of_the_code(command: str, name: str) -> None:
+    """Assert that a default that help names by its value is the one that the code has."""
+    item = EVERY[command, name]
+    said = said_default(item.metadata["help"])
+    key = key_of(command, name)
+    if key in SAID:
+        assert said.startswith(SAID[key]())
+    else:
+        assert not has_a_value(said, item.metadata["choices"]), f"add {key} to SAID, beside what the code has"
+
+
+def test_no_parameter_says_two_defaults() -> None:
+    """Assert that help names no default by hand where it is printed from the parameter."""
+    for (command, name), item in EVERY.items():
+        if item.default not in (None, False, ""):
+            assert not said_default(item.metadata["help"]), (command, name)
+
+
+def test_every_entry_is_of_a_parameter() -> None:
+    """Assert that the table above speaks of parameters that there are."""
+    shown = {key_of(command, name) for command, name in EVERY}
+    assert set(SAID) <= shown
+
+
+def test_flags_of_running_say_no_number() -> None:
+    """Assert that help of how to run names no value by hand: it is printed from the table."""
+    for table in (flags.OF_STAGES, flags.OF_VIEW, flags.OF_EXPORT, flags.OF_SHARE, flags.OF_DOCTOR):
+        for _, default, _, help_ in table.values():
+            assert not re.search(r"\d", said_default(help_)), help_
+            assert default is None or not said_default(help_), help_
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Ends here; default: 0.55.", "0.55"),
+        ("Which; default: hist10, or that of --adapt.", "hist10, or that of --adapt"),
+        ("Stop early. Default: take all steps.", "take all steps"),
+        (
+            "Known within; default: that of --like, taken as known within 12 %.",
+            "that of --like, taken as known within 12%",
+        ),
+        ("The mean (the default), the last, or all.", "mean (the default)"),
+        ("Nothing is said.", ""),
+    ],
+)
+def test_what_is_read_from_a_help_text(text: str, said: str) -> None:
+    """Assert that the check reads a default to the end of its sentence, decimals included."""
+    assert said_default(text) == said
+
+
+def test_theta_is_one_number() -> None:
+    """Assert that the kernel's own default is that of the settings."""
+    assert inspect.signature(gel.step).parameters["theta"].default == Solver.theta
+
+
+def test_the_table_of_settings_in_the_docs() -> None:
+    """Assert that every default in the table of docs/simulator.md is the code's."""
+    rows = re.findall(r"^\| `(\w+)` \| [^|]*\| ([^|]+) \|", (ROOT / "docs" / "simulator.md").read_text(), re.MULTILINE)
+    said = {name: value for name, value in rows if name in Solver.__dataclass_fields__}
+    assert set(said) == set(Solver.__dataclass_fields__)
+    for name, value in said.items():
+        default = getattr(Solver, name)
+        assert value.removeprefix("the scene's, or ") == (
+            "none" if default is None else f"{default:g}".replace("e-0", "e-")
+        ), name
+
+
+def test_the_names_in_help_are_those_there_are() -> None:
+    """Assert that help lists every sensor that comes with the package, and every scene of the command's kinds."""
+    for command, kinds in (("record", SCENE_KINDS), ("grasp", ("lift",))):
+        of_kind = {path.stem for path in resources.SCENES.glob("*.toml") if scene.load(path.stem)["kind"] in kinds}
+        assert listed(EVERY[command, "scene"].metadata["help"], "or a TOML") == of_kind
+        sensors = listed(EVERY[command, "sensor"].metadata["help"], "another for")
+        assert sensors == set(resources.table("sensors"))
+
+
+def listed(text: str, until: str) -> set[str]:
+    """The names that a help text lists after its first colon."""
+    return set(re.findall(r"[\w-]+", text.partition(": ")[2].partition(until)[0]))
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "said"),
+    [
+        ("record", "tones", f"1 to {scene.HIGHEST_TONE_HZ:g}"),
+        (
+            "record",
+            "objects",
+            f"{min(resources.table('objects'), key=int)} to {max(resources.table('objects'), key=int)}",
+        ),
+        (
+            "grasp",
+            "objects",
+            f"{min(resources.table('objects'), key=int)} to {max(resources.table('objects'), key=int)}",
+        ),
+        ("train", "validate", f"at least {train.FEWEST_VALIDATED_ON}"),
+    ],
+)
+def test_ranges_in_help_are_those_of_the_code(command: str, name: str, said: str) -> None:
+    """Assert that a range that help says in words is the one that is checked."""
+    assert said in EVERY[command, name].metadata["help"]
