@@ -80,25 +80,25 @@ def open_forces(path: str | Path) -> StageFile:
 def open_model(path: str | Path) -> StageFile:
     """Open a slip detector's model file: weights as arrays, `onnx` graph, `threshold`, training curve.
 
-    InputError if it is anything else. To run it on events see `SlipDetector`.
+    `shipped` is the package's. InputError if it is anything else. To run it on events see `SlipDetector`.
 
     >>> with evetac.open_model("slip.model.h5") as model:
     ...     model.read("architecture")
     'hist10'
     """
-    return StageFile(Path(path), "model")
+    return StageFile(resources.model_file(path, flag="path"), "model")
 
 
 def open_force_model(path: str | Path) -> StageFile:
     """Open a force model: `regression/slope_n_px`, `regression/offset_n`, the network's weights and scales; or `gel/`.
 
-    InputError if it is anything else.
+    `shipped` is the package's. InputError if it is anything else.
 
     >>> with evetac.open_force_model("dots.force-model.h5") as model:
     ...     model.read("regression/offset_n").shape
     (2,)
     """
-    return StageFile(Path(path), "force-model")
+    return StageFile(resources.model_file(path, "force-model", "path"), "force-model")
 
 
 def open_report(path: str | Path) -> StageFile:
@@ -179,8 +179,8 @@ class DotTracker:
 class SlipDetector:
     """Slip probability from events, slice by slice: the tracker and the network that `grasp` runs.
 
-    gel: a recording, a simulation or a `Gel`. model: a model file; the package's own by default. InputError where the
-    gel's dots are unknown, or the model is for another dot grid.
+    gel: a recording, a simulation or a `Gel`. model: a model file, or `shipped`, the package's, which is the default.
+    InputError where the gel's dots are unknown, or the model is for another dot grid.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     detector = evetac.SlipDetector(recording)
@@ -194,7 +194,7 @@ class SlipDetector:
 
     def __init__(self, gel: _HasGel, model: str | Path | None = None, tracker_preset: str = "stable") -> None:
         dot_xy_px, constants = _dots(gel, tracker_preset)
-        with StageFile(Path(model) if model is not None else resources.MODEL, "model") as file:
+        with StageFile(resources.model_file(model, flag="model"), "model") as file:
             self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
 
     @property

@@ -110,7 +110,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._timing = Timing(touch_ms, lift_ms, balance_ms, control_hz)
         if self._timing.balance_ms < 0:
             raise InputError("no such duration", where="balance_s", expected="0 or more", found=f"{balance_s}")
-        self._model = resources.MODEL if model is None else Path(model)
+        self._model = resources.model_file(model, flag="model")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
                 "unknown value", where="render_mode", expected="rgb_array, or None", found=f"{render_mode}"

@@ -4,10 +4,12 @@ import functools
 import os
 import tempfile
 import tomllib
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import EvetacError
+from evetac_cli.errors import EvetacError, InputError
 
 PACKAGE = Path(__file__).resolve().parent
 DATA = PACKAGE / "data"
@@ -15,6 +17,7 @@ SCENES = DATA / "scenes"
 SHIPPED = "shipped"  # names the package's model where a flag asks for one
 MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
 FORCE_MODEL = DATA / "models" / "gel.force-model.h5"  # of `predict-force`, likewise
+MODELS = {"model": MODEL, "force-model": FORCE_MODEL}
 
 
 def schemas() -> Path:
@@ -23,6 +26,29 @@ def schemas() -> Path:
         if candidate.is_dir():
             return candidate
     raise EvetacError("the folder schemas/ is missing from this installation", hint="install evetac again")
+
+
+def model_file(named: Path | str | None, kind: str = "model", flag: str = "--model") -> Path:
+    """The file of a model: the package's for `shipped` and where none is named, otherwise the one that is named.
+
+    InputError for a name that is neither a file nor `shipped`, but near to it.
+    """
+    if named is None or str(named) in ("", SHIPPED):
+        return MODELS[kind]
+    path = Path(named)
+    if not path.exists() and get_close_matches(str(named), [SHIPPED]):
+        raise InputError("no such file", where=flag, found=str(named), hint=f"did you mean {SHIPPED}?")
+    return path
+
+
+def with_shipped(files: Iterable[Path]) -> list[Path]:
+    """Files as they were named, in which `shipped` stands for the package's slip detector, at the end.
+
+    A file or folder that is called so is meant where there is one.
+    """
+    named = list(files)
+    others = [path for path in named if str(path) != SHIPPED or path.exists()]
+    return others if len(others) == len(named) else [*others, MODEL]
 
 
 @functools.cache

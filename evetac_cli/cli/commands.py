@@ -16,7 +16,7 @@ class Command:
     params: type
     module: str
     files: str  # what the file arguments are; empty if the command takes none
-    kind: str = "recording"  # of the files that are taken from a folder
+    kind: str = "recording"  # of the files that are taken from a folder; empty: the command sees to folders itself
     suffix: str = ".h5"  # of a file that -o names
     unit: str = "slices"
     files_needed: bool = True
@@ -153,7 +153,7 @@ EVALUATE = (
         unit="files",
         examples=(
             "evetac evaluate slip unseen --model hist10.model.h5",
-            "evetac evaluate slip unseen --model models --all",
+            "evetac evaluate slip unseen --model shipped --all",
         ),
     ),
     Command(
@@ -239,7 +239,8 @@ VIEW = Command(
     "view",
     inspection.View,
     "inspect.view",
-    "Stage files of one trial; others of its name are found.",
+    "Stage files of one trial; others of its name are found. A model too, or `shipped`, the package's.",
+    kind="",
     unit="images",
     examples=("evetac view a.recording.h5", "evetac view a.recording.h5 --start-s 1 --stop-s 1.2 --film a.gif"),
 )
@@ -267,6 +268,7 @@ SHARE = Command(
     inspection.Share,
     "inspect.share",
     "A model and reports on it; or a folder.",
+    kind="",
     unit="files",
     examples=(
         "evetac share own.model.h5 unseen.slip.report.h5 --license mit -o own-hub",
@@ -278,6 +280,7 @@ REPORT = Command(
     inspection.Report,
     "inspect.report",
     "A folder of stage files; two with --compare.",
+    kind="",
     unit="files",
     examples=("evetac report data", "evetac report before after --compare -o compared.html"),
 )

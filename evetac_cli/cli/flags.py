@@ -32,7 +32,7 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
     "config": (Path | None, None, "--config", "TOML file with parameters, one table a command; --no-FLAG unsets one."),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
     "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
-    "verbose": (bool, False, "-v/--verbose", "Print the traceback of an error."),
+    "verbose": (bool, False, "-v/--verbose", "Print every row and column; of an error, the traceback."),
 }
 # view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
 OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")} | {
@@ -44,6 +44,15 @@ OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("num
     ),
     "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
 }
+OF_REPORT = OF_VIEW | {
+    "out": (
+        Path | None,
+        None,
+        "-o/--out",
+        "Output file or folder; default: report.html in the folder, or A-B.report.html here.",
+    ),
+    "force": (bool, False, "-f/--force", "Replace a page that exists."),
+}
 OF_EXPORT = OF_VIEW | {
     "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
     "force": (bool, False, "-f/--force", "Replace a file that exists."),
@@ -52,7 +61,8 @@ OF_SHARE = OF_VIEW | {
     "out": (Path | None, None, "-o/--out", "Folder; default: NAME-hub beside it."),
     "force": (bool, False, "-f/--force", "Replace a folder that share made."),
 }
-OF_DOCTOR = {name: OF_STAGES[name] for name in ("as_json", "verbose")} | {
+OF_LOOKING = {name: OF_STAGES[name] for name in ("as_json", "quiet", "verbose")}  # of commands that make nothing
+OF_DOCTOR = OF_LOOKING | {
     "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),
 }
 
@@ -131,11 +141,17 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
         )
         how.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     if command.files:
-        help_ = f"{command.files} A folder stands for the {command.kind} files in it."
+        help_ = command.files + (f" A folder stands for the {command.kind} files in it." if command.kind else "")
         files = Annotated[list[Path], typer.Argument(metavar="FILES", help=help_, show_default=False)]
         needed: Any = inspect.Parameter.empty if command.files_needed else []
         places.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
     return inspect.Signature([*places, *first, *how, *in_panels])
+
+
+def looking(name: str) -> Any:
+    """The option of one of OF_LOOKING, as typer reads it from the signature of a function."""
+    _, _, names, help_ = OF_LOOKING[name]
+    return typer.Option(*names.split("/"), help=help_)
 
 
 def _help(item: Any) -> str:

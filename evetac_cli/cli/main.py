@@ -18,7 +18,10 @@ from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("index", "repair", "report", "share", "view")  # commands that see to folders themselves
+OF_FOLDERS = ("index", "repair")  # inspectors that take folders, not the files in them
+AsJson = Annotated[bool, flags.looking("as_json")]
+Quiet = Annotated[bool, flags.looking("quiet")]
+Verbose = Annotated[bool, flags.looking("verbose")]
 
 app = typer.Typer(
     cls=Commands,
@@ -71,7 +74,7 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
     named = given.pop("files")
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
-        files = named if command.name in OF_FOLDERS else execution.with_folders(named, command.kind)
+        files = execution.with_folders(named, command.kind) if command.kind else named
         module = importlib.import_module(f"evetac_cli.{command.module}")
         with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
             result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
@@ -94,6 +97,8 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         if len(apart) > 1:
             names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
             raise InputError("each does something else", where=names, expected="one of them at a time")
+        if chosen.hardware and running["quiet"]:
+            raise InputError("has no effect with --hardware, which announces every step", where="--quiet")
         if chosen.gripper and apart and not chosen.hardware:
             raise InputError(f"has no effect with --{apart[0].replace('_', '-')}", where="--gripper")
         if chosen.print_udev:
@@ -105,10 +110,10 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         result: Outcome
         if chosen.compile:
             module = importlib.import_module("evetac_cli.inspect.compile_kernels")
-            console.say("compiling, once after installing: a minute or so")
-            with console.progress_bar("compiling", "commands", quiet=False) as progress:
+            with console.progress_bar("compiling", "commands", quiet=running["quiet"]) as progress:
                 result = module.run(progress)
-            console.show(title, result.rows, result.summary, simulated=False, as_json=running["as_json"])
+            if not running["quiet"] or running["as_json"]:
+                console.show(title, result.rows, result.summary, simulated=False, as_json=running["as_json"])
             return
         if chosen.hardware:
             module = importlib.import_module("evetac_cli.inspect.hardware_check")
@@ -118,29 +123,34 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
             result = module.run(chosen)
         else:
             result = module.run(chosen)
-        if running["as_json"]:
-            console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
-        else:
-            module.show(result)
+        _show(title, module, result, running)
         if result.summary["wrong"]:
             raise typer.Exit(DeviceError.exit_code)
 
 
-def _inspector(name: str, help_: str, files_help: str = "Stage files.") -> Callable[..., None]:
+def _show(title: str, module: Any, result: Outcome, running: dict[str, Any]) -> None:
+    """Print a result as one JSON object, or as its module does; nothing with --quiet."""
+    if running["as_json"]:
+        console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
+    elif not running["quiet"]:
+        module.show(result)
+
+
+def _inspector(name: str, help_: str, files_help: str, unit: str = "files") -> Callable[..., None]:
     """A command of inspect/: files in, a table or JSON out."""
 
     def call(
         files: Annotated[list[Path], typer.Argument(help=files_help, show_default=False)],
-        as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
-        verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
+        as_json: AsJson = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
     ) -> None:
-        with CommandExit(name, {"as_json": as_json, "verbose": verbose}):
+        running = {"as_json": as_json, "quiet": quiet, "verbose": verbose}
+        with CommandExit(name, running):
             module = importlib.import_module(f"evetac_cli.inspect.{name}")
-            result: Outcome = module.run(files if name in OF_FOLDERS else execution.with_folders(files))
-            if as_json:
-                console.show(name, result.rows, result.summary, simulated=result.simulated, as_json=True)
-            else:
-                module.show(result)
+            with console.progress_bar(name, unit, quiet=quiet) as progress:
+                result: Outcome = module.run(files if name in OF_FOLDERS else execution.with_folders(files), progress)
+            _show(name, module, result, running)
             if result.summary.get("invalid"):
                 raise typer.Exit(InputError.exit_code)
 
@@ -166,8 +176,9 @@ def _info(
             " several conditions have to hold all."
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")] = False,
-    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="Print the traceback of an error.")] = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
     with CommandExit("info", {"as_json": as_json, "verbose": verbose}) as looked:
@@ -175,15 +186,17 @@ def _info(
             if where:
                 named = ", ".join(map(str, files))
                 raise InputError("finds files of a folder", where="--where", expected="one folder", found=named)
-            _describe(execution.with_folders(files), looked)
+            _describe(execution.with_folders(files), looked, quiet=quiet)
             return
         index = importlib.import_module("evetac_cli.inspect.index")
-        result: Outcome = index.answer(files[0], where or ())
-        rows = result.rows if as_json else execution.first_rows(index.for_people(result.rows))
-        console.show("info", rows, result.summary, simulated=result.simulated, as_json=as_json)
+        with console.progress_bar(f"index {files[0]}", "files", quiet=quiet) as progress:
+            result: Outcome = index.answer(files[0], where or (), progress)
+        if as_json or not quiet:
+            rows = result.rows if as_json else execution.first_rows(index.for_people(result.rows))
+            console.show("info", rows, result.summary, simulated=result.simulated, as_json=as_json)
 
 
-def _describe(files: list[Path], looked: CommandExit) -> None:
+def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
     """Show what each file holds; those that cannot be read are errors at the end, and do not hide the others."""
     info = importlib.import_module("evetac_cli.inspect.info")
     for number, path in enumerate(files):
@@ -196,7 +209,7 @@ def _describe(files: list[Path], looked: CommandExit) -> None:
     errors = looked.errors()
     if looked.as_json and not errors:
         console.show("info", rows, {"files": len(rows)}, simulated=simulated, as_json=True)
-    elif not looked.as_json:
+    elif not looked.as_json and not quiet:
         info.show(Outcome(rows, simulated, {"files": len(rows)}))
     if errors:
         for error in errors[1:]:
@@ -210,11 +223,15 @@ app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
     )
 )
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
-_add(app, REPORT, REPORT.name, "Inspect", _write_for_others, flags.OF_VIEW)
+_add(app, REPORT, REPORT.name, "Inspect", _write_for_others, flags.OF_REPORT)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
 _add(app, SHARE, SHARE.name, "Inspect", _write_for_others, flags.OF_SHARE)
 app.command("validate", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
-    _inspector("validate", "Check stage files against their schema, their own numbers and their recipe id.")
+    _inspector(
+        "validate",
+        "Check stage files against their schema, their own numbers and their recipe id.",
+        "Stage files. A folder stands for all that are in it.",
+    )
 )
 
 
@@ -224,6 +241,7 @@ app.command("repair", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
         "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "
         "Prints what was kept.",
         "Folders.",
+        "folders",
     )
 )
 _add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, flags.OF_DOCTOR)

@@ -14,7 +14,7 @@ from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params.inspection import Export
 from evetac_cli.params.parameter import flag_of
-from evetac_cli.resources import MODEL, SHIPPED
+from evetac_cli.resources import model_file
 from evetac_cli.sim.scene import numbers
 from evetac_cli.store.files import StageFile
 
@@ -51,7 +51,7 @@ def _model(params: Export) -> Path | None:
     """The model whose slip probability is wanted; InputError if it is none, before any work."""
     if params.model is None:
         return None
-    path = MODEL if params.model == SHIPPED else Path(params.model)
+    path = model_file(params.model)
     StageFile(path, "model").close()
     return path
 

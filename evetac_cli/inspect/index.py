@@ -6,9 +6,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.console import print_table, progress_bar
+from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Outcome
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.index import Index, Row, open_index
 
 NAMES = tuple(name for name in Row._fields if name != "changed_ns")  # that --where knows, and a row shows
@@ -19,12 +19,12 @@ MISSING = "none"
 TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # as simulated is shown in a table
 
 
-def run(folders: list[Path]) -> Outcome:
+def run(folders: list[Path], progress: Progress = silent) -> Outcome:
     """A row for every folder: how many files it has, and how many had to be read for that."""
     rows = []
     simulated = False
     for folder in folders:
-        with progress_bar(f"index {folder}", "files", quiet=False) as progress, open_index(folder, progress) as index:
+        with open_index(folder, progress) as index:
             files, unreadable = _one(index, "SELECT COUNT(*), COUNT(error) FROM files")
             simulated |= bool(_one(index, "SELECT MAX(simulated) FROM files")[0])
             row = {"folder": str(folder), "files": files, "read": index.read, "removed": index.removed}
@@ -37,10 +37,10 @@ def show(result: Outcome) -> None:
     print_table("index", result.rows, result.summary, simulated=result.simulated)
 
 
-def answer(folder: Path, conditions: Sequence[str]) -> Outcome:
+def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
     """What a data set holds: counts of its files, or with conditions (`object=3`) a row for every file that fits."""
     where, values = _condition(conditions)
-    with progress_bar(f"index {folder}", "files", quiet=False) as progress, open_index(folder, progress) as index:
+    with open_index(folder, progress) as index:
         rows = _files(index, where, values) if conditions else list(_counts(index))
         files, unreadable = _one(index, "SELECT COUNT(*), COUNT(error) FROM files")
         simulated = _one(index, f"SELECT MAX(simulated) FROM files WHERE {where}", values)[0]

@@ -10,7 +10,7 @@ import numpy as np
 from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.jobs import Outcome
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.checked_hdf5 import DAMAGE
 from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, read_leftover, recording_path, was_joined
 from evetac_cli.store.segments import join
@@ -18,11 +18,13 @@ from evetac_cli.store.segments import join
 ENDED = "broke off, and was repaired"
 
 
-def run(folders: list[Path]) -> Outcome:
+def run(folders: list[Path], progress: Progress = silent) -> Outcome:
     """A row for every left-over folder: what was kept and lost, or its fault. Folders are removed last."""
     rows: list[dict[str, Any]] = []
     simulated = False
-    for folder in _leftovers(folders):
+    leftovers = _leftovers(folders)
+    for number, folder in enumerate(leftovers):
+        progress(number, len(leftovers))
         try:
             row, from_simulation = _repair(folder)
         except (InputError, *DAMAGE) as error:  # a disk that fails while it is joined, say

@@ -9,7 +9,7 @@ import jsonschema
 
 from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Outcome
+from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.resources import schemas
 from evetac_cli.store import contents
 from evetac_cli.store.files import StageFile
@@ -19,11 +19,12 @@ from evetac_cli.store.read import Recording
 EVENTS = 1 << 18  # that are read together
 
 
-def run(files: list[Path]) -> Outcome:
+def run(files: list[Path], progress: Progress = silent) -> Outcome:
     """A row for every file: whether it is valid, and its faults."""
     rows: list[dict[str, Any]] = []
     simulated = False
-    for path in files:
+    for number, path in enumerate(files):
+        progress(number, len(files))
         try:
             with StageFile(path) as file:
                 faults = _faults(file)

@@ -11,7 +11,9 @@ class EvaluateSlip:
     """Measure slip timing and F1 of models on trajectories they never saw."""
 
     model: Path | None = parameter(
-        None, "Model file, a folder of them, or a glob; more of them may stand among the files.", recipe=False
+        None,
+        "Model file, a folder of them, a glob, or `shipped`, the package's; more of them may stand among the files.",
+        recipe=False,
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
     all_tables: bool = parameter(
@@ -106,8 +108,8 @@ class EvaluateCost:
     )
     model: Path | None = parameter(
         None,
-        "Part model: model file, a folder of them, or a glob, beside the report of `evaluate slip` on them; without:"
-        " untrained ones. Part grasp: detectors to try beside the package's.",
+        "Part model: model file, a folder of them, a glob, or `shipped`, the package's, beside the report of `evaluate"
+        " slip` on them; without: untrained ones. Part grasp: detectors to try beside the package's.",
         recipe=False,
     )
     trials: int | None = parameter(
@@ -147,7 +149,10 @@ class EvaluateForce:
     """Compare the forces that force models predict from dots with the true ones (simulated recordings)."""
 
     model: str = parameter(
-        "", "Force model, folder or glob of several: each judges the tracks of its own sensor.", recipe=False
+        "",
+        "Force model, folder or glob of several, or `shipped`, the package's. Each judges the tracks of its own"
+        " sensor.",
+        recipe=False,
     )
     adapt_on: str = parameter(
         "",

@@ -16,7 +16,9 @@ class Grasp(Trials):
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
     objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
     model: Path | None = parameter(
-        None, "Model file of the slip detector; default: the package's, disp-xy 10 ms ahead.", recipe=False
+        None,
+        "Model file of the slip detector, or `shipped`; default: the package's, disp-xy 10 ms ahead.",
+        recipe=False,
     )
     slip_threshold: float = parameter(
         0.3,

@@ -256,7 +256,9 @@ class PredictForce:
     """Predict force from tracked dots, slice by slice: shear, normal force and contact, with their uncertainty."""
 
     model: Path | None = parameter(
-        None, "Force model, made by train-force; default: the one for any sensor that evetac has.", recipe=False
+        None,
+        "Force model, made by train-force, or `shipped`; default: the package's, which is for any sensor.",
+        recipe=False,
     )
     sensor: str | None = parameter(
         None,

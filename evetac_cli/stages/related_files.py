@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from evetac_cli.errors import InputError
+from evetac_cli.resources import MODELS, SHIPPED, model_file
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import Recording, open_recording
 
@@ -22,16 +23,22 @@ BY_SLICE = {
 
 
 def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
-    """The files of a kind that a flag names, sorted: one file, a folder or a glob. InputError if it names none."""
+    """The files of a kind that a flag names, sorted: one file, a folder or a glob; the package's model for `shipped`.
+
+    InputError if it names none.
+    """
     pattern = str(given or "")
+    if kind in MODELS and pattern:
+        pattern = str(model_file(pattern, kind, flag))
     if pattern and Path(pattern).is_dir():
         pattern = f"{pattern}/*.{kind}.h5"
-    files = [Path(name) for name in sorted(glob.glob(pattern))]
+    is_file = bool(pattern) and Path(pattern).is_file()  # its name may hold signs that mean something in a glob
+    files = [Path(pattern)] if is_file else [Path(name) for name in sorted(glob.glob(pattern))]
     if not files:
         raise InputError(
             "no such file" if pattern else f"no {kind} file is named",
             where=flag,
-            expected=f"a {kind} file, a folder of them, or a glob",
+            expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind in MODELS else ""),
             found=str(given or ""),
         )
     return files

@@ -1,13 +1,18 @@
 """Flags and help: what most people need fits a screen, and no flag is lost."""
 
+import json
 import re
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, VIEW, Command
+from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.main import app
+from tests.conftest import Made
 
 COMMANDS = [([command.name], command) for command in (*PIPELINE, VIEW, EXPORT, DOCTOR)]
 COMMANDS += [(["evaluate", command.name], command) for command in EVALUATE]
@@ -101,3 +106,54 @@ def test_switches_of_a_command_are_whole_after_its_help() -> None:
     result = evetac("record", "--no-sort", "--from", str(Path("none.txt")))
     assert "No such option" not in result.stderr
     assert "none.txt" in result.stderr
+
+
+def every_command() -> dict[str, Any]:
+    """All commands by the words that call them."""
+    root: Any = typer.main.get_command(app)
+    commands = {name: command for name, command in root.commands.items() if not hasattr(command, "commands")}
+    return commands | {f"evaluate {name}": command for name, command in root.commands["evaluate"].commands.items()}
+
+
+@pytest.mark.parametrize("name", every_command())
+def test_every_command_can_be_quiet_and_say_more(name: str) -> None:
+    """Assert that -q, -v and --json are flags of each command, those that only look at files included."""
+    names = {option for flag in every_command()[name].params for option in flag.opts}
+    assert {"-q", "--quiet", "-v", "--verbose", "--json"} <= names
+
+
+@pytest.mark.parametrize("command", ["info", "validate", "index", "repair"])
+def test_quiet_commands_print_nothing(command: str, made: Made, tmp_path: Path) -> None:
+    """Assert that -q leaves the exit code and errors alone, and prints nothing else; --json prints all the same."""
+    shutil.copy(made.recordings[0], tmp_path / "a.recording.h5")
+    of_file = [str(tmp_path / "a.recording.h5")] if command in ("info", "validate") else [str(tmp_path)]
+    for files in ([str(tmp_path)], of_file):
+        run = evetac(command, "-q", *files)
+        assert (run.exit_code, run.stdout, run.stderr) == (0, "", "")
+        assert json.loads(evetac(command, "-q", "--json", *files).stdout)["command"] == command
+    missing = evetac(command, "-q", str(tmp_path / "none.recording.h5"))
+    assert missing.exit_code == 2
+    assert missing.stdout == ""
+    assert missing.stderr.startswith("error: ") or command == "validate"
+
+
+def test_a_quiet_doctor_prints_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Assert that `doctor -q` says by its exit code alone whether something is wrong."""
+    monkeypatch.chdir(tmp_path)
+    run = evetac("doctor", "-q")
+    assert (run.exit_code in (0, 3), run.stdout) == (True, "")
+    refused = evetac("doctor", "-q", "--hardware", "--camera", "virtual")
+    assert refused.exit_code == 2
+    assert "--quiet: has no effect with --hardware" in refused.stderr
+
+
+@pytest.mark.parametrize(("path", "command"), [*COMMANDS, (["report"], REPORT), (["share"], SHARE)])
+def test_help_says_of_folders_what_is_done_with_them(path: list[str], command: Command, tmp_path: Path) -> None:
+    """Assert that help speaks of the files in a folder where these are taken, and only there."""
+    sentence = f"A folder stands for the {command.kind} files in it."
+    text = " ".join(evetac(*path, "--help").stdout.replace("│", " ").split())
+    assert (sentence in text) == bool(command.files and command.kind)
+    if sentence in text:
+        place = ["model"] if path == ["evaluate", "cost"] else []  # what comes before the files
+        refused = evetac(*path, *place, str(tmp_path))
+        assert f"*.{command.kind}.h5" in refused.stderr

@@ -23,6 +23,7 @@ from evetac_cli.inspect.view.trial_files import Trial, open_trial
 from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params.inspection import View
+from evetac_cli.resources import with_shipped
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
 
@@ -38,6 +39,7 @@ def run(
         rerun_file.load_rerun()
     else:
         pages.check_libraries(("bokeh", "PIL"))
+    files = with_shipped(files)
     folders = [path for path in files if path.is_dir()]
     if folders:
         raise InputError(

@@ -64,9 +64,8 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
             expected="no files; detectors to compare with after --model",
             found=f"{len(files)} files",
         )
-    if model is None:
-        return (resources.MODEL,)
-    return (resources.MODEL, *named_files(model, "model", "--model"))
+    named = [] if model is None else named_files(model, "model", "--model")
+    return tuple(dict.fromkeys((resources.MODEL, *named)))
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:

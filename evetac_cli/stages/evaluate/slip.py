@@ -23,6 +23,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.parameter import recipe_of
+from evetac_cli.resources import with_shipped
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
 from evetac_cli.stages.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables
@@ -94,13 +95,13 @@ def _kept(job: Job) -> Path:
 def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
     """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among these.
 
-    `given` is a model file, a folder of them, or a glob. A model that is given twice, even as two files, counts once.
-    InputError without a model.
+    `given` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
+    counts once. InputError without a model.
     """
     named = named_files(given, "model", "--model") if given is not None else []
     models: dict[str, Path] = {}
     others: list[Path] = []
-    for path, kind in [*((path, "model") for path in named), *((path, None) for path in files)]:
+    for path, kind in [*((path, "model") for path in named), *((path, None) for path in with_shipped(files))]:
         with StageFile(path, kind) as file:
             if file.kind == "model":
                 models.setdefault(file.header["id"], path)

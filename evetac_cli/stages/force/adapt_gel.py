@@ -15,7 +15,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, outcome
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.params.learning import TrainForce
-from evetac_cli.resources import FORCE_MODEL, SHIPPED
+from evetac_cli.resources import model_file
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import Gel, GelModel
 from evetac_cli.stages.force.readings import Readings
@@ -45,7 +45,7 @@ class Known(NamedTuple):
 def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
     """One model from all tracks files: `own.force-model.h5` beside the first."""
     output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"own.{OUTPUT}.h5"
-    return Job((*files, FORCE_MODEL if params.adapt == SHIPPED else Path(params.adapt)), output)
+    return Job((*files, model_file(params.adapt, "force-model", "--adapt")), output)
 
 
 def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:

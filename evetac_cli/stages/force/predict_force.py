@@ -10,7 +10,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params.learning import PredictForce
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.resources import FORCE_MODEL
+from evetac_cli.resources import model_file
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force import gel_model
 from evetac_cli.stages.force.train_force import check_grid, read_model, read_rest_px
@@ -27,7 +27,9 @@ BLOCK_SLICES = 5000
 def jobs(files: list[Path], params: PredictForce, out: Path | None) -> list[Job]:
     """One forces file for every tracks file."""
     refuse_unused_of_predict_force(params)
-    return [Job((*job.inputs, params.model or FORCE_MODEL), job.output) for job in per_file(files, OUTPUT, out)]
+    return [
+        Job((*job.inputs, model_file(params.model, "force-model")), job.output) for job in per_file(files, OUTPUT, out)
+    ]
 
 
 def run(job: Job, params: PredictForce, *, force: bool = False, progress: Progress = silent) -> Outcome:

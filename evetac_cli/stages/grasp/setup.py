@@ -39,7 +39,7 @@ def model_path_for(params: Grasp) -> Path | None:
     """The model file of a grasp's detector: the one named, else the package's; None without a detector."""
     if not grip_control.uses_detector(make_law(params)):
         return None
-    return params.model if params.model is not None else resources.MODEL
+    return resources.model_file(params.model)
 
 
 def make_timing(params: Grasp, recorded: Mapping[str, Any] | None = None) -> Timing:
@@ -74,7 +74,7 @@ def open_view_detector(
     model_path: Path | None, preset: str, slip_threshold: float | None, sensor: Mapping[str, Any]
 ) -> OnlineSlipDetector:
     """The detector that a live view follows a recording with; None: the package's model, and the model's threshold."""
-    with StageFile(model_path or resources.MODEL, "model") as model:
+    with StageFile(resources.model_file(model_path), "model") as model:
         threshold = float(model.read("threshold")) if slip_threshold is None else slip_threshold
         return open_detector(model, sensor, preset, threshold)
 

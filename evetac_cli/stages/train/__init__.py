@@ -35,7 +35,7 @@ from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params.learning import Train
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.resources import MODEL, SHIPPED
+from evetac_cli.resources import model_file
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
@@ -167,7 +167,7 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
     if not params.adapt:
         usual, trained = USUAL, None
     else:
-        usual, trained = _to_adapt(MODEL if params.adapt == SHIPPED else Path(params.adapt))
+        usual, trained = _to_adapt(model_file(params.adapt, flag="--adapt"))
         fixed: dict[str, Any] = {"preset": None, "folds": 0}
         fixed |= {name: getattr(usual, name) for name in ("model", "horizon_ms", "networks")}
         for name, value in fixed.items():

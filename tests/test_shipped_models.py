@@ -1,0 +1,138 @@
+"""The word `shipped` names the package's model wherever a model is taken, on the command line and from Python."""
+
+import dataclasses
+import inspect
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import evetac_cli as evetac
+from evetac_cli.cli.commands import EVALUATE, EXPORT, PIPELINE, VIEW
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.numerics import cost
+from evetac_cli.params.evaluation import EvaluateCost, EvaluateForce, EvaluateSlip
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.learning import PredictForce, Train, TrainForce
+from evetac_cli.resources import FORCE_MODEL, MODEL, SHIPPED, model_file, with_shipped
+from evetac_cli.stages import train
+from evetac_cli.stages.evaluate import force, slip
+from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.grasp.setup import model_path_for
+from tests.conftest import Made
+
+COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT)}
+COMMANDS |= {f"evaluate {command.name}": command for command in EVALUATE}
+# Parameters that name a model file; `train --model` names an architecture.
+TAKES_A_MODEL = [
+    (name, item)
+    for name, command in COMMANDS.items()
+    for item in dataclasses.fields(command.params)
+    if item.name in ("model", "adapt") and not item.metadata["choices"]
+]
+
+
+@pytest.mark.parametrize(("command", "item"), TAKES_A_MODEL, ids=lambda value: getattr(value, "name", value))
+def test_help_names_it_wherever_a_model_is_taken(command: str, item: "dataclasses.Field[Any]") -> None:
+    """Assert that each flag for a model says that there is one in the package."""
+    assert f"`{SHIPPED}`" in item.metadata["help"], command
+
+
+def test_where_a_model_is_taken() -> None:
+    """Assert that the flags above are those known here, each of which is tried below: a new one needs a test."""
+    assert {(command, item.name) for command, item in TAKES_A_MODEL} == {
+        ("train", "adapt"),
+        ("train-force", "adapt"),
+        ("predict-force", "model"),
+        ("grasp", "model"),
+        ("export", "model"),
+        ("evaluate slip", "model"),
+        ("evaluate force", "model"),
+        ("evaluate cost", "model"),
+    }
+
+
+def test_stages_take_the_packages_model(made: Made, tmp_path: Path) -> None:
+    """Assert that every stage that takes a model finds the package's by this word."""
+    features = [made.beside(path, "features") for path in made.recordings]
+    tracks = [made.beside(path, "tracks") for path in made.recordings]
+    named = Path(SHIPPED)
+    assert slip.jobs(features, EvaluateSlip(model=named), tmp_path)[0].inputs[-1] == MODEL
+    assert slip.jobs([*features, named], EvaluateSlip(), tmp_path)[0].inputs[-1] == MODEL
+    both = slip.jobs([*features, named], EvaluateSlip(model=made.model), tmp_path)[0]
+    assert set(both.inputs[-both.models :]) == {MODEL, made.model}
+    assert force.jobs(tracks, EvaluateForce(model=SHIPPED), tmp_path)[0].inputs[-1] == FORCE_MODEL
+    assert predict_force.jobs(tracks[:1], PredictForce(model=named), tmp_path)[0].inputs[-1] == FORCE_MODEL
+    assert train_force.jobs(tracks[:1], TrainForce(adapt=SHIPPED), tmp_path)[0].inputs[-1] == FORCE_MODEL
+    assert train.jobs(features, Train(adapt=SHIPPED), tmp_path)[0].output.name.endswith("10ms.model.h5")
+    assert model_path_for(Grasp(model=named)) == MODEL == model_path_for(Grasp())
+    assert cost.jobs([], EvaluateCost(part="grasp", model=named), tmp_path)[0].inputs == (MODEL,)
+
+
+def test_the_packages_detector_on_recordings_of_ones_own(made: Made, tmp_path: Path) -> None:
+    """Assert that `evaluate slip FILES --model shipped` judges trials of one's own, as its own file does by path."""
+    features = [str(made.beside(path, "features")) for path in made.recordings[:2]]
+    answers = []
+    for number, model in enumerate((SHIPPED, str(MODEL))):
+        out = str(tmp_path / f"{number}.report.h5")
+        run = CliRunner().invoke(app, ["evaluate", "slip", *features, "--model", model, "-o", out, "--json"])
+        assert run.exit_code == 0, run.stderr
+        answers.append(json.loads(run.stdout)["rows"])
+    assert answers[0] == answers[1]
+
+
+def test_view_shows_the_packages_detector(made: Made, tmp_path: Path) -> None:
+    """Assert that `view` takes the word among its files, wherever it stands, and names the page after the trial."""
+    for name in ("recording", "features"):
+        shutil.copy(made.beside(made.recordings[0], name), tmp_path)
+    features = tmp_path / made.beside(made.recordings[0], "features").name
+    for number, files in enumerate(([str(features), SHIPPED], [SHIPPED, str(features)])):
+        out = tmp_path / f"{number}"
+        out.mkdir()
+        run = CliRunner().invoke(app, ["view", *files, "--images", "2", "--json", "-o", str(out)])
+        assert run.exit_code == 0, run.stderr
+        (row,) = json.loads(run.stdout)["rows"]
+        assert MODEL.name in row["files"].split()
+        assert Path(row["page"]).parent == out
+        assert Path(row["page"]).name == features.name.replace(".features.h5", ".html")
+
+
+def test_from_python(made: Made) -> None:
+    """Assert that the detector, both kinds of model files and the Gymnasium environment take the word."""
+    gymnasium = pytest.importorskip("gymnasium")
+    import evetac_cli.gym  # noqa: F401  registers the environment
+
+    with evetac.open_recording(made.recordings[0]) as recording:
+        named, default = (evetac.SlipDetector(recording, *model) for model in ((SHIPPED,), ()))
+        for events, _ in zip(recording, range(60), strict=False):
+            assert np.array_equal(named.step(events), default.step(events), equal_nan=True)
+    with evetac.open_model(SHIPPED) as model, evetac.open_force_model(SHIPPED) as force_model:
+        assert (model.path, force_model.path) == (MODEL, FORCE_MODEL)
+    assert gymnasium.make("evetac/Lift-v0", model=SHIPPED).unwrapped._model == MODEL
+    assert "shipped" in str(inspect.getdoc(evetac.SlipDetector))
+
+
+@pytest.mark.parametrize("typo", ["shiped", "Shipped", "shippd", "ship"])
+def test_a_typo_says_what_was_meant(typo: str, made: Made, tmp_path: Path) -> None:
+    """Assert that a name that is near to the word is refused with it, and exit code 2."""
+    with pytest.raises(InputError, match="did you mean shipped"):
+        model_file(typo)
+    features = str(made.beside(made.recordings[0], "features"))
+    run = CliRunner().invoke(app, ["evaluate", "slip", features, "--model", typo, "-o", str(tmp_path / "a.report.h5")])
+    assert run.exit_code == 2
+    assert "did you mean shipped" in run.stderr
+
+
+def test_files_that_are_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a folder of this name among the files is that folder, and that other names are left alone."""
+    monkeypatch.chdir(tmp_path)
+    assert with_shipped([Path("a.h5"), Path("b.h5")]) == [Path("a.h5"), Path("b.h5")]
+    assert with_shipped([Path(SHIPPED), Path("a.h5")]) == [Path("a.h5"), MODEL]
+    (tmp_path / SHIPPED).mkdir()
+    assert with_shipped([Path(SHIPPED), Path("a.h5")]) == [Path(SHIPPED), Path("a.h5")]
+    assert model_file("other.model.h5") == Path("other.model.h5")  # what is missing is said by who opens it
