@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -14,9 +15,12 @@ from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3
+LEAST_CELL = 12  # signs of a cell that is folded: below that a table is split instead
 BAR_WIDTH = 14  # leaves room for a name on a line of 80 signs
 MOST_PASTED = 3  # files that are named one by one at the end
 MOST_NAMING = 3  # columns that are repeated where a table is split
+# Behind these a long word may be folded, but not within a number.
+SEPARATORS = re.compile(r"(?<=[/_])|(?<=\w-)|(?<=[.,:;=])(?!\d)")
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
 
 
@@ -115,12 +119,20 @@ def live() -> Iterator[Callable[[str], None]]:
         yield lambda text: shown.update(Text(safe(text)), refresh=True)
 
 
-def show(command: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool, as_json: bool) -> None:
+def show(
+    command: str,
+    rows: list[dict[str, Any]],
+    summary: dict[str, Any],
+    *,
+    simulated: bool,
+    as_json: bool,
+    verbose: bool = False,
+) -> None:
     """Print the result of a command: one JSON object, or a table with the summary below."""
     if as_json:
         _print_json({"command": command, "simulated": simulated, "rows": rows, "summary": summary})
         return
-    print_table(command, rows, summary, simulated=simulated)
+    print_table(command, rows, summary, simulated=simulated, verbose=verbose)
 
 
 def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequence[Outcome]) -> None:
@@ -146,52 +158,112 @@ def count(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {"made": made, "up_to_date": len(outcomes) - made}
 
 
+def counted(outcomes: Sequence[Outcome]) -> str:
+    """The same in words."""
+    numbers = {name.replace("_", " "): number for name, number in count(outcomes).items()}
+    parts = [f"{number} file{'s' * (number != 1)} {what}" for what, number in numbers.items() if number]
+    return ", ".join(parts)
+
+
 def _print_json(result: dict[str, Any]) -> None:
     print(json.dumps(plain(result), allow_nan=False))
 
 
-def print_table(title: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool) -> None:
-    """Print rows as a table; figures from simulation say so."""
+def print_table(
+    title: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool, verbose: bool = False
+) -> None:
+    """Print rows as a table; figures from simulation say so.
+
+    Columns and figures without any value are left out unless `verbose`.
+    """
     from rich.console import Console
 
     # What is printed is text, not markup: a path may hold [brackets] or :colons:.
     console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
     heading = _in_a_line(title) + (" (simulated)" if simulated else "")
     for _, group in itertools.groupby(rows, key=tuple):  # rows of other columns are a table of their own
-        for table in _tables(heading, list(group), console.width):
+        of_group = list(group)
+        for table in _tables(heading, of_group if verbose else _with_values(of_group), console.width):
             console.print(table)
     for name, value in summary.items():
-        console.print(f"{_in_a_line(name)}: {format_value(value)}", highlight=False, soft_wrap=True)
+        if verbose or not _is_nothing(value):
+            console.print(f"{_in_a_line(name)}: {format_value(value)}", highlight=False, soft_wrap=True)
+
+
+def _with_values(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows without the columns in which none of them has a value; the first column names the rows and stays."""
+    first, *others = rows[0]
+    kept = [first, *(name for name in others if not all(_is_nothing(row[name]) for row in rows))]
+    return [{name: row[name] for name in kept} for row in rows]
+
+
+def _is_nothing(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and math.isnan(value))
 
 
 def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]:
     """Rows of the same columns as a table.
 
     Where that is too wide, a few rows get a line for every figure, and many get several tables, each with the columns
-    that name a row.
+    that name a row. A text that is too long for its column is folded, behind a separator where it has one.
     """
-    from rich.table import Table
-
     names = list(map(_in_a_line, rows[0]))
     cells = [[format_value(value) for value in row.values()] for row in rows]
-    widths = [3 + max(map(len, column)) for column in zip(names, *cells, strict=True)]
-    if len(rows) <= FEW_ROWS and 1 + sum(widths) > width:
-        table = Table(title=title, title_justify="left", show_header=False)
-        for _ in range(1 + len(rows)):
-            table.add_column(overflow="fold")
-        for line in zip(names, *cells, strict=True):
-            table.add_row(*line)
-        yield table
-        return
-    for columns in _side_by_side(widths, _naming(rows), width):
-        table = Table(title=title, title_justify="left")
-        for column in columns:
-            numeric = all(isinstance(list(row.values())[column], (int, float, type(None))) for row in rows)
-            table.add_column(names[column], justify="right" if numeric else "left", overflow="fold")
-        for values in cells:
-            table.add_row(*(values[column] for column in columns))
-        yield table
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    if len(rows) <= FEW_ROWS and _table_width(widths) > width:
+        columns = [names, *cells]
+        fitting = _fitting([max(map(len, column)) for column in columns], width)
+        if min(fitting) >= LEAST_CELL:
+            yield _table(title, columns, fitting, ["left"] * len(columns), header=False)
+            return
+    for chosen in _side_by_side(widths, _naming(rows), width):
+        columns = [[names[column], *(of_row[column] for of_row in cells)] for column in chosen]
+        values = [[list(row.values())[column] for row in rows] for column in chosen]
+        sides = ["right" if all(isinstance(each, (int, float, type(None))) for each in of) else "left" for of in values]
+        yield _table(title, columns, _fitting([widths[column] for column in chosen], width), sides, header=True)
         title = ""
+
+
+def _table(title: str, columns: list[list[str]], widths: list[int], sides: list[Any], *, header: bool) -> Any:
+    """A table of texts, folded into these widths; with a header, the first text of each column is its heading."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", show_header=header)
+    lines = [[folded(text, width) for text in column] for column, width in zip(columns, widths, strict=True)]
+    for column, side in zip(lines, sides, strict=True):
+        table.add_column(column[0] if header else "", justify=side, overflow="fold")
+    for line in list(zip(*lines, strict=True))[header:]:
+        table.add_row(*line)
+    return table
+
+
+def _table_width(widths: Sequence[int]) -> int:
+    """Of a table with columns of these widths: beside each a line and two spaces, and a line at the end."""
+    return 1 + sum(3 + width for width in widths)
+
+
+def _fitting(widths: list[int], room: int) -> list[int]:
+    """Widths of columns so that the table has room: the widest are narrowed, none below LEAST_CELL."""
+    fitting = list(widths)
+    while _table_width(fitting) > room and max(fitting) > LEAST_CELL:
+        fitting[fitting.index(max(fitting))] -= 1
+    return fitting
+
+
+def folded(text: str, width: int) -> str:
+    """A text in lines of at most `width` signs: between words, or in a long one behind / . - or _, or anywhere."""
+    lines = [""]
+    for word in re.split(r"(?<=\s)", text):
+        pieces = [word] if len(word.rstrip()) <= width else SEPARATORS.split(word)
+        for piece in itertools.chain.from_iterable(_cut(piece, width) for piece in pieces):
+            if len(lines[-1]) + len(piece.rstrip()) > width and lines[-1]:
+                lines.append("")
+            lines[-1] += piece
+    return "\n".join(lines)
+
+
+def _cut(piece: str, width: int) -> list[str]:
+    return [piece] if len(piece.rstrip()) <= width else [piece[at : at + width] for at in range(0, len(piece), width)]
 
 
 def _naming(rows: list[dict[str, Any]]) -> list[int]:
@@ -207,7 +279,7 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
     """Columns of each table, so that every one fits; one that is too wide for that is alone with those that name."""
     columns = list(naming)
     for column in range(len(naming), len(widths)):
-        if len(columns) > len(naming) and 1 + sum(widths[other] for other in [*columns, column]) > width:
+        if len(columns) > len(naming) and _table_width([widths[other] for other in [*columns, column]]) > width:
             yield columns
             columns = list(naming)
         columns.append(column)

@@ -264,3 +264,95 @@ def test_only_console_prints() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"
     }
     assert printing == {"console.py", "cli/main.py"}
+
+
+def cells_of(text: str) -> list[list[str]]:
+    """The cells of a table that is printed on its side, each with the lines that it was folded into."""
+    blocks: list[list[str]] = []
+    for line in (line for line in text.splitlines() if line.startswith("│")):
+        parts = [part.strip() for part in line.split("│")[1:-1]]
+        if parts[0] and not (blocks and blocks[-1][0].endswith("_")):
+            blocks.append(parts)
+        else:
+            blocks[-1] = [before + part for before, part in zip(blocks[-1], parts, strict=True)]
+    return blocks
+
+
+@pytest.mark.parametrize(
+    ("text", "width", "lines"),
+    [
+        ("short", 12, ["short"]),
+        ("data/slip-obj03-s0-000.recording.h5", 20, ["data/slip-obj03-s0-", "000.recording.h5"]),
+        ("data/slip-obj03-s0-000.recording.h5", 24, ["data/slip-obj03-s0-000.", "recording.h5"]),
+        ("/a/long/way/to/one.recording.h5", 12, ["/a/long/way/", "to/one.", "recording.h5"]),
+        ("mechanical_steps_a_slice", 16, ["mechanical_", "steps_a_slice"]),
+        ("onset of slip depends on the gel's grid", 20, ["onset of slip ", "depends on the gel's ", "grid"]),
+        ("spans 3.7 nodes, of 4 at least", 12, ["spans 3.7 ", "nodes, of 4 ", "at least"]),
+        ("nothing.wrong-3.75,2", 12, ["nothing.", "wrong-3.75,2"]),
+        ("x" * 30, 12, ["x" * 12, "x" * 12, "x" * 6]),
+        ("", 12, [""]),
+    ],
+)
+def test_long_texts_are_folded_between_words(text: str, width: int, lines: list[str]) -> None:
+    """Assert where a text is folded, that nothing of it is lost, and that only a part without separators is cut."""
+    folded = console.folded(text, width).split("\n")
+    assert folded == lines
+    assert "".join(folded) == text
+    assert all(len(line.rstrip()) <= width for line in folded)
+
+
+def test_two_files_side_by_side_break_no_word(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that a table of two recordings at 80 signs folds names of files and figures where they have parts."""
+    rows = [
+        {
+            "output": f"data/slip-obj03-s0-{number:03d}.recording.h5",
+            "status": "made",
+            "slices": 4359 + number,
+            "events": 731_684,
+            "mechanical_steps_a_slice": 1.158,
+            "estimated_error_um_median": 2.1e-07,
+            "slices_over_tolerance": 20,
+        }
+        for number in range(2)
+    ]
+    text = table(capsys, rows, {})
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.count(".recording.h5") + text.count(" recording.h5") == 2
+    shown = cells_of(text)
+    assert [row[0] for row in shown] == list(rows[0])
+    assert [row[1:] for row in shown][0] == [row["output"] for row in rows]
+
+
+def test_columns_that_say_nothing_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that a column without a value in any row, and such a line below, is printed with -v alone; zeros stay."""
+    rows = [{"page": "a.html", "film": None, "lost": 0, "late": math.nan, "kept": value} for value in (None, 1.5)]
+    summary = {"files": 2, "notes": None}
+    short, whole = table(capsys, rows, summary), table(capsys, rows, summary, verbose=True)
+    for name in ("page", "lost", "kept", "files: 2"):
+        assert name in short and name in whole
+    for name in ("film", "late", "notes: -"):
+        assert name not in short
+        assert name in whole
+
+
+def test_the_column_that_names_rows_stays(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that rows without any value are a table of their first column, and not an error."""
+    text = table(capsys, [{"file": None, "kind": None}], {})
+    assert "file" in text
+    assert "kind" not in text
+
+
+@pytest.mark.parametrize(
+    ("made", "up_to_date", "words"),
+    [
+        (2, 0, "2 files made"),
+        (1, 0, "1 file made"),
+        (0, 3, "3 files up to date"),
+        (1, 2, "1 file made, 2 files up to date"),
+    ],
+)
+def test_counts_are_said_in_words(made: int, up_to_date: int, words: str) -> None:
+    """Assert what is said of files that were made, and of those that needed not be; --json has both numbers."""
+    outcomes = [Outcome([], True, made=number < made) for number in range(made + up_to_date)]
+    assert console.counted(outcomes) == words
+    assert console.count(outcomes) == {"made": made, "up_to_date": up_to_date}

@@ -46,8 +46,8 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
                 compiling.announced(quiet=quiet, interrupted=workers.interrupted),
             ):
                 shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
-            as_json, simulated = running["as_json"], shown.simulated
-            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=simulated, as_json=as_json)
+            how = {name: running[name] for name in ("as_json", "verbose")}
+            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=shown.simulated, **how)
             return
         for line in stage.cautions(jobs, chosen) if hasattr(stage, "cautions") and not running["quiet"] else ():
             console.say(f"note: {line}")
@@ -60,16 +60,20 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             took = f"{time.monotonic() - started:.1f} s" if made else "up to date, nothing to do"
             console.say(f"{title}: {took}")
         if outcomes and not (errors and running["as_json"]):
-            summary = outcomes[0].summary if len(outcomes) == 1 and outcomes[0].summary else console.count(outcomes)
+            own = outcomes[0].summary if len(outcomes) == 1 else {}
             simulated = any(outcome.simulated for outcome in outcomes)
             rows = [row for outcome in outcomes for row in outcome.rows]
             if running["as_json"]:
-                console.show(title, rows, summary, simulated=simulated, as_json=True)
+                console.show(title, rows, own or console.count(outcomes), simulated=simulated, as_json=True)
             elif not running["quiet"]:
                 # A stage may say which of its rows people want to see, and what they amount to.
                 for_people = getattr(stage, "for_people", None)
                 shown_rows, verdict = for_people(rows, chosen) if for_people else (rows, [])
-                console.show(title, first_rows(shown_rows), summary, simulated=simulated, as_json=False)
+                verbose = running["verbose"]
+                shown_rows = shown_rows if verbose else first_rows(shown_rows)
+                console.print_table(title, shown_rows, own, simulated=simulated, verbose=verbose)
+                if not own:
+                    console.print_text(console.counted(outcomes))
                 done = [job for job in jobs if isinstance(run.results[job.output], Outcome)]
                 written = [path for job in done for path in getattr(job, "outputs", [job.output])]
                 console.print_result(verdict, [] if getattr(chosen, "preview", False) else written)
@@ -133,7 +137,7 @@ def first_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         table = list(group)
         shown += table[:MOST_ROWS]
         if len(table) > MOST_ROWS:
-            console.say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; --json prints all")
+            console.say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; -v and --json print all")
     return shown
 
 

@@ -32,7 +32,7 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
     "config": (Path | None, None, "--config", "TOML file with parameters, one table a command; --no-FLAG unsets one."),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
     "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
-    "verbose": (bool, False, "-v/--verbose", "Print every row and column; of an error, the traceback."),
+    "verbose": (bool, False, "-v/--verbose", "Print every column and row of a table, and the traceback of an error."),
 }
 # view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
 OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")} | {

@@ -79,7 +79,8 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
         with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
             result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
         if not running["quiet"] or running["as_json"]:
-            console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=running["as_json"])
+            how = {name: running[name] for name in ("as_json", "verbose")}
+            console.show(title, result.rows, result.summary, simulated=result.simulated, **how)
             if not running["as_json"]:
                 written = [row.get("output") or row.get("page") for row in result.rows]
                 console.print_result([], [Path(path) for path in written if path])
@@ -192,8 +193,10 @@ def _info(
         with console.progress_bar(f"index {files[0]}", "files", quiet=quiet) as progress:
             result: Outcome = index.answer(files[0], where or (), progress)
         if as_json or not quiet:
-            rows = result.rows if as_json else execution.first_rows(index.for_people(result.rows))
-            console.show("info", rows, result.summary, simulated=result.simulated, as_json=as_json)
+            rows = result.rows if as_json else index.for_people(result.rows)
+            rows = rows if as_json or verbose else execution.first_rows(rows)
+            simulated = result.simulated
+            console.show("info", rows, result.summary, simulated=simulated, as_json=as_json, verbose=verbose)
 
 
 def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:

@@ -60,7 +60,7 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         slices=slices,
         onset_ms=labels.onset if labels.onset >= 0 else None,
         confidence=labels.confidence if labels.onset >= 0 else None,
-        flow_pairs=labels.flow_pairs,
+        flow_pairs=labels.flow_pairs if params.method in flow.METHODS else None,
     )
 
 

@@ -78,7 +78,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
             nonlocal farthest_px
             for block in _tracked(recording, state, progress):
                 moved = features.displacement(block.dot_xy_px, state.rest_xy_px)
-                farthest_px = max(farthest_px, moved.max(initial=0.0))
+                farthest_px = np.fmax(farthest_px, np.fmax.reduce(moved, axis=None, initial=np.nan))
                 yield block._asdict()
 
         write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(COLUMNS, slices))

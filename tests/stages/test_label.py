@@ -233,3 +233,10 @@ def test_impossible_flow_constants(wrong: dict[str, Any]) -> None:
     """Assert that constants out of range are refused."""
     with pytest.raises(ValueError, match="expected"):
         dataclasses.replace(flow_constants(), **wrong)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_pairs_of_flow_are_those_of_a_method_that_has_some(made: Made, tmp_path: Path, method: str) -> None:
+    """Assert that a row counts pairs of images only where the method compares images."""
+    _, row = run(made.recordings[0], tmp_path / "a.labels.h5", method=method)
+    assert (row["flow_pairs"] is None) == (method in ("event-flow", "truth"))
