@@ -1,7 +1,8 @@
 """Run a command that makes files: from its files and flags to jobs, from jobs to a table, a verdict and the outputs.
 
-What a stage may have beside `jobs` and `run`: `dry_run`; `parts`, of a job, that can be made at the same time before
-it; `cautions`, what to know before long work begins; `for_people`, which rows a terminal shows and what they amount to.
+What a stage may have beside `jobs` and `run`: `dry_run`, and `dry_run_for_people`, what of it fits a screen; `parts`,
+of a job, that can be made at the same time before it; `cautions`, what to know before long work begins; `for_people`,
+which rows a terminal shows and what they amount to.
 """
 
 import importlib
@@ -46,8 +47,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
                 compiling.announced(quiet=quiet, interrupted=workers.interrupted),
             ):
                 shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
-            how = {name: running[name] for name in ("as_json", "verbose")}
-            console.show(f"{title} --dry-run", shown.rows, shown.summary, simulated=shown.simulated, **how)
+            _show_plan(f"{title} --dry-run", stage, shown, running)
             return
         for line in stage.cautions(jobs, chosen) if hasattr(stage, "cautions") and not running["quiet"] else ():
             console.say(f"note: {line}")
@@ -81,6 +81,17 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             for error in errors[1:]:
                 console.say(f"error: {error}")
             raise errors[0]
+
+
+def _show_plan(title: str, stage: Any, shown: Outcome, running: dict[str, Any]) -> None:
+    """Print what a dry run found: what fits a screen, or with -v and --json all of it."""
+    if running["as_json"] or running["verbose"]:
+        how = {name: running[name] for name in ("as_json", "verbose")}
+        console.show(title, shown.rows, shown.summary, simulated=shown.simulated, **how)
+        return
+    rows, said = stage.dry_run_for_people(shown)
+    console.print_table(title, rows, {}, simulated=shown.simulated)
+    console.print_result(said, [])
 
 
 def with_folders(named: list[Path], kind: str = "*") -> list[Path]:

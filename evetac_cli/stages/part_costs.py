@@ -2,8 +2,8 @@
 
 Parts that a scene can do without are measured with and without, in turn; gel, gripper and camera by timers about their
 calls. The trial is the same every time, so each stretch of it counts as the fastest of its runs: what else the machine
-does meanwhile is left out. Only the time of this thread counts; writing the file is not in it. A part that costs less
-than the machine's own ups and downs may come out below zero.
+does meanwhile is left out. Only the time of this thread counts; writing the file is not in it. A difference counts as
+measured where it is larger than what the machine's own ups and downs make of it; of a smaller one that limit is said.
 """
 
 import math
@@ -26,6 +26,8 @@ BUDGET_S = 3.0  # of a dry run: what its runs may take together; a slow scene is
 DRY_MOVING_S = 0.5  # how long a trial is measured once something moves, in a dry run
 MOVING_S = 1.5  # otherwise
 BLOCK = 50  # slices that are timed together
+MOST_FILES = 5  # that a plan with devices names on a terminal
+SURE = 2.0  # a difference is noise that is smaller than so many standard errors of its mean over the blocks
 
 Append = Callable[[Events, dict[str, Any]], None]
 Play = Callable[[SimulatedTrial, Append], Any]  # runs a trial and hands over every slice and its rows
@@ -52,17 +54,32 @@ class PartCosts:
 
     def more_us(self, part: str) -> float:
         """How much more the trial takes with a part that can be switched than without it."""
+        left_out = any(row["part"] == part and row["left_out"] for row in parts(self.plan))
+        difference_us = float(self._differences_us(part).mean())
+        return -difference_us if left_out else difference_us
+
+    def noise_us(self, part: str) -> float:
+        """How large a difference of a part that can be switched the machine makes by itself.
+
+        From how much the blocks differ. No part saves time by being there: a cost below zero is noise, all of it.
+        """
+        differences_us = self._differences_us(part)
+        below_zero_us = max(0.0, -self.more_us(part))
+        if len(differences_us) < 2:
+            return abs(self.more_us(part))
+        return max(below_zero_us, SURE * float(differences_us.std(ddof=1)) / math.sqrt(len(differences_us)))
+
+    def _differences_us(self, part: str) -> Floats:
         other = self.switched[part]
         both = min(len(other), len(self.whole))
-        difference_us = float((self.whole[:both] - other[:both]).mean())
-        left_out = any(row["part"] == part and row["left_out"] for row in parts(self.plan))
-        return -difference_us if left_out else difference_us
+        return self.whole[:both] - other[:both]
 
     def rows(self) -> list[dict[str, Any]]:
         """The parts of the plan, each with what it costs where it is built, or saves where it is left out.
 
         None where a part is not measured by itself: then it is in the figure of gel and friction, or cannot be had
-        otherwise. What the other parts of the camera do not account for is that of the dots.
+        otherwise. What the other parts of the camera do not account for is that of the dots. noise_us: within so much
+        of zero a figure says nothing; None of one that is counted and not a difference.
         """
         rows = parts(self.plan)
         names = [row["part"] for row in rows]
@@ -71,10 +88,14 @@ class PartCosts:
         costs = {part: self.more_us(part) for part in self.switched if part in built} | timed_us
         in_camera = names[names.index("camera") + 1 :]
         costs["dots"] = timed_us["camera"] - sum(costs.get(part, 0.0) for part in in_camera)
+        noises = {part: self.noise_us(part) for part in self.switched}
+        others_us = math.hypot(*(noises[part] for part in in_camera if part in noises and part in costs))
+        noises["dots"] = max(others_us, -costs["dots"])
         for row in rows:
             left_out = row["part"] not in built and row["part"] in self.switched
             row["time_us"] = costs.get(row["part"])
             row["saves_us"] = self.more_us(row["part"]) if left_out else None
+            row["noise_us"] = noises.get(row["part"])
         rest_us = float(self.whole.mean()) - sum(timed_us.values())
         beside = {part: us for part, us in timed_us.items() if part not in names} | {"everything else": rest_us}
         for part, us in beside.items():
@@ -106,6 +127,46 @@ def dry_run(
         "left_out_saves_us": sum(row["saves_us"] or 0.0 for row in rows),
     }
     return Outcome(rows, True, summary, made=False)
+
+
+def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
+    """What a terminal shows of a dry run: the parts that are built, then in words what is left out and what it takes.
+
+    Of one with devices (session.plan_shown): what is opened and done, and the first of very many files.
+    """
+    rows, summary = shown.rows, shown.summary
+    if "left_out" not in rows[0]:
+        files = [row for row in rows if row["part"] == "file"]
+        more = [{"part": "files", "what": f"{len(files):,} in all", "detail": "-v names them"}]
+        return (rows if len(files) <= MOST_FILES else [row for row in rows if row not in files[MOST_FILES:]] + more), []
+    built = [
+        {"part": row["part"], "built": row["built"], "time_us": _in_words(row, "time_us")}
+        for row in rows
+        if row["built"] is not None
+    ]
+    left_out = [row for row in rows if row["left_out"] is not None]
+    would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row, "saves_us")) is not None]
+    said = ["-: not measured by itself but as part of another. The camera's time includes dots, window, edge and noise."]
+    if left_out:
+        said += [f"{len(left_out)} parts are left out because scene and sensor do not name them; -v says why of each."]
+    if would_take:
+        said += [f"They would take: {', '.join(would_take)}."]
+    if "time_us_a_slice" in summary:
+        said += [
+            f"A slice takes {summary['time_us_a_slice']:.0f} us here, which is {summary['times_real_time']:.2g} x real"
+            f" time, measured on {summary['slices_measured']:,} slices."
+        ]
+    of_several = "" if summary["files"] == 1 else f"{summary['files']:,} files, the first "
+    said += [f"Nothing was written. It would make {of_several}{summary['first_file']}."]
+    return built, said
+
+
+def _in_words(row: dict[str, Any], figure: str) -> str | None:
+    """A time of a part to three digits; "< x" where a difference is within what the machine makes by itself."""
+    us, noise_us = row.get(figure), row.get("noise_us")
+    if us is None:
+        return None
+    return f"< {noise_us:.2g}" if noise_us is not None and us <= noise_us else f"{us:.3g}"
 
 
 def measure(

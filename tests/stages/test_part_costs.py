@@ -1,16 +1,23 @@
 """What the parts of a scene cost, against a clock that the test moves, and once for real."""
 
+import json
+import textwrap
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from evetac_cli.cli.main import app
+from evetac_cli.jobs import Outcome
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, part_costs, record
-from evetac_cli.stages.part_costs import BLOCK, Append, measure
+from evetac_cli.stages.part_costs import BLOCK, Append, for_people, measure
+from evetac_cli.stages.record import simulated
 from evetac_cli.stages.trials import SimulatedTrial
 
 WINDOW_US, NOISE_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 5.0, 40.0, 12.0, 7.0
@@ -31,7 +38,7 @@ class SlowedClock:
         self.now_s += us * 1e-6
 
     def _render(self, plan: dict[str, Any]) -> None:
-        shown = plan["scene"]["texture"].get("show", True)
+        shown = plan["scene"].get("texture", {"show": False}).get("show", True)
         self.take(DOTS_US + WINDOW_US * shown)
         self.take(NOISE_US * (plan["sensor_row"]["noise_hz"] > 0) + CUT_US * (plan["sensor_row"]["cut_contrast"] > 0))
 
@@ -110,3 +117,70 @@ def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.Monke
     assert (rows["window"]["saves_us"] is not None) == (stage is grasp)
     assert shown.summary["slices_measured"] in (BLOCK, BLOCK * 2)  # fewer where the machine is very slow
     assert shown.summary["left_out_saves_us"] == pytest.approx(rows["window"]["saves_us"] or 0.0)
+
+
+@pytest.mark.parametrize("slowed_us", [0.0, 50.0, 400.0])
+def test_a_difference_within_the_noise_is_not_a_figure(slowed_us: float, machine: SlowedClock) -> None:
+    """Assert that a cost is shown as a figure only where it is larger than what the machine makes by itself.
+
+    The clock is slowed in all runs, so that the smallest part drowns, but not the largest.
+    """
+    (trial,) = record.jobs([], Record(), None)
+    machine.slowed_us = slowed_us
+    machine.runs = 4  # no run is left alone
+    costs = measure(trial, machine.play, 1)
+    rows = {row["part"]: row for row in costs.rows()}
+    shown = {row["part"]: row["time_us"] for row in for_people(Outcome(list(rows.values()), True, SUMMARY))[0]}
+    for part, us in (("window", WINDOW_US), ("cut edge", CUT_US), ("noise", NOISE_US), ("dots", DOTS_US)):
+        noise_us = rows[part]["noise_us"]
+        assert noise_us >= -rows[part]["time_us"]
+        if shown[part].startswith("< "):
+            assert rows[part]["time_us"] <= noise_us
+            assert us <= 2.0 * noise_us + slowed_us / 10
+        else:
+            assert float(shown[part]) == pytest.approx(rows[part]["time_us"], rel=0.01)
+            assert float(shown[part]) > 0.0
+    assert (slowed_us == 0.0) == all(not text.startswith("<") for text in shown.values() if text)
+
+
+SUMMARY = {"files": 3, "first_file": "a.recording.h5", "slices_measured": 1400, "time_us_a_slice": 200.0}
+SUMMARY["times_real_time"] = 5.0
+
+
+@pytest.mark.parametrize(
+    ("figure", "noise", "words"),
+    [(52.93, None, "52.9"), (-5.732, 5.732, "< 5.7"), (1.8, 2.04, "< 2"), (2.1, 2.0, "2.1"), (None, None, None)],
+)
+def test_how_a_time_is_said(figure: float | None, noise: float | None, words: str | None) -> None:
+    """Assert that no time of a part is negative, and that one within the noise is said by its limit."""
+    row = {"part": "dots", "built": "56", "left_out": None, "time_us": figure, "saves_us": None, "noise_us": noise}
+    (shown,), _ = for_people(Outcome([row], True, SUMMARY))
+    assert shown == {"part": "dots", "built": "56", "time_us": words}
+
+
+@pytest.mark.parametrize(
+    "words", [["--scene", "slip"], ["--scene", "edge"], ["--scene", "vibration"], ["--count", "9"]]
+)
+def test_a_dry_run_fits_a_screen(words: list[str], machine: SlowedClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that it fills at most 40 lines of 80 signs, that -v says all parts with their reasons, and --json too."""
+    monkeypatch.setattr(simulated, "play_through", machine.play)
+    run = [CliRunner().invoke(app, ["record", "--dry-run", *words, *more]) for more in ([], ["-v"], ["--json"])]
+    assert [each.exit_code for each in run] == [0, 0, 0], run[0].stderr
+    lines = [wrapped for line in run[0].stdout.splitlines() for wrapped in textwrap.wrap(line, 80)]
+    assert len(lines) <= 40
+    assert max(len(line) for line in run[0].stdout.splitlines() if line.startswith("│")) <= 80
+    rows = json.loads(run[2].stdout)["rows"]
+    assert {"part", "built", "left_out", "time_us", "saves_us", "noise_us"} == set(rows[0])
+    for row in rows:
+        assert (row["part"] in run[0].stdout) or row["built"] is None
+        assert row["part"] in run[1].stdout
+    assert f"{sum(row['left_out'] is not None for row in rows)} parts are left out" in run[0].stdout
+
+
+def test_a_dry_run_of_many_trials_with_devices_names_the_first(tmp_path: Path) -> None:
+    """Assert that of a series of 40 trials the first five files are named, and all with -v."""
+    words = ["record", "--camera", "virtual", "--gripper", "virtual", "--count", "40", "--dry-run", "-o", str(tmp_path)]
+    short, whole = (CliRunner().invoke(app, [*words, *more]).stdout for more in ([], ["-v"]))
+    assert short.count("│ file ") == 5
+    assert "40 in all" in short
+    assert whole.count("│ file ") == 40

@@ -82,6 +82,9 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
     return part_costs.dry_run(trials, partial(simulated.play, params=params), TIMERS, progress)
 
 
+dry_run_for_people = part_costs.for_people
+
+
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Grasp one object and record everything: in simulation, in real time, or on a recording."""
     match job:

@@ -89,6 +89,9 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progres
     return part_costs.dry_run(scenes, simulated.play_through, progress=progress)
 
 
+dry_run_for_people = part_costs.for_people
+
+
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Record one trial, or import one file; with --preview, show the camera of the trial instead."""
     match job:
