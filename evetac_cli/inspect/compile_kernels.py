@@ -9,14 +9,16 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
+from evetac_cli import console
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, silent
 
@@ -27,6 +29,7 @@ TRIALS = [f"slip-obj03-s0-{number:03d}" for number in range(3)]
 RECORDINGS = " ".join(f"{name}.recording.h5" for name in TRIALS)
 EVENTS, GRID = "events.txt", "grid.json"
 Chain = Sequence[str]
+AGAIN_S = 20.0  # after which it is said what still runs: the longest of the commands takes a minute or two
 STEPS: tuple[tuple[Chain, ...], ...] = (
     (
         ("record --scene slip --object 3 --count 3 --out .",),
@@ -51,25 +54,80 @@ STEPS: tuple[tuple[Chain, ...], ...] = (
 )
 
 
-def run(progress: Progress = silent, steps: Sequence[Sequence[Chain]] = STEPS) -> Outcome:
-    """Run the commands, a row each; EvetacError with the words of one that fails."""
-    rows: list[dict[str, Any]] = []
-    commands = sum(len(chain) for step in steps for chain in step)
+class Course:
+    """Which of the commands have begun and ended, said line by line: a newcomer can tell work from a hang."""
+
+    def __init__(self, commands: int, progress: Progress, say: Callable[[str], None]) -> None:
+        self.commands, self.progress, self.say = commands, progress, say
+        self.begun = 0
+        self.rows: list[dict[str, Any]] = []
+        self.running: dict[int, tuple[str, float]] = {}  # a command's number: its name, and when it began
+        self._lock = Lock()
+        progress(0, commands)
+        say(
+            f"compiling for this computer, once after installing: {commands} commands, some two minutes on two quiet"
+            " cores, longer on a slow or busy computer"
+        )
+
+    def run(self, command: str, folder: Path) -> None:
+        """Run a command, and say that it begins."""
+        name = name_of(command)
+        started = time.monotonic()
+        with self._lock:
+            self.begun += 1
+            number = self.begun
+            self.running[number] = name, started
+            self.say(f"compiling {number} of {self.commands}: {name} ...")
+        _run(command, folder)
+        with self._lock:
+            del self.running[number]
+            self.rows.append({"command": name, "time_s": time.monotonic() - started})
+            self.progress(len(self.rows), self.commands)
+
+    def say_what_runs(self) -> None:
+        """Say which commands are at work, and for how long."""
+        with self._lock:
+            now = time.monotonic()
+            names = (f"{name} for {now - began:.0f} s" for name, began in self.running.values())
+            self.say(f"{len(self.rows)} of {self.commands} are compiled; at work: {', '.join(names)}")
+
+
+def run(
+    progress: Progress = silent,
+    steps: Sequence[Sequence[Chain]] = STEPS,
+    say: Callable[[str], None] = console.say,
+    again_s: float = AGAIN_S,
+) -> Outcome:
+    """Run the commands, a row each; EvetacError with the words of one that fails.
+
+    say: takes a line where a command begins, and every again_s seconds while none ends.
+    """
+    course = Course(sum(len(chain) for step in steps for chain in step), progress, say)
     with (
         TemporaryDirectory(prefix="evetac-compile-") as folder,
         ThreadPoolExecutor(max_workers=os.cpu_count()) as pool,
     ):
         _write_events(Path(folder))
-        progress(0, commands)
 
         def run_chain(chain: Chain) -> None:
             for command in chain:
-                rows.append(_run(command, Path(folder)))
-                progress(len(rows), commands)
+                course.run(command, Path(folder))
 
         for step in steps:
-            list(pool.map(run_chain, step))
-    return Outcome(rows, False, {"commands": commands})
+            waiting = {pool.submit(run_chain, chain) for chain in step}
+            while waiting:
+                done, waiting = wait(waiting, timeout=again_s)
+                for ended in done:
+                    ended.result()
+                if not done:
+                    course.say_what_runs()
+    return Outcome(course.rows, False, {"commands": course.commands})
+
+
+def name_of(command: str) -> str:
+    """What a command line runs, as in `track` and `evaluate slip`."""
+    first, second, *_ = command.split()
+    return f"{first} {second}" if first == "evaluate" else first
 
 
 def _write_events(folder: Path) -> None:
@@ -85,12 +143,10 @@ def _write_events(folder: Path) -> None:
     (folder / GRID).write_text(json.dumps(grid))
 
 
-def _run(command: str, folder: Path) -> dict[str, Any]:
-    started = time.monotonic()
+def _run(command: str, folder: Path) -> None:
     # The commands of this very package, also where it is not the one that is installed.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     arguments = [sys.executable, "-m", "evetac_cli", *command.split(), "--quiet"]
     done = subprocess.run(arguments, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise EvetacError("a command that compiles has failed", where=f"evetac {command}", found=done.stderr.strip())
-    return {"command": command.partition(" ")[0], "time_s": time.monotonic() - started}

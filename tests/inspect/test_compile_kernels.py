@@ -75,3 +75,40 @@ def test_a_command_that_fails_is_named() -> None:
     with pytest.raises(EvetacError, match="evetac record --scene nowhere") as error:
         compile_kernels.run(steps=((("record --scene nowhere",),),))
     assert "nowhere" in str(error.value).split("--scene nowhere", 1)[1]
+
+
+def test_each_command_is_said_as_it_begins() -> None:
+    """Assert a line for each command with its number, the number of all, and how far it is where one takes long."""
+    said: list[str] = []
+    importing = "record --from events.txt --frame-size 640x480 --calibration grid.json --out {}.recording.h5"
+    steps = (((importing.format("a"), importing.format("b")),), ((importing.format("c"),), (importing.format("d"),)))
+    done: list[tuple[float, float]] = []
+    outcome = compile_kernels.run(lambda *how: done.append(how[:2]), steps, said.append, again_s=0.01)
+    assert "once after installing: 4 commands" in said[0]
+    begun = [line for line in said if line.startswith("compiling ") and line.endswith("...")]
+    assert begun == [f"compiling {number} of 4: record ..." for number in (1, 2, 3, 4)]
+    waiting = [line for line in said[1:] if line not in begun]
+    assert waiting and all(" of 4 are compiled; at work: record for " in line for line in waiting)
+    assert [row["command"] for row in outcome.rows] == ["record"] * 4
+    assert done == [(number, 4) for number in range(5)]
+
+
+def test_an_error_is_not_waited_for_in_words() -> None:
+    """Assert that a command that fails ends the others' telling too, and that its error is the one that is raised."""
+    said: list[str] = []
+    with pytest.raises(EvetacError, match="evetac trim nothing"):
+        compile_kernels.run(steps=((("trim nothing",),),), say=said.append)
+    assert said[1:] == ["compiling 1 of 1: trim ..."]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("record --scene slip", "record"),
+        ("evaluate slip a.features.h5 --model m", "evaluate slip"),
+        ("track a.h5", "track"),
+    ],
+)
+def test_commands_are_called_as_on_the_command_line(command: str, name: str) -> None:
+    """Assert that an evaluation is named with its subject."""
+    assert compile_kernels.name_of(command) == name
