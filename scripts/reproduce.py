@@ -8,6 +8,7 @@ their own (demo/, data/slip/, ...), those of `--small` in small/. Tables go to d
 small/results/: rows, how they are shown, commands, recipe ids of the reports, seeds, sizes, and the commit. All of it
 comes from the headers of the reports that were read, so a table says what was run. A table of more trajectories,
 objects or models is not replaced by one of fewer unless --replace is given; other experiments' tables are not touched.
+Ctrl-C ends the command at work, which takes its unfinished files away, and then this program, with exit code 130.
 """
 
 import argparse
@@ -28,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 IN_PARALLEL = ("record", "track", "label", "featurize", "train", "grasp", "track-rgb")  # commands given --jobs
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
+INTERRUPTS_TO_KILL = 3  # after so many a command that does not end is killed
 COUNTS = ("recordings", "objects", "models", "training_steps")  # what makes one run larger than another
 
 # Run a command in a folder; what it printed, and its exit code.
@@ -45,8 +47,29 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
         program = [sys.executable, "-m", "evetac_cli", *rest]
     else:
         program = [sys.executable, str(ROOT / rest[0]), *rest[1:]]
-    done = subprocess.run(program, cwd=folder, stdout=subprocess.PIPE, text=True, check=False)
-    return done.returncode, done.stdout
+    process = subprocess.Popen(program, cwd=folder, stdout=subprocess.PIPE, text=True)
+    printed = wait_for(process)
+    return process.returncode, printed
+
+
+def wait_for(process: "subprocess.Popen[str]") -> str:
+    """What a command prints on stdout, once it has ended. KeyboardInterrupt, also after that, if Ctrl-C was pressed.
+
+    Why so: a terminal sends Ctrl-C to the command too, which needs a moment to take away what is unfinished.
+    subprocess.run would kill it after a quarter of a second.
+    """
+    times = 0
+    while True:
+        try:
+            printed, _ = process.communicate()
+            break
+        except KeyboardInterrupt:
+            times += 1
+            if times == INTERRUPTS_TO_KILL:
+                process.kill()
+    if times:
+        raise KeyboardInterrupt
+    return printed
 
 
 def report_header(path: Path) -> Row:
@@ -385,6 +408,9 @@ def main(arguments: list[str] | None = None) -> None:
                 perform(experiment, sizes, out, table_folder, **how)
     except Refusal as refusal:
         raise SystemExit(f"error: {refusal}") from None
+    except KeyboardInterrupt:
+        print("interrupted: complete files are kept, and the same command goes on with them", file=sys.stderr)
+        raise SystemExit(130) from None
 
 
 if __name__ == "__main__":

@@ -65,8 +65,8 @@ class Course:
         self._lock = Lock()
         progress(0, commands)
         say(
-            f"compiling for this computer, once after installing: {commands} commands, some two minutes on two quiet"
-            " cores, longer on a slow or busy computer"
+            f"compiling for this computer, once after installing: {commands} commands, one to two minutes on two quiet"
+            " cores, several on a slow or busy computer"
         )
 
     def run(self, command: str, folder: Path) -> None:

@@ -212,6 +212,20 @@ def refuse_leftover(path: Path) -> None:
         )
 
 
+def remove_unfinished(path: Path) -> None:
+    """Remove the folder that a dead process left of a simulated recording, which can be made again.
+
+    One in which somebody records, one that waits for repair, and what no recording makes stay.
+    """
+    folder = _part_folder(path)
+    if not (folder / "lock").is_file() or any(file.is_dir() for file in folder.iterdir()):
+        return
+    with suppress(OSError), open_lock(folder / "lock") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if (folder / JOINED).exists() or not _repairable(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def _part_folder(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(".h5") + ".part")
 

@@ -1,8 +1,14 @@
 """scripts/reproduce.py: tables say what was run, and no run destroys what another has kept."""
 
 import json
+import os
 import re
+import signal
+import subprocess
 import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -351,3 +357,74 @@ def test_commands_are_told_the_engine(engine: str, more: str) -> None:
         assert reproduce.with_engine(words, 3, engine) == [*words, *more.split()]
     for other in (["evetac", "evaluate", "labels"], ["python", "scripts/film.py"]):
         assert reproduce.with_engine(other, 3, engine) == other
+
+
+def interrupt_when(
+    shows: Callable[[Path], bool], folder: Path, words: Sequence[str], times: int = 1
+) -> tuple[int, str]:
+    """Run the script as a terminal does, press Ctrl-C once something shows; its exit code and what it said."""
+    script = Path(reproduce.__file__)
+    run = [sys.executable, str(script), *words, "--out", str(folder), "--results", str(folder / "results")]
+    process = subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+    try:
+        while not shows(folder):
+            assert process.poll() is None, process.communicate()[0]
+            time.sleep(0.02)
+        for _ in range(times):
+            os.killpg(process.pid, signal.SIGINT)
+        said, _ = process.communicate(timeout=300)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    return process.returncode, said
+
+
+def left(folder: Path) -> list[str]:
+    """What is unfinished in a folder."""
+    return [str(path) for path in folder.rglob("*.part*")]
+
+
+UNFINISHED = {
+    "while it records": lambda folder: any(folder.rglob("*.recording.part")),
+    "between files": lambda folder: any(folder.rglob("*.recording.h5")),
+    "as it begins": lambda folder: any(folder.iterdir()),
+}
+
+
+@pytest.mark.parametrize("moment", UNFINISHED)
+def test_ctrl_c_leaves_nothing_unfinished(moment: str, tmp_path: Path) -> None:
+    """Assert exit code 130, one sentence and no traceback, and that the command at work takes its files away."""
+    words = ["--only", "demo", "--jobs", "2"]
+    code, said = interrupt_when(UNFINISHED[moment], tmp_path, words)
+    assert code == 130, said
+    assert "Traceback" not in said
+    assert said.splitlines()[-1].startswith("interrupted: complete files are kept")
+    assert left(tmp_path) == []
+
+
+class Deaf:
+    """A command that Ctrl-C reaches, and that does not end before it is killed."""
+
+    def __init__(self, interrupts: int) -> None:
+        self.interrupts, self.killed = interrupts, False
+
+    def communicate(self) -> tuple[str, None]:
+        if self.killed or not self.interrupts:
+            return "{}", None
+        self.interrupts -= 1
+        raise KeyboardInterrupt
+
+    def kill(self) -> None:
+        self.killed = True
+
+
+@pytest.mark.parametrize(("interrupts", "killed"), [(0, False), (1, False), (2, False), (3, True), (9, True)])
+def test_a_command_is_waited_for(interrupts: int, killed: bool) -> None:
+    """Assert that Ctrl-C is passed on when the command has ended, and that the third one kills a command."""
+    process: Any = Deaf(interrupts)
+    if interrupts:
+        with pytest.raises(KeyboardInterrupt):
+            reproduce.wait_for(process)
+    else:
+        assert reproduce.wait_for(process) == "{}"
+    assert process.killed == killed

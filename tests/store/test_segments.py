@@ -480,3 +480,41 @@ def test_only_what_can_be_made_again_is_refused(tmp_path: Path, from_device: boo
         writer.finish(RECIPE)
     writer.discard()
     assert everything(tmp_path) == []
+
+
+def test_what_a_dead_process_left_of_a_simulation_is_removed(broken_off: Path) -> None:
+    """Assert that the segments of a process that was killed go, and files beside them stay."""
+    beside = broken_off.with_name("b.recording.h5")
+    beside.write_text("x")
+    segments.remove_unfinished(broken_off)
+    segments.remove_unfinished(broken_off)  # there is none any more
+    assert everything(broken_off.parent) == ["b.recording.h5"]
+
+
+def test_what_waits_for_repair_or_is_at_work_is_not_removed(tmp_path: Path) -> None:
+    """Assert that a folder with a recipe, one that is being written, and one with a folder in it are left alone."""
+    waits, at_work, other = (tmp_path / f"{name}.recording.h5" for name in ("waits", "work", "other"))
+    writer = RecordingWriter(waits, STATIC, discard_leftover=False, recipe=RECIPE)
+    writer.append(some_events(0, 3))
+    writer.close_segment()
+    writer.leave()
+    working = RecordingWriter(at_work, STATIC, discard_leftover=True)
+    (tmp_path / "other.recording.part" / "precious").mkdir(parents=True)
+    (tmp_path / "other.recording.part" / "lock").write_text("")
+    before = everything(tmp_path)
+    for path in (waits, at_work, other, tmp_path / "none.recording.h5", tmp_path / "none.tracks.h5"):
+        segments.remove_unfinished(path)
+    assert everything(tmp_path) == before
+    working.discard()
+
+
+def test_what_was_joined_and_not_removed_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that of a process that ended between joining and removing, the folder goes and the recording stays."""
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC, discard_leftover=True)
+    writer.append(some_events(0, 3))
+    monkeypatch.setattr(RecordingWriter, "discard", RecordingWriter.leave)
+    writer.finish(RECIPE)
+    assert (tmp_path / "a.recording.part" / segments.JOINED).exists()
+    segments.remove_unfinished(path)
+    assert everything(tmp_path) == ["a.recording.h5"]
