@@ -1,5 +1,6 @@
-# The experiments, the tests and the checks. `make help` lists the targets.
+# The experiments, the tests and the checks. `make help` lists the targets; each sets up first what it needs.
 SHELL := /bin/bash
+.SHELLFLAGS := -o pipefail -c
 PYTHON ?= python3
 # Of the experiments: files worked on at the same time; SMALL=1 for sizes of minutes; SIZES="each=1 seed=7" for others,
 # of which `make experiments` prints a list.
@@ -11,9 +12,18 @@ BASE ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DEVELOPING := $(VENV)/.ready-to-develop
+# What commands and experiments use: all but the viewer rerun (500 MB), of which tests alone have need.
+USED := camera,cluster,convert,log,plot,robot
 LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
+
+# Installs, and says of each larger package that it comes: pip says either nothing for minutes, or hundreds of lines.
+INSTALL = $(BIN)/python -m pip install --no-compile --disable-pip-version-check --progress-bar off \
+	--constraint constraints.txt --editable
+SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$0} \
+	/^Installing collected packages/ {print "  unpacking " NF - 3 " packages"} {fflush()}' >&2
 
 # Modules are kept compiled, whatever the environment says: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
@@ -25,12 +35,18 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(READY)  ## make a virtual environment of its own in .venv
+setup: $(READY)  ## make a virtual environment of its own in .venv, with all that the commands use
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[camera,cluster,convert,docs,log,plot,robot,view,dev]'
+	@echo 'installing evetac and what it uses, [$(USED)], into $(VENV)'
+	@$(INSTALL) '.[$(USED)]' | $(SAYING)
 	$(BIN)/evetac doctor --compile
+	@touch $@
+
+$(DEVELOPING): $(READY)
+	@echo 'installing what tests, checks and documentation use too, [$(USED),dev,docs,view], into $(VENV)'
+	@$(INSTALL) '.[$(USED),dev,docs,view]' | $(SAYING)
 	@touch $@
 
 experiments: $(READY)  ## list the experiments with their sizes
@@ -85,10 +101,10 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
-test: $(READY)  ## the test suite
+test: $(DEVELOPING)  ## the test suite
 	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
-test-all: $(READY)  ## the test suite with its longer cases
+test-all: $(DEVELOPING)  ## the test suite with its longer cases
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
@@ -104,18 +120,18 @@ lerobot:  ## an environment of its own for LeRobot in .venv-lerobot, gigabytes, 
 	$(PYTHON) -m venv --clear $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
-check: $(READY)  ## ruff, mypy --strict and the documentation, side by side
+check: $(DEVELOPING)  ## ruff, mypy --strict and the documentation, side by side
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs
 
-lint: $(READY)
+lint: $(DEVELOPING)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python scripts/words.py
 
-types: $(READY)
+types: $(DEVELOPING)
 	$(BIN)/mypy
 
-docs: $(READY)  ## the documentation: site/index.html, with every page of the reference made from the code
+docs: $(DEVELOPING)  ## the documentation: site/index.html, with every page of the reference made from the code
 	$(BIN)/python scripts/docs/pages.py
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
