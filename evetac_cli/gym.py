@@ -109,7 +109,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         touch_ms, lift_ms, balance_ms = (round(1000 * each) for each in (touch_s, lift_s, balance_s))
         self._timing = Timing(touch_ms, lift_ms, balance_ms, control_hz)
         if self._timing.balance_ms < 0:
-            raise InputError("no such duration", where="balance_s", expected="0 or more", found=f"{balance_s}")
+            raise InputError("too short", where="balance_s", expected="0 s or more", found=f"{balance_s} s")
         self._model = resources.model_file(model, flag="model")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
@@ -260,13 +260,15 @@ def _vary(scene: dict[str, Any], mass_factor: tuple[float, float], hand_mm_s: fl
     scene["randomise"]["mass"] = [float(low), float(high)]
     hand, time = scene["hand"], scene["time"]
     if not 1.0 <= hand_mm_s <= 1000.0:
-        raise InputError("no such speed", where="hand_mm_s", expected="1 to 1000 mm/s", found=f"{hand_mm_s}")
+        what = "too fast" if hand_mm_s > 1000.0 else "too slow"
+        raise InputError(what, where="hand_mm_s", expected="1 to 1000 mm/s", found=f"{hand_mm_s} mm/s")
     hand["acceleration_mm_s2"] *= hand_mm_s / hand["speed_mm_s"]  # it starts in as short a time
     hand["speed_mm_s"] = float(hand_mm_s)
     up_s = hand["height_mm"] / hand_mm_s + hand_mm_s / hand["acceleration_mm_s2"] + time.get("before_rise_s", 0.0)
     if not up_s <= lift_s <= 600.0:
-        expected = f"{up_s:.4g} s, when the hand is up, to 600 s"
-        raise InputError("no such duration", where="lift_s", expected=expected, found=f"{lift_s}")
+        expected = f"{up_s:.4g} s, the time that the hand takes to rise, to 600 s"
+        what = "too long" if lift_s > 600.0 else "too short"
+        raise InputError(what, where="lift_s", expected=expected, found=f"{lift_s} s")
 
 
 gymnasium.register("evetac/Lift-v0", entry_point="evetac_cli.gym:LiftEnv")

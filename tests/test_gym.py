@@ -1,6 +1,7 @@
 """evetac/Lift-v0: Gymnasium's own checker, the loop of `grasp` within it, rewards and refusals."""
 
 import importlib
+import math
 import sys
 import tomllib
 from typing import Any
@@ -104,9 +105,12 @@ def test_what_is_drawn(quick_touch: str) -> None:
     [
         ({"objects": "99"}, "no such object"),
         ({"mass_factor": (2.0, 1.0)}, "mass_factor"),
-        ({"hand_mm_s": 0.0}, "hand_mm_s"),
-        ({"lift_s": 0.2}, "when the hand is up"),
-        ({"balance_s": -1.0}, "balance_s"),
+        ({"hand_mm_s": 0.0}, "hand_mm_s: too slow"),
+        ({"hand_mm_s": 2e3}, "hand_mm_s: too fast"),
+        ({"hand_mm_s": math.nan}, "hand_mm_s: too slow"),
+        ({"lift_s": 0.2}, "lift_s: too short\n  expected: .* s, the time that the hand takes to rise"),
+        ({"lift_s": 601.0}, "lift_s: too long"),
+        ({"balance_s": -1.0}, "balance_s: too short"),
         ({"control_hz": 30.0}, "1000 is a multiple"),
         ({"sensor": "none"}, "no such sensor"),
     ],

@@ -201,7 +201,9 @@ def _check_current(scene: dict[str, Any], where: str) -> None:
     if square is not None and not square["from_s"] < square["to_s"] <= at_s[-1]:
         expected = f"from_s < to_s, and to_s up to the last of at_s, {at_s[-1]:g} s"
         times = f"{square['from_s']:g} to {square['to_s']:g} s"
-        raise SceneError("gripper.current.square: no such time", where=where, expected=expected, found=times)
+        raise SceneError(
+            "gripper.current.square: not within the current's times", where=where, expected=expected, found=times
+        )
 
 
 def _check_vibration(scene: dict[str, Any], where: str) -> None:

@@ -1,7 +1,9 @@
 """Tables of trials: pandas and duckdb read of them what the files hold, with units, times and where it comes from."""
 
 import json
+import re
 import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from evetac_cli.inspect.export import trial_files
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store import disk
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.read import open_recording
 from evetac_cli.store.schema import load
 from tests import small_files
 from tests.conftest import Made
@@ -123,9 +126,33 @@ def test_rows_of_a_clock_stand_until_the_next(tmp_path: Path) -> None:
             assert np.isnan(shown).all()
         else:
             assert shown == (t_us[index], position[index])
-    assert "1 of 12 rows of gripper" in row["left_out"]
+    assert "1 of 12 rows of gripper: 1 followed by a later one before the slice ends" in row["left_out"]
+    assert "after the end" not in row["left_out"]
     every = frame.drop_duplicates("control_t_us")
     assert every["control_goal_ticks"].tolist() == stored(path, "recording", "control/goal_ticks", ()).tolist()
+
+
+AFTER = "{} after the end of the last slice"
+LATER = "{} followed by a later one before the slice ends, which is shown"
+
+
+@pytest.mark.parametrize(
+    ("t_us", "said"),
+    [
+        ([*range(0, 11_000, 1000), SLICES * 1000], AFTER.format(1)),
+        (range(12), LATER.format(11)),
+        (range(0, 12_000, 1000), ""),
+        (range(SLICES * 1000, SLICES * 1000 + 12), AFTER.format(12)),
+        ([0, *range(100, 10_100, 1000), SLICES * 1000 + 5], f"{LATER.format(1)}, {AFTER.format(1)}"),
+    ],
+)
+def test_rows_that_are_left_out_say_why(tmp_path: Path, t_us: Sequence[int], said: str) -> None:
+    """Assert that each row of a clock which no slice shows is said with the reason, a row at the very end too."""
+    path = trial(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
+    with open_recording(path) as recording:
+        told = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
+    missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|followed)", said))
+    assert told == ([f"{missing} of 12 rows of gripper: {said}"] if said else [])
 
 
 def test_columns_say_their_unit_and_where_they_come_from(source: Path, table: Path) -> None:
@@ -155,7 +182,8 @@ def test_other_streams_stand_beside(tmp_path: Path) -> None:
     path = trial(tmp_path, "a", **more, streams__probe__frames=np.zeros((4, 2, 3, 1), np.uint8))
     target = tmp_path / "a.parquet"
     row = export(path, "parquet", target, opened=trial_files)
-    assert "2 of 4 rows of streams/probe" in row["left_out"]
+    why = "1 followed by a later one before the slice ends, which is shown, 1 after the end of the last slice"
+    assert f"2 of 4 rows of streams/probe: {why}" in row["left_out"]
     frame = pd.read_parquet(target)
     assert frame["streams_probe_height_mm"].tolist() == [0.0, 0.0, *[2.0] * (SLICES - 2)]
     assert frame["streams_probe_force"][:2].tolist() == [1.5, 1.5] and frame["streams_probe_force"][2:].isna().all()

@@ -314,8 +314,8 @@ def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: s
         ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "rising times"),
         ("gripper", {"current": {"at_s": [0.0, 1.0], "ma": [1.0]}}, "of another length"),
         ("time", {"longest_s": 35.0}, "after the scene ends"),
-        ("square", {"from_s": 12.0}, "square: no such time"),
-        ("square", {"to_s": 36.0}, "square: no such time"),
+        ("square", {"from_s": 12.0}, "square: not within the current"),
+        ("square", {"to_s": 36.0}, "square: not within the current"),
     ],
 )
 def test_a_gripper_current_that_is_wrong(group: str, keys: dict[str, Any], says: str, tmp_path: Path) -> None:

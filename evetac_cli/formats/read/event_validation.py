@@ -329,6 +329,10 @@ def _without_fault(batch: Columns, frame_px: tuple[int, int]) -> Events | None:
     return Events(*(column.astype(type_, copy=False) for column, type_ in zip(batch[:4], types, strict=True)))
 
 
+# What to do about a file that holds frames, IMU samples or other messages, and nothing of events.
+NOT_RECORDED = "record again with the events switched on in the program that wrote this file, or name another file"
+
+
 def no_events(where: str) -> InputError:
     """The error for a file without any event."""
     return InputError("holds no events", where=where, hint="was the recorder stopped before the camera began?")

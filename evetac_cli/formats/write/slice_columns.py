@@ -144,7 +144,11 @@ def not_in_tables(recording: Recording) -> list[str]:
         t_us = recording.read(f"{group}/t_us")
         shown = np.unique(_rows_at(t_us, 0, len(recording)))
         missing = len(t_us) - int((shown >= 0).sum())
-        said += [f"{missing} of {len(t_us)} rows of {group}"] if missing else []
+        within = int((t_us < len(recording) * SLICE_US).sum())  # later rows are in no slice
+        after, several = len(t_us) - within, missing - (len(t_us) - within)
+        why = [f"{several} followed by a later one before the slice ends, which is shown"] if several else []
+        why += [f"{after} after the end of the last slice"] if after else []
+        said += [f"{missing} of {len(t_us)} rows of {group}: {', '.join(why)}"] if missing else []
         said += [f"images of {group}"] if recording.has(f"{group}/frames") else []
     return said
 

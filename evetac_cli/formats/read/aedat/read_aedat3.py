@@ -18,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, at_index, choose_frame
 
 SIGN = b"#!AER-DAT3"
 END = b"#!END-HEADER"
@@ -67,7 +67,8 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     source = min((source for source, kind in counts if kind == POLARITY), default=None)
     if source is None:
         held = ", ".join(f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items())
-        raise InputError("holds no event stream", where=where, found=held or "no packet that can be read")
+        holds, hint = (held, NOT_RECORDED) if held else ("no packet that can be read", "")
+        raise InputError("holds no event stream", where=where, found=holds, hint=hint)
     own_px = next((px for name, px in FRAMES_PX if sources.get(source, "").upper().startswith(name)), None)
     foreign = Foreign("aedat3", choose_frame(own_px, frame_px, where), ())
     foreign.assumed = "rows from the top, polarity bit 1 brighter, time in microseconds"

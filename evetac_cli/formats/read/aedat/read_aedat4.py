@@ -23,7 +23,7 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     walk,
 )
 from evetac_cli.formats.read.aedat.aedat4_payloads import check_libraries
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, at_index, choose_frame
 
 BATCH_EVENTS = 1 << 18  # packets hold some thousand each
 
@@ -81,6 +81,7 @@ def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) ->
             f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream",
             where=where,
             found=", ".join(f"{name} {count:,}" for name, count in held.items()),
+            hint=NOT_RECORDED if held else "",
         )
     several = len({stream.camera for stream in streams}) > 1
     labels = {f"{stream.camera}/{stream.name}" if several else stream.name: stream for stream in streams}

@@ -32,7 +32,7 @@ from evetac_cli.formats.read.bags.ros_messages import (
     event_packet,
     evetac_image,
 )
-from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
+from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, choose_frame
 from evetac_cli.formats.read.prophesee_words import ENCODINGS
 from evetac_cli.formats.read.read_prophesee import decoded
 
@@ -150,6 +150,7 @@ def _choose(topics: dict[str, str], bag: Bag, wanted: str | None, where: str) ->
             where=where,
             expected=f"{', '.join(TYPES)}, or another name for the same layout",
             found=", ".join(kinds)[:300] or "nothing",
+            hint=NOT_RECORDED if kinds else "",
         )
     topic = next(iter(topics)) if wanted is None else wanted
     if topic not in topics:

@@ -9,6 +9,7 @@ import pytest
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.aedat import read_aedat3
+from evetac_cli.formats.read.event_validation import NOT_RECORDED
 from tests.importing import assert_equal, drawn, event_rows, refusal, tonic_io
 
 FRAME = (240, 180)
@@ -177,7 +178,9 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes, words: str) -> 
     """Assert that files without events, or in another coding, are refused with what they hold."""
     path = tmp_path / "a.aedat"
     path.write_bytes(content)
-    assert words in refusal(path)
+    said = refusal(path)
+    assert words in said
+    assert (NOT_RECORDED in said) == ("found:    3 frames" in said)
 
 
 def test_as_tonic_reads_them(tmp_path: Path) -> None:

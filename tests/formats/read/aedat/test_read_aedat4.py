@@ -15,6 +15,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.aedat import aedat4_packets, read_aedat4
+from evetac_cli.formats.read.event_validation import NOT_RECORDED
 from evetac_cli.formats.write import write_aedat4
 from tests.importing import FRAME, real, refusal, same
 
@@ -349,3 +350,4 @@ def test_real_frames_are_no_events() -> None:
     """Assert that a file of frames is refused in words."""
     words = refusal(real("frames_only.aedat4"))
     assert "holds frames but no event stream" in words and "found:    frames 20" in words
+    assert f"try:      {NOT_RECORDED}" in words
