@@ -16,6 +16,8 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
+from evetac_cli.stages.record import simulated
+from evetac_cli.store import schema
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import first_hour
@@ -188,6 +190,16 @@ def test_sentences_say_what_results_say(page: str, table: str, names: dict[str, 
     rows = json.loads((ROOT / "docs" / "results" / f"{table}.json").read_text())["rows"]
     (row,) = [row for row in rows if names.items() <= row.items()]
     assert words.format(**row) in " ".join(PAGES[page].replace(" %", "%").split())
+
+
+def test_what_info_shows_of_a_recording_is_of_today() -> None:
+    """Assert that schema version and method number, wherever a page shows what `info` prints, are today's."""
+    block = re.compile(
+        r"^ +kind +recording\n +schema version +([\d.]+)\n +id .*\n +method number +(\d+)$", re.MULTILINE
+    )
+    shown = [found for page in PAGES.values() for found in block.findall(page)]
+    assert len(shown) == sum(page.count("  schema version  ") for page in PAGES.values()) > 0
+    assert set(shown) == {(schema.load("recording").version, str(simulated.METHOD))}
 
 
 @pytest.mark.parametrize("name", first_hour.PAGES)
