@@ -3,6 +3,7 @@
 The examples read files that the commands made: `a.recording.h5`, `a.labels.h5` and so on.
 """
 
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -21,6 +22,7 @@ from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim import scene
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.record import SCENE_KINDS, simulated
+from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.stages.trials import SimulatedTrial
 from evetac_cli.store.files import StageFile
 
@@ -180,7 +182,8 @@ class SlipDetector:
     """Slip probability from events, slice by slice: the tracker and the network that `grasp` runs.
 
     gel: a recording, a simulation or a `Gel`. model: a model file, or `shipped`, the package's, which is the default.
-    InputError where the gel's dots are unknown, or the model is for another dot grid.
+    InputError where the gel's dots are unknown, or the model is for another dot grid. A model that calls every slice
+    slip, or none, is warned of.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     detector = evetac.SlipDetector(recording)
@@ -195,6 +198,8 @@ class SlipDetector:
     def __init__(self, gel: _HasGel, model: str | Path | None = None, tracker_preset: str = "stable") -> None:
         dot_xy_px, constants = _dots(gel, tracker_preset)
         with StageFile(resources.model_file(model, flag="model"), "model") as file:
+            if why := why_useless(file):
+                warnings.warn(f"{file.path} is no slip detector: {why}", stacklevel=2)
             self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
 
     @property

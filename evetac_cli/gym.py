@@ -138,6 +138,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Put an object down and touch it lightly; a seed decides all that is drawn."""
         from evetac_cli.devices.simulated import SimulatedGripper, rig
         from evetac_cli.stages.grasp.setup import open_detector
+        from evetac_cli.stages.slip_detectors import require_useful
 
         super().reset(seed=seed)
         number = int(self.np_random.choice(list(self._plans)))
@@ -153,6 +154,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         assert isinstance(devices.gripper, SimulatedGripper)
         self._gripper = devices.gripper
         with StageFile(self._model, "model") as model:
+            require_useful(model)
             self._detector = open_detector(model, devices.camera.sensor, "stable", Grasp.slip_threshold)
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)

@@ -23,6 +23,7 @@ EVENT_BYTES = 5
 LOST = "capture/lost/"
 HIDDEN = ("history", "parameters", "parents", "made", "file")  # of --json, left out of the text
 NUMBERS = {"version": "schema version", "method": "method number"}  # how the text calls what is a bare number
+VALIDATED = ("validation/detected_share", "validation/slip_share")  # of a model
 MOST_PARENTS = 10  # lines; a model may have hundreds of parents
 
 
@@ -239,6 +240,7 @@ def _model(file: StageFile) -> dict[str, Any]:
             int(np.prod(shape)) for name, (_, shape) in file.contents().items() if name.endswith((".weight", ".bias"))
         ),
         "threshold": float(file.read("threshold")),
+        **{name.replace("/", "_"): float(file.read(name)) for name in VALIDATED if file.has(name)},
         "steps": int(file.read("curve/step")[-1]),
         "loss": float(file.read("curve/loss")[-1]),
     }

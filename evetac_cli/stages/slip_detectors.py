@@ -19,6 +19,8 @@ from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
+USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
+
 
 def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
     """The inputs of an architecture from a labelled features file, and the labels; InputError if they are missing."""
@@ -112,6 +114,28 @@ def probabilities(detector: Detector, series: inputs.Series, first: int) -> NDAr
     """The probabilities of a detector from slice `first` of a trajectory on; the inputs begin where it needs them."""
     begin = first_needed(detector.architecture, first)
     return detector.over(series, begin)[first - begin :]
+
+
+def why_useless(model: StageFile) -> str:
+    """Why a model detects nothing, in a sentence: at its threshold all slices are slip, or none is; "" if it may do.
+
+    Models of an older evetac do not say how many validation slices they detect; a threshold of 0 is known to be useless
+    without that.
+    """
+    share = float(model.read("validation/detected_share")) if model.has("validation/detected_share") else None
+    if share not in (0.0, 1.0) and float(model.read("threshold")) > 0.0:
+        return ""
+    if model.has("validation/slip_share") and float(model.read("validation/slip_share")) == 1.0:
+        return "its validation trajectories have no slice without slip, so that no threshold could be chosen"
+    which = "no slice" if share == 0.0 else "every slice"
+    return f"at its threshold, {float(model.read('threshold')):g}, it calls {which} of its validation trajectories slip"
+
+
+def require_useful(model: StageFile) -> None:
+    """InputError for a model that detects nothing, before it is let at a gripper."""
+    why = why_useless(model)
+    if why:
+        raise InputError("this model is no slip detector", where=str(model.path), found=why, hint=USELESS_HINT)
 
 
 def read_horizon_ms(model: StageFile) -> int:

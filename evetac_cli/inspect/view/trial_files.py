@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError
+from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import recording_of
 from evetac_cli.store.read import Recording
@@ -146,6 +147,8 @@ def _one_recording(named: list[StageFile]) -> str:
 
 
 def _check_model(trial: Trial) -> None:
+    if trial.model is not None and (why := why_useless(trial.model)):
+        trial.notes.append(f"{trial.model.path.name} is no slip detector: {why}.")
     if trial.model is None or trial.features is None:
         return
     of_features, of_model = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))

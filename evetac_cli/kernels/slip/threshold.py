@@ -15,13 +15,19 @@ LAST_CHECKPOINTS = 3  # the paper chooses among these
 
 
 class Choice(NamedTuple):
-    """The chosen checkpoint and threshold, and the best threshold and score of every checkpoint."""
+    """The chosen checkpoint and threshold, and the best threshold and score of every checkpoint.
+
+    detected_share, slip_share: of the validation slices that have a label and a probability, those that are slip by the
+    chosen threshold, and by their label.
+    """
 
     checkpoint: int
     threshold: float
     score: float
     thresholds: NDArray[np.float64]  # (checkpoints,)
     scores: NDArray[np.float64]  # (checkpoints,)
+    detected_share: float
+    slip_share: float
 
 
 def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
@@ -44,7 +50,9 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
         scores[index] = along_grid[best]
     last = scores[-LAST_CHECKPOINTS:]
     chosen = len(scores) - 1 - int(np.argmax(last[::-1]))  # the last of equals
-    return Choice(chosen, float(thresholds[chosen]), float(scores[chosen]), thresholds, scores)
+    threshold = float(thresholds[chosen])
+    detected_share, slip_share = _shares(checkpoints[chosen], threshold)
+    return Choice(chosen, threshold, float(scores[chosen]), thresholds, scores, detected_share, slip_share)
 
 
 def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float:
@@ -52,3 +60,12 @@ def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float
     if row["slip_correct"] is None or row["f1"] is None:
         raise ValueError("expected at least one validation trajectory with an onset, found none")
     return (row["slip_correct"] + row["f1"]) / 2
+
+
+def _shares(predictions: Sequence[Prediction], threshold: float) -> tuple[float, float]:
+    """Of the slices that have a label and a probability, the share that is detected, and the share that slips."""
+    judged = [(one.label >= 0) & ~np.isnan(one.probability) for one in predictions]
+    pairs = list(zip(predictions, judged, strict=True))
+    detected = np.concatenate([one.detected(threshold)[counts] for one, counts in pairs])
+    slips = np.concatenate([one.label[counts] == 1 for one, counts in pairs])
+    return float(detected.mean()), float(slips.mean())

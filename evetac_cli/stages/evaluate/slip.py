@@ -11,6 +11,7 @@ the labels' onset it first detected slip; the figures by object; by model; by tr
 
 import math
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, r
 from evetac_cli.stages.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables
 from evetac_cli.stages.related_files import named_files
+from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"
@@ -75,6 +77,15 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Mode
 @dataclass(frozen=True)
 class JudgingJob(ModelsReportJob):
     """A few trajectories of a report, to be judged by all its models before it is made."""
+
+
+def cautions(jobs: Sequence[ModelsReportJob], params: EvaluateSlip) -> list[str]:
+    """Which models detect nothing at their own thresholds."""
+    said = []
+    for path in jobs[0].inputs[len(jobs[0].inputs) - jobs[0].models :] if params.threshold is None else ():
+        with StageFile(path, "model") as file:
+            said += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
+    return said
 
 
 def parts(job: ModelsReportJob, params: EvaluateSlip) -> list[JudgingJob]:

@@ -20,7 +20,7 @@ from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.live_view import LiveView
 from evetac_cli.stages.live_view.messages import Title
-from evetac_cli.stages.slip_detectors import check_graph
+from evetac_cli.stages.slip_detectors import check_graph, require_useful
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, Trial
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
@@ -117,4 +117,5 @@ def model_headers(model_path: Path | None) -> tuple[Header, ...]:
         return ()
     with StageFile(model_path, "model") as model:
         check_graph(model)
+        require_useful(model)
         return (model.header,)

@@ -39,7 +39,7 @@ from evetac_cli.resources import model_file
 from evetac_cli.sim import scene
 from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.stages.slip_detectors import predict, read_trajectory, read_weights
+from evetac_cli.stages.slip_detectors import USELESS_HINT, predict, read_trajectory, read_weights, why_useless
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
 from evetac_cli.stages.train.networks import Networks, state_file
@@ -126,9 +126,11 @@ def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
 
 
 def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:
-    """All rows, and how far the threshold can be relied on."""
+    """All rows, which models detect nothing, and how far a threshold can be relied on."""
+    useless = [f"{row['output']} is no slip detector: {row['warning']}" for row in rows if row.get("warning")]
+    useless += [f"`grasp` refuses it. Try: {USELESS_HINT}."] if useless else []
     few = {_few(row["validated_on"]) for row in rows if "validated_on" in row}
-    return rows, sorted(few - {""})
+    return rows, [*useless, *sorted(few - {""})]
 
 
 def _few(validated_on: int) -> str:
@@ -222,7 +224,9 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     if up_to_date(output, recipe, force=force):
         if not isinstance(job, NetworkJob) and not output.with_suffix(".csv").exists():
             write_course(output)
-        return outcome(job, made=False, simulated=simulated)
+        if isinstance(job, NetworkJob):
+            return outcome(job, made=False, simulated=simulated)
+        return outcome(job, made=False, simulated=simulated, warning=_warning(output))
 
     progress(0, 0, "loading torch")
     import torch
@@ -284,6 +288,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "horizon_ms": np.int64(settings.horizon_ms),
         "dot_shape": np.array(shape, np.int32),
         "threshold": np.float64(choice.threshold),
+        "validation/detected_share": np.float64(choice.detected_share),
+        "validation/slip_share": np.float64(choice.slip_share),
         "curve/step": result.curve_step,
         "curve/loss": np.mean([each.curve_loss for each in results], axis=0),
         "checkpoint/step": np.array(steps, np.int64),
@@ -318,7 +324,15 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         loss=float(arrays["curve/loss"][-1]),
         threshold=choice.threshold,
         validation_score=choice.score,
+        detected_share=choice.detected_share,
+        warning=_warning(job.output),
     )
+
+
+def _warning(model: Path) -> str | None:
+    """Why a model detects nothing, if that is so."""
+    with StageFile(model, "model") as file:
+        return why_useless(file) or None
 
 
 def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:

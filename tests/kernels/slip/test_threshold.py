@@ -63,3 +63,41 @@ def test_choice_needs_slip_and_checkpoints() -> None:
         choose_threshold([[prediction(50, -1, 20)]])
     with pytest.raises(ValueError, match="checkpoint"):
         choose_threshold([])
+
+
+def of_labels(says: float, label: list[int], onset: int) -> Prediction:
+    """A detector that says the same of every slice."""
+    return Prediction(np.full(len(label), says, np.float32), np.array(label, np.int8), onset)
+
+
+@pytest.mark.parametrize(
+    ("predictions", "threshold", "detected", "slips"),
+    [
+        (staircase(0.31, 0.8), 0.325, 0.5, 0.5),
+        ([of_labels(0.4, [0] * 100 + [1] * 20, 100)], 0.0, 1.0, 20 / 120),  # the same of every slice
+        ([of_labels(0.4, [1] * 20, 0)], 0.0, 1.0, 1.0),  # no slice without slip
+        ([of_labels(0.4, [-1] * 80 + [0] * 20 + [1] * 20 + [-1] * 9, 100)], 0.0, 1.0, 0.5),  # not examined: not counted
+        (
+            [*staircase(0.31, 0.8), of_labels(0.1, [0] * 200, -1)],
+            0.325,
+            0.25,
+            0.25,
+        ),
+    ],
+)
+def test_how_much_is_detected_is_said(
+    predictions: list[Prediction], threshold: float, detected: float, slips: float
+) -> None:
+    """Assert the shares of the examined slices that are detected at the chosen threshold, and that slip."""
+    choice = choose_threshold([predictions])
+    assert choice.threshold == threshold
+    assert (choice.detected_share, choice.slip_share) == pytest.approx((detected, slips))
+
+
+def test_slices_before_the_history_is_full_do_not_count() -> None:
+    """Assert that a slice without a probability is in neither share."""
+    (whole,) = staircase(0.31, 0.8)
+    says = whole.probability.copy()
+    says[:50] = np.nan
+    choice = choose_threshold([[Prediction(says, whole.label, whole.onset)]])
+    assert (choice.detected_share, choice.slip_share) == pytest.approx((100 / 150, 100 / 150))
