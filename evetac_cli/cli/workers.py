@@ -270,9 +270,10 @@ def run_parallel(
         interrupted = True
         _stop(workers, results)
     finally:
-        broken_off = [worker.job.output for worker in workers if worker.job is not None]
         for worker in workers:
             worker.end()
+        begun = (job for job in jobs if job not in waiting)
+        broken_off = [job.output for job in begun if not isinstance(results.get(job.output), Outcome)]
         remove_unfinished(broken_off)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if interrupted:

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -67,7 +67,14 @@ class RecordingWriter:
         self.path = path
         self.folder = _part_folder(path)
         self._made = missing_folders(path.parent)
-        self._claim(discard_leftover)
+        self._lock: BinaryIO | None = None
+        try:
+            self._claim(discard_leftover)
+        except KeyboardInterrupt:
+            self._unlock()
+            remove_unfinished(path)  # unless it is somebody else's, whose lock it was about to find
+            remove_empty(self._made)
+            raise
         try:
             about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
             self._write(self.folder / STATIC, static, about)
@@ -87,27 +94,27 @@ class RecordingWriter:
         """Make the folder ours; a lock tells a recording in progress from one that broke off."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = open_lock(self.folder / "lock")  # held until finish() or discard()
+            self._lock = lock = open_lock(self.folder / "lock")  # held until finish() or discard()
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(self.folder)) from None
         except OSError as error:
             raise InputError(f"cannot be made: {error.strerror}", where=str(self.folder)) from None
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            self._lock.close()
+            self._unlock()
             raise InputError("another process is recording here", where=str(self.folder)) from None
         if not discard_leftover or _repairable(self.folder):
             try:
                 refuse_leftover(self.path)
             except InputError:
-                self._lock.close()
+                self._unlock()
                 raise
         for file in self.folder.iterdir():
             if file.name == "lock":
                 continue
             if file.is_dir():
-                self._lock.close()
+                self._unlock()
                 raise InputError("this folder is not from a recording", where=str(file), hint="move it away")
             file.unlink()
 
@@ -161,7 +168,7 @@ class RecordingWriter:
         """Let go of the folder: what is in it waits for `evetac repair`; without a segment it goes."""
         if self._segments == 0:
             self.discard()
-        self._lock.close()
+        self._unlock()
 
     def leave_complete(self, late: Mapping[str, Any]) -> None:
         """Close, and leave the folder with all that `evetac repair` needs to do what `finish` would have done."""
@@ -173,7 +180,11 @@ class RecordingWriter:
         """Throw the folder away: for a trial that can be made again, or is joined."""
         shutil.rmtree(self.folder, ignore_errors=True)  # before the lock is let go: the next may be waiting for it
         remove_empty(self._made)
-        self._lock.close()
+        self._unlock()
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
 
     @staticmethod
     def _write(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
@@ -218,6 +229,8 @@ def remove_unfinished(path: Path) -> None:
     One in which somebody records, one that waits for repair, and what no recording makes stay.
     """
     folder = _part_folder(path)
+    with suppress(OSError):
+        folder.rmdir()  # one that was only just made
     if not (folder / "lock").is_file() or any(file.is_dir() for file in folder.iterdir()):
         return
     with suppress(OSError), open_lock(folder / "lock") as lock:

@@ -518,3 +518,38 @@ def test_what_was_joined_and_not_removed_goes(tmp_path: Path, monkeypatch: pytes
     assert (tmp_path / "a.recording.part" / segments.JOINED).exists()
     segments.remove_unfinished(path)
     assert everything(tmp_path) == ["a.recording.h5"]
+
+
+@pytest.mark.parametrize("at", ["open_lock", "flock", "_write"])
+def test_ctrl_c_while_it_is_begun_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str) -> None:
+    """Assert that wherever Ctrl-C comes before the first slice, folder and lock are gone, and so are folders above."""
+    owners: dict[str, Any] = {"open_lock": segments, "flock": segments.fcntl, "_write": RecordingWriter}
+
+    def interrupts(*arguments: Any) -> None:
+        monkeypatch.undo()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(owners[at], at, interrupts)
+    with pytest.raises(KeyboardInterrupt):
+        RecordingWriter(tmp_path / "new" / "a.recording.h5", STATIC, discard_leftover=True)
+    assert everything(tmp_path) == []
+
+
+def test_ctrl_c_beside_another_recorder_leaves_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what another process writes stays, if Ctrl-C comes before it is known that it does."""
+    path = tmp_path / "a.recording.h5"
+    first = RecordingWriter(path, STATIC, discard_leftover=True)
+    first.append(some_events(0, 3))
+    first.close_segment()
+    before = everything(tmp_path)
+    opened = segments.open_lock
+
+    def interrupts(*arguments: Any) -> None:
+        monkeypatch.setattr(segments, "open_lock", opened)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(segments, "open_lock", interrupts)
+    with pytest.raises(KeyboardInterrupt):
+        RecordingWriter(path, STATIC, discard_leftover=True)
+    assert everything(tmp_path) == before
+    first.finish(RECIPE)

@@ -48,12 +48,12 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
     expected = _expected_slices(devices, GripperSchedule.read(trial.plan["scene"]))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     writer = RecordingWriter(trial.output, known, discard_leftover=True)
-    if view is not None:
-        view.begin(devices.camera.sensor)
-    append = shown_in_real_time(view, writer.append)
-    written = event_count = 0
-    solver = SolverFigures()
     try:
+        if view is not None:
+            view.begin(devices.camera.sensor)
+        append = shown_in_real_time(view, writer.append)
+        written = event_count = 0
+        solver = SolverFigures()
         for events, rows in slices:
             append(events, rows)
             written += 1
