@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.decision import is_slip
@@ -120,9 +121,10 @@ def open_report(path: str | Path) -> StageFile:
 class Gel(NamedTuple):
     """What is known of a gel before it is touched; a recording and a simulation have these attributes too.
 
-    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot. dot_radius_px: of the
-    printed dots. window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel. sensitivity: what
-    `evetac identify` told of its contrast, threshold and stiffness, which slip detectors ask for.
+    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot; or (dots, 2) in any order,
+    which a detector puts into rows, and a tracker follows in the order given. dot_radius_px: of the printed dots.
+    window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel. sensitivity: what `evetac identify` told of
+    its contrast, threshold and stiffness, which slip detectors ask for.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
@@ -164,7 +166,7 @@ class DotTracker:
     """
 
     def __init__(self, gel: _HasGel, preset: str = "stable") -> None:
-        dot_xy_px, constants = _dots(gel, preset)
+        dot_xy_px, constants = _known_dots(gel, preset)
         self._state = tracker.start(dot_xy_px.reshape(-1, 2), constants)
 
     def step(self, events: Events) -> NDArray[np.float64]:
@@ -196,11 +198,16 @@ class SlipDetector:
     """
 
     def __init__(self, gel: _HasGel, model: str | Path | None = None, tracker_preset: str = "stable") -> None:
-        dot_xy_px, constants = _dots(gel, tracker_preset)
+        dot_xy_px, constants = _known_dots(gel, tracker_preset)
+        dot_xy_px, no_rows = _in_rows(dot_xy_px)
         with StageFile(resources.model_file(model, flag="model"), "model") as file:
             if why := why_useless(file):
                 warnings.warn(f"{file.path} is no slip detector: {why}", stacklevel=2)
-            self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
+            try:
+                self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
+            except InputError as error:
+                error.hint = error.hint or no_rows
+                raise
 
     @property
     def threshold(self) -> float:
@@ -320,15 +327,37 @@ def architectures() -> list[str]:
     return list(ARCHITECTURES)
 
 
-def _dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], tracker.TrackerConstants]:
-    """The dots of a gel at rest and the tracker's constants for them; InputError where they are unknown."""
+def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], tracker.TrackerConstants]:
+    """The dots of a gel at rest and the tracker's constants for them; InputError where they are unknown or no dots."""
     if preset not in tracker.PRESETS:
         raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=preset)
+    where = str(getattr(gel, "path", "gel"))
     if gel.dot_xy_px is None or gel.dot_radius_px is None:
         raise InputError(
             "where the dots of this gel are is unknown",
-            where=str(getattr(gel, "path", "gel")),
+            where=where,
             expected="dot_xy_px and dot_radius_px",
             hint="evetac calibrate finds them; evetac record --calibration stores them with a recording",
         )
-    return np.asarray(gel.dot_xy_px, np.float64), tracker.PRESETS[preset].for_dots(gel.dot_radius_px)
+    try:
+        dots = np.asarray(gel.dot_xy_px, np.float64)
+    except (TypeError, ValueError):
+        dots = np.empty(0)
+    if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
+        shape = f"shape {np.shape(dots)}" if dots.size else "no array of numbers"
+        expected = "(rows, columns, 2), or (dots, 2): x and y of each dot"
+        raise InputError("not the places of dots", where=f"{where}: dot_xy_px", expected=expected, found=shape)
+    return dots, tracker.PRESETS[preset].for_dots(gel.dot_radius_px)
+
+
+def _in_rows(dot_xy_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """Dots in rows, those of a list as sensor files put them: in the rows of their grid, or in one row if it has none.
+
+    And what to try where they have no rows.
+    """
+    if dot_xy_px.ndim == 3:
+        return dot_xy_px, ""
+    try:
+        return grid.arrange(dot_xy_px), ""
+    except ValueError as error:
+        return dot_xy_px[None], f"give dot_xy_px as (rows, columns, 2): a list of dots finds no rows, {error}"

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,8 +153,92 @@ def test_the_example_of_the_docs_runs(files: Path, monkeypatch: pytest.MonkeyPat
     for name in re.findall(r'"([^"]+\.h5)"', code):
         (files / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(files / f"a.{name.split('.')[-2]}.h5", files / name)
+    write_grid(files)
     monkeypatch.chdir(files)
-    exec(compile(code, "docs/python.md", "exec"), {})
+    made: dict[str, Any] = {}
+    exec(compile(code, "docs/python.md", "exec"), made)
+    assert made["dot_xy_px"].shape == (56, 2) and 0.0 <= made["probability"] <= 1.0
+
+
+def write_grid(files: Path) -> Path:
+    """The dot grid of the recording, as `evetac calibrate` writes one."""
+    with evetac.open_recording(files / "a.recording.h5") as recording:
+        assert recording.dot_xy_px is not None and recording.window_px is not None
+        grid = {"dot_xy_px": recording.dot_xy_px.tolist(), "radius_px": recording.dot_radius_px}
+        grid |= {"frame_px": list(recording.frame_px), "window_px": list(recording.window_px)}
+    (files / "gel.json").write_text(json.dumps(grid))
+    return files / "gel.json"
+
+
+def test_the_history_of_the_packages_detector_is_as_the_docs_say(files: Path) -> None:
+    """Assert that its first number comes in the slice that docs/python.md names, and that NaN is no slip."""
+    text = " ".join((PACKAGE.parent / "docs" / "python.md").read_text().split())
+    with evetac.open_recording(files / "a.recording.h5") as recording:
+        detector = evetac.SlipDetector(recording)
+        unknown = 0
+        for events in recording:
+            if not np.isnan(detector.step(events)):
+                break
+            assert not detector.slip
+            unknown += 1
+    assert f"NaN for its first {unknown} slices" in text and f"# NaN for the first {unknown} slices" in text
+
+
+@pytest.mark.parametrize("order", ["sorted", "shuffled", "nested lists", "tilted"])
+def test_a_list_of_points_is_put_into_rows(order: str, files: Path) -> None:
+    """Assert that a detector answers alike for dots in rows and for the same dots as a list, in whatever order."""
+    with evetac.open_recording(files / "a.recording.h5") as recording:
+        assert recording.dot_xy_px is not None
+        dots = recording.dot_xy_px.reshape(-1, 2)
+        points: Any = np.random.default_rng(0).permutation(dots) if order == "shuffled" else dots
+        if order == "nested lists":
+            points = dots.tolist()
+        rows: Any = recording.dot_xy_px
+        if order == "tilted":
+            turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
+            points, rows = dots @ turn, recording.dot_xy_px @ turn
+        known = recording.dot_radius_px, recording.window_px, recording.sensitivity
+        answers = []
+        for each in (rows, points):
+            detector = evetac.SlipDetector(evetac.Gel(each, *known))
+            answers.append([detector.step(events) for events, _ in zip(recording, range(80), strict=False)])
+    assert np.array_equal(*answers, equal_nan=True)
+    assert not np.isnan(answers[0][-1])
+
+
+NINE_BY_SEVEN = np.stack(np.meshgrid(60.0 * np.arange(9) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
+
+
+def test_all_63_dots_of_a_closed_gel_are_a_list_too() -> None:
+    """Assert that (63, 2) is taken by tracker and detector, as the 7 rows of 9 that they are."""
+    gel = evetac.Gel(NINE_BY_SEVEN.reshape(-1, 2), 15.0)
+    empty = evetac.Events(*(np.zeros(0, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)))
+    assert evetac.DotTracker(gel).step(empty).shape == (63, 2)
+    assert np.isnan(evetac.SlipDetector(gel).step(empty))
+
+
+@pytest.mark.parametrize(
+    ("dots", "said"),
+    [
+        (
+            NINE_BY_SEVEN.reshape(-1, 2)[:-1],
+            "62 dots in no grid(.|\n)*as \\(rows, columns, 2\\)(.|\n)*rows of equal length",
+        ),
+        (NINE_BY_SEVEN[:, :7].reshape(-1, 2), "7 rows x 8 columns of dots, or a column more, found 7 rows x 7 columns"),
+        (NINE_BY_SEVEN.transpose(1, 0, 2), "found 9 rows x 7 columns"),
+        (np.random.default_rng(0).uniform(50, 400, (56, 2)), "56 dots in no grid"),
+        (NINE_BY_SEVEN.reshape(-1, 2).T, "not the places of dots(.|\n)*found:    shape \\(2, 63\\)"),
+        (NINE_BY_SEVEN.reshape(-1), "found:    shape \\(126,\\)"),
+        (np.zeros((0, 2)), "not the places of dots"),
+        ([[1.0, 2.0], [3.0]], "no array of numbers"),
+        ([["a", "b"]], "no array of numbers"),
+    ],
+)
+def test_dots_that_a_detector_cannot_take_are_refused_in_true_words(dots: Any, said: str) -> None:
+    """Assert that the refusal speaks of rows, columns and dots, and never calls the shape of an array a grid."""
+    with pytest.raises(evetac.InputError, match=said) as refused:
+        evetac.SlipDetector(evetac.Gel(dots, 15.0))
+    assert "63 x 2" not in str(refused.value)
 
 
 def test_a_report_is_json(files: Path) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
+from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.decision import is_slip
@@ -34,7 +35,8 @@ def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArr
     if grid == (rows, columns + 1):
         known[:, np.argmax(np.nanmean(dot_xy_px[..., 0], axis=0))] = False
     elif grid != (rows, columns):
-        raise ValueError(f"expected {rows} x {columns} dots, or a column more, found {grid[0]} x {grid[1]}")
+        wanted = f"{rows} rows x {columns} columns of dots, or a column more"
+        raise ValueError(f"expected {wanted}, found {in_words(*grid)}")
     return known.reshape(-1)
 
 
