@@ -21,6 +21,7 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim import scene
+from evetac_cli.sim.object_file import seed_of
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.record import SCENE_KINDS, simulated
 from evetac_cli.stages.slip_detectors import why_useless
@@ -256,7 +257,7 @@ class Simulation:
 
 def simulate(
     scene_name: str = "slip",
-    object_number: int = 8,
+    object_number: int | str | Path = 8,
     *,
     sensor: str = "evetac",
     gel: str | None = None,
@@ -266,7 +267,8 @@ def simulate(
 ) -> Simulation:
     """Simulate one trial of a scene and iterate over its slices; the same events as `record` with these flags.
 
-    scene_name: of `evetac.scenes()` but those of kind lift, or a TOML file. gel: cut or closed, default: the scene's.
+    scene_name: of `evetac.scenes()` but those of kind lift, or a TOML file. object_number: of the paper's table, or a
+    TOML file as of `--object`. gel: cut or closed, default: the scene's.
     readout: dvxplorer (scanned) or ideal. solver: settings of the simulation, as in {"tolerance_um": 0.05}; see the
     table `[solver]` of scenes. InputError for an unknown name.
 
@@ -278,7 +280,7 @@ def simulate(
     ((7, 8, 2), 0)
     """
     plan = scene.plan(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout, solver=solver)[0]
-    built = scene.for_trial(plan, (seed, plan["object"] or 0, 0))
+    built = scene.for_trial(plan, (seed, seed_of(plan["object"]), 0))
     return Simulation(SimulatedTrial((), Path(), 0, seed, built))
 
 

@@ -64,7 +64,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     contact is made. It ends when the object was not lifted by the end of the lift (terminated), when it fell
     (terminated), or at the end of the balance (truncated).
 
-    objects: of the paper's table, one of which is drawn for each episode, or chosen by options={"object": NUMBER}.
+    objects: as of `--object`, numbers and files, one of which is drawn for each episode, or chosen by its number or
+    name with options={"object": NUMBER}.
     mass_factor: range of a factor on its mass. sensor, gel, model: as of `evetac grasp`. scene: of kind lift, of which
     the hand rises with hand_mm_s in place of the paper's 20 mm/s. lift_s, balance_s: of the two phases; the paper's are
     10 s and 20 s. control_hz: steps a second; the paper's are 500. InputError for what cannot be.
@@ -141,14 +142,15 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         from evetac_cli.stages.slip_detectors import require_useful
 
         super().reset(seed=seed)
-        number = int(self.np_random.choice(list(self._plans)))
+        known = list(self._plans)
+        called = known[int(self.np_random.choice(len(known)))]
         seeds = [int(part) for part in self.np_random.integers(2**31, size=4)]
         if options and "object" in options:
-            number = options["object"]
-            if number not in self._plans:
+            called = options["object"]
+            if called not in self._plans:
                 listed = ", ".join(map(str, self._plans))
-                raise InputError("not among the objects", where="options", expected=listed, found=f"{number}")
-        plan = scenes.for_trial(self._plans[number], seeds)
+                raise InputError("not among the objects", where="options", expected=listed, found=f"{called}")
+        plan = scenes.for_trial(self._plans[called], seeds)
         self._mm_per_px = float(plan["sensor_row"]["mm_per_px"])
         devices = rig(plan, np.random.SeedSequence(seeds), **self._durations)
         assert isinstance(devices.gripper, SimulatedGripper)
@@ -158,7 +160,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._detector = open_detector(model, devices.camera.sensor, "stable", Grasp.slip_threshold)
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
-        self._drawn = {"object": number, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
+        self._drawn = {"object": called, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
         self._lifted = False
         self._moved_mm = 0.0
         self._slices = 0

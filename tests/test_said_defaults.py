@@ -58,7 +58,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
-    ("grasp", "model"): lambda: f"the package's, {_shipped()}",
+    ("grasp", "model"): lambda: f"`shipped`, the package's, {_shipped()}",
     ("export", "fps"): lambda: str(_of_lerobot("fps")),
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
     ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),

@@ -14,10 +14,14 @@ class Grasp(Trials):
     """Lift an object with slip feedback: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
-    objects: str = parameter("11", "Objects of the paper's table, 1 to 20, as in `11` or `10-18`.", flag="--object")
+    objects: str = parameter(
+        "11",
+        "Objects of the paper's table, 1 to 20, as in `11` or `10-18`; or a TOML file.",
+        flag="--object",
+    )
     model: Path | None = parameter(
         None,
-        "Model file of the slip detector, or `shipped`; default: the package's, disp-xy 10 ms ahead.",
+        "Model file of the slip detector; default: `shipped`, the package's, disp-xy 10 ms ahead.",
         recipe=False,
     )
     slip_threshold: float = parameter(

@@ -23,7 +23,11 @@ class Record(Trials):
         "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
         " vibration-randomized, or a TOML file.",
     )
-    objects: str = parameter("8", "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`.", flag="--object")
+    objects: str = parameter(
+        "8",
+        "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`; or a TOML file.",
+        flag="--object",
+    )
     tones: str | None = parameter(
         None,
         "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.",

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
+from evetac_cli.sim.object_file import seed_of
 
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
 FLOOR_MM = (250.0, 250.0)
@@ -54,12 +55,12 @@ def sample_trial(
     object_params: Mapping[str, Any],
     rng: np.random.Generator,
     sensor_row: Mapping[str, Any] | None = None,
-    number: int | None = None,
+    called: int | str | None = None,
 ) -> SampledTrial:
     """Sample a trial's parameters, always in the same order, so that a key of one scene does not shift another's.
 
-    Where the scene names kinetic_share_spread, an object (by its number) has a kinetic share of its own, about which
-    its trials spread; else the share is sampled for each trial from the whole range.
+    Where the scene names kinetic_share_spread, an object (by its number or name) has a kinetic share of its own, about
+    which its trials spread; else the share is sampled for each trial from the whole range. An object may name its own.
     """
     placement = rng.spawn(1)[0]  # a stream of its own, so that these keys shift no others
 
@@ -78,11 +79,11 @@ def sample_trial(
     kinetic_share = between("randomise", "kinetic_share", (1, 1))
     varied = scene["randomise"]
     off_share = placement.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
-    if "kinetic_share_spread" in varied and number is not None:
-        own = np.random.default_rng([OBJECT_SEED, number]).uniform(*varied["kinetic_share"])
+    if "kinetic_share_spread" in varied and called is not None:
+        own = np.random.default_rng([OBJECT_SEED, seed_of(called)]).uniform(*varied["kinetic_share"])
         kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
     own_friction = (sensor_row or {}).get("friction", {})  # of a sensor's gel, in place of what the scene samples
-    kinetic_share = float(own_friction.get("kinetic_share", kinetic_share))
+    kinetic_share = float(own_friction.get("kinetic_share", object_params.get("kinetic_share", kinetic_share)))
     stribeck_mm_s = between("randomise", "stribeck_mm_s", (10, 10))
     memory_um = own_friction.get("memory_um", varied.get("memory_um", MEMORY_UM))
     touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)

@@ -20,7 +20,7 @@ import numpy as np
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.resources import SCENES, schemas, table
-from evetac_cli.sim import sampling, sensor_file
+from evetac_cli.sim import object_file, sampling, sensor_file
 from evetac_cli.sim.solver import resolve
 from evetac_cli.text_files import as_toml, read_toml
 
@@ -280,6 +280,9 @@ def plan(
     sensor, row = named_sensor(sensor)
     named = {"sensor": sensor, "sensor_row": row, "readout": readout}
     common = {"scene": resolved, **named}
+    if resolved["kind"] not in GRIPPED and object_file.SUFFIX in objects:
+        expected = "a scene in which an object is held, as slip or lift"
+        raise InputError("this scene holds no object", where="--object", expected=expected, found=scene_name)
     if resolved["kind"] == "tone":
         wanted = resolved["tone"].pop("frequency_hz")
         picked = wanted if tones is None else tones_hz(tones)
@@ -290,7 +293,7 @@ def plan(
         driven = resolved["face" if resolved["kind"] == "press" else "rub"]
         face = {"static_friction": driven["static_friction"], "mass_g": 1.0}
         return [{**common, "object": None, "object_row": face}]
-    return [{**common, "object": number, "object_row": object_row(number)} for number in numbers(objects)]
+    return [{**common, "object": called, "object_row": row} for called, row in named_objects(objects).items()]
 
 
 def _show_texture(resolved: dict[str, Any], shown: bool, scene_name: str) -> None:
@@ -302,6 +305,21 @@ def _show_texture(resolved: dict[str, Any], shown: bool, scene_name: str) -> Non
         raise InputError("nothing to show", where="--texture", expected=expected, found=lacking)
     if shown != named.get("show", True):
         named["show"] = shown
+
+
+def named_objects(text: str) -> dict[int | str, dict[str, Any]]:
+    """Objects from `8`, `1-3,10` or `can.toml,8`: what recordings call each, and its row; InputError for others."""
+    listed: dict[int | str, dict[str, Any]] = {}
+    for part in text.split(","):
+        if not part.strip().endswith(object_file.SUFFIX):
+            listed |= {number: object_row(number) for number in numbers(part)}
+            continue
+        called, row = object_file.read(Path(part.strip()))
+        if called in listed:
+            expected = "a `name` of its own in each file"
+            raise InputError("two objects of one name", where=part.strip(), expected=expected, found=called)
+        listed[called] = row
+    return listed
 
 
 def object_row(number: int) -> dict[str, Any]:
@@ -362,7 +380,8 @@ def numbers(text: str) -> list[int]:
         match = re.fullmatch("([0-9]{1,2})(?:-([0-9]{1,2}))?", part.strip())
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
-            raise InputError("not a list of objects", where="--object", expected="as in 8 or 1-3,10", found=text[:60])
+            expected = "as in 8, 1-3,10 or can.toml"
+            raise InputError("not a list of objects", where="--object", expected=expected, found=text[:60])
         listed += range(first, last + 1)
     return list(dict.fromkeys(listed))
 

@@ -45,7 +45,7 @@ def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, d
     """
     table = read_toml(path)
     where = str(path)
-    _check_finite(table, where, "")
+    check_finite(table, where, "")
     if "dot_xy_px" in table:
         table = {**table, "dot_xy_px": _rows_of_dots(table["dot_xy_px"])}
     _check(table, where, whole=False)
@@ -67,7 +67,7 @@ def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, d
             row[group] = {**base[group], **table[group]}
     row.setdefault("summary", f"read from a file, like {like}" if like else "read from a file")
     check_row(row, where)
-    result: dict[str, Any] = _with_floats(row, _rules())
+    result: dict[str, Any] = with_floats(row, _rules())
     return str(name), result
 
 
@@ -213,6 +213,11 @@ def _check_dots(row: Mapping[str, Any], where: str) -> None:
 def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
     """Refuse what the schema does not allow, in words; `whole` asks for every key that a sensor needs."""
     rules = _rules() if whole else {**_rules(), "required": []}
+    check_table(table, where, rules, '`like = "evetac"` takes what is left out from that sensor')
+
+
+def check_table(table: Mapping[str, Any], where: str, rules: Mapping[str, Any], if_missing: str = "") -> None:
+    """InputError in words for what a schema does not allow; if_missing: what to try where a key is missing."""
     errors = list(jsonschema.Draft202012Validator(rules).iter_errors(table))
     misspelt = [error for error in errors if error.validator == "additionalProperties"]  # also why another is missing
     error = (misspelt or sorted(errors, key=lambda error: list(map(str, error.absolute_path))) or [None])[0]
@@ -233,7 +238,7 @@ def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
             where=where,
             expected=", ".join(missing),
             found="none of them",
-            hint='`like = "evetac"` takes what is left out from that sensor' if not place else "",
+            hint=if_missing if not place else "",
         )
     if error.validator == "type":
         kind = TYPES[error.validator_value]
@@ -252,6 +257,11 @@ def _check(table: Mapping[str, Any], where: str, *, whole: bool) -> None:
         low = error.schema["exclusiveMinimum" if above else "minimum"]
         expected = f"{'more than ' if above else ''}{low:g} to {error.schema['maximum']:g}{_of_what(error.schema)}"
         raise InputError(f"{place}: out of range", where=where, expected=expected, found=given)
+    if error.validator == "enum":
+        names = error.validator_value
+        near = get_close_matches(given, names, n=1)
+        hint = f"did you mean {near[0]}?" if near else ""
+        raise InputError(f"{place}: unknown value", where=where, expected=", ".join(names), found=given, hint=hint)
     expected = str(error.schema.get("const", error.schema.get("pattern", "")))
     raise InputError(
         f"{place}: not a possible value", where=where, expected=expected + _of_what(error.schema), found=given
@@ -266,19 +276,19 @@ def _of_what(rules: Mapping[str, Any]) -> str:
     return f" ({rules['description']})" if "description" in rules else ""
 
 
-def _check_finite(value: Any, where: str, place: str) -> None:
+def check_finite(value: Any, where: str, place: str) -> None:
     """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in inner:
-        _check_finite(item, where, f"{place}.{key}" if place else str(key))
+        check_finite(item, where, f"{place}.{key}" if place else str(key))
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{place}: not a finite number", where=where, found=str(value))
 
 
-def _with_floats(value: Any, rules: Mapping[str, Any]) -> Any:
+def with_floats(value: Any, rules: Mapping[str, Any]) -> Any:
     """The same values, with a float wherever the schema says number: 15 and 15.0 are one recipe."""
     if isinstance(value, dict):
-        return {key: _with_floats(item, rules["properties"][key]) for key, item in value.items()}
+        return {key: with_floats(item, rules["properties"][key]) for key, item in value.items()}
     if isinstance(value, list):
-        return [_with_floats(item, rules.get("items", {})) for item in value]
+        return [with_floats(item, rules.get("items", {})) for item in value]
     return float(value) if rules.get("type") == "number" else value

@@ -18,7 +18,7 @@ Left out: texture in the window, the outline of the object, vibration of what ho
 
 import math
 from collections.abc import Mapping
-from difflib import get_close_matches
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.sensitivity import Sensitivity
-from evetac_cli.sim import sampling, scene
+from evetac_cli.sim import object_file, sampling, scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
@@ -44,14 +44,6 @@ PUSHER_ARM_M = 5e-3  # at which the same damper resists a turn
 SURFACE_STEP_M = 1e-6  # a surface that has moved along the gel by less presses as before
 KINETIC_SHARE = 0.85  # the middle of what scenes draw
 READOUTS = ("dvxplorer", "ideal")
-SHAPES = ("flat", "cylinder", "sphere")
-# What an object of one's own may name, and within which range; those of the paper's table are rows of it.
-OBJECT_RANGES = {
-    "width_mm": (1.0, 1e4),
-    "static_friction": (0.0, 5.0),
-    "kinetic_share": (0.0, 1.0),
-    "tilt_deg": (-10.0, 10.0),
-}
 # Beyond these a number is more likely in another unit than meant.
 LONGEST_S, FARTHEST_M, FASTEST_M_S, FASTEST_RAD_S, MOST_N = 10.0, 0.1, 10.0, 100.0, 1000.0
 
@@ -117,9 +109,10 @@ class _Surface(NamedTuple):
 class TouchSensor:
     """A simulated sensor on one finger, for use in MuJoCo, PyBullet or a loop of one's own; see `step`.
 
-    sensor: of `evetac.sensors()`, or a TOML file; `randomized` draws one. object: a number of the paper's table, or
-    `static_friction` and `shape`: flat, which covers the pad, or a cylinder along x or a sphere of `width_mm`; and if
-    wanted `kinetic_share` and `tilt_deg`. rng: noise, and all else that is drawn, comes from it alone. gel: cut or
+    sensor: of `evetac.sensors()`, or a TOML file; `randomized` draws one. object: a number of the paper's table, a
+    TOML file as of `--object`, or its keys: `static_friction` and `shape`, which is flat and covers the pad, or a
+    cylinder along x or a sphere of `width_mm`; and if wanted `kinetic_share` and `tilt_deg`. Mass, height and lever are
+    those of your own simulator. rng: noise, and all else that is drawn, comes from it alone. gel: cut or
     closed. readout, solver: as of `evetac.simulate`. at_m: where on the gel the object's middle is at first, x and y in
     m from the middle of the view. InputError for anything else.
 
@@ -140,7 +133,7 @@ class TouchSensor:
     def __init__(
         self,
         sensor: str = "evetac",
-        object: int | Mapping[str, Any] = 8,
+        object: int | str | Path | Mapping[str, Any] = 8,
         *,
         rng: np.random.Generator,
         gel: str = "cut",
@@ -417,31 +410,18 @@ class TouchSensor:
         )
 
 
-def _object_row(given: int | Mapping[str, Any]) -> dict[str, Any]:
+def _object_row(given: int | str | Path | Mapping[str, Any]) -> dict[str, Any]:
     """What the simulation needs of an object: a row of the table, or one's own; InputError if it is neither."""
+    if isinstance(given, str | Path):
+        return object_file.read(Path(given))[1]
     if not isinstance(given, Mapping):
         return scene.object_row(given)
-    known = ["shape", *OBJECT_RANGES]
-    unknown = [str(key) for key in given if key not in known]
-    if unknown:
-        near = get_close_matches(unknown[0], known, n=1)
-        hint = f"did you mean {near[0]}?" if near else ""
-        raise _refused("object: unknown key", ", ".join(known), unknown[0], hint)
-    shape = given.get("shape")
-    if shape not in SHAPES:
-        raise _refused("object: unknown shape", ", ".join(SHAPES), shape)
-    needed = ["static_friction"] + ["width_mm"] * (shape != "flat")
-    lacking = [key for key in needed if key not in given]
-    if lacking:
-        raise _refused(f"object: {lacking[0]} is missing", ", ".join(needed), ", ".join(map(str, given)))
-    row = {"shape": shape, "mass_g": 1.0, "width_mm": OBJECT_RANGES["width_mm"][1]}
-    for key, (low, high) in OBJECT_RANGES.items():
-        if key in given:
-            (row[key],) = _finite(f"object: {key}", (given[key],), 1, math.inf)
-            if not low <= row[key] <= high:
-                raise _refused(f"object: {key} is out of range", f"{low:g} to {high:g}", given[key])
-    tilt_deg = row.get("tilt_deg", 0.0)
-    return {**row, "tilt_deg": [tilt_deg, tilt_deg]}
+    where = "TouchSensor(object=...)"
+    table = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
+    sensor_file.check_finite(table, where, "")
+    row = object_file.row_of(table, where, ("width_mm",) if table.get("shape") in ("cylinder", "sphere") else ())
+    row = {"mass_g": 1.0, "width_mm": object_file.WIDEST_SURFACE_MM, **row}
+    return {**row, "tilt_deg": row.get("tilt_deg", [0.0, 0.0])}
 
 
 def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]:

@@ -20,6 +20,7 @@ from evetac_cli.kernels.tracking import frame_tracker
 from evetac_cli.params.learning import TrackRgb
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
+from evetac_cli.sim.object_file import seed_of
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.track import COLUMNS
 from evetac_cli.store.files import up_to_date, write_stage
@@ -50,7 +51,7 @@ def noise_seeds(seed: int, header: Header) -> list[int]:
     made = header["parameters"]
     tone_mhz = round(1000 * made.get("tone_hz", 0.0))
     from_ms = made.get("trimmed", {}).get("from_ms", 0)
-    return [NOISE_SEED, seed, header["seed"] or 0, made.get("object") or 0, made.get("trial", 0), tone_mhz, from_ms]
+    return [NOISE_SEED, seed, header["seed"] or 0, seed_of(made.get("object")), made.get("trial", 0), tone_mhz, from_ms]
 
 
 def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:

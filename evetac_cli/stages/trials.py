@@ -18,6 +18,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
 from evetac_cli.params.trials import Trials
 from evetac_cli.sim import scene
+from evetac_cli.sim.object_file import seed_of
 from evetac_cli.stages import one_file
 from evetac_cli.store.segments import refuse_leftover
 
@@ -45,7 +46,7 @@ class Trial(Job):
         if self.plan is None:
             return np.random.SeedSequence([self.seed, self.number])
         tone_mhz = [round(1000 * self.plan["tone_hz"])] if "tone_hz" in self.plan else []
-        return np.random.SeedSequence([self.seed, self.plan["object"] or 0, self.number, *tone_mhz])
+        return np.random.SeedSequence([self.seed, seed_of(self.plan["object"]), self.number, *tone_mhz])
 
 
 @dataclass(frozen=True)
@@ -87,17 +88,18 @@ def simulated_trials(
 ) -> list[SimulatedTrial]:
     """`count` trials of every object or tone in a scene of one of these kinds.
 
-    They are named <prefix><scene>[-obj<number>][-<tone>hz]-s<seed>-<trial>.recording.h5.
+    They are named <prefix><scene>[-obj<number> or -<name>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     trials = []
     named = (params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones)
     for plan in scene.plan(*named, solver=params.solver(), texture=params.texture):
-        what = "" if plan["object"] is None else f"-obj{plan['object']:02d}"
+        called = plan["object"]
+        what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
         what += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
         for number in range(params.count):
             name = f"{prefix}{plan['scene']['name']}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
-            built = scene.for_trial(plan, (params.seed, plan["object"] or 0, number))
+            built = scene.for_trial(plan, (params.seed, seed_of(called), number))
             trials.append(SimulatedTrial((), output, number, params.seed, built))
     one_file(trials, out)
     return trials

@@ -23,6 +23,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.object_file import seed_of
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
 from evetac_cli.sim.scenes.second_finger import SecondFinger
@@ -61,7 +62,7 @@ class GraspSimulation:
         lift_s: float = 10.0,
         balance_s: float = 20.0,
     ) -> None:
-        """Build what a plan names: scene, object (its number), object_row, sensor_row."""
+        """Build what a plan names: scene, object (its number or name), object_row, sensor_row."""
         self._scene = plan["scene"]
         self._time = self._scene["time"]
         self._kind = self._scene["kind"]
@@ -111,7 +112,7 @@ class GraspSimulation:
             return round((float(self._time["touch_s"]) + lift_s + balance_s) * 1000)
         return round(float(self._time["longest_s"]) * 1000)
 
-    def _texture(self, number: int, rng: np.random.Generator) -> NDArray[np.float32] | None:
+    def _texture(self, called: int | str, rng: np.random.Generator) -> NDArray[np.float32] | None:
         """What the window shows of the object; nothing if the scene has no texture, leaves it out, or has no window."""
         named = self._scene.get("texture")
         if named is None or not self._scene["gel"]["cut"]:
@@ -121,7 +122,7 @@ class GraspSimulation:
                 0, TEXTURE_PX[0], 2
             )  # where a texture would lie: the gel's events are those of a trial with one
             return None
-        drawn = np.random.default_rng([TEXTURE_SEED, number])
+        drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called)])
         return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
     def _build_mechanics(self, object_params: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> None:

@@ -130,7 +130,7 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
     objects: Rows = []
     for name in dict.fromkeys(without_gain(row["setting"]) for row in trials):
         members = [row for row in trials if without_gain(row["setting"]) == name]
-        columns: dict[tuple[str, int], Rows] = {}
+        columns: dict[tuple[str, int | str], Rows] = {}
         for row in members:
             columns.setdefault((row["setting"], row["object"]), []).append(row)
         rows = [{"setting": setting, "object": number, **figures(cell)} for (setting, number), cell in columns.items()]
@@ -182,7 +182,7 @@ def _quantile(values: Sequence[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
-def _paper_object(setting: str, number: int) -> dict[str, Any]:
+def _paper_object(setting: str, number: int | str) -> dict[str, Any]:
     """The paper's figures for an object, with its own controller in its usual scene; None for all others."""
     grasp = table("paper")["grasp"]
     published = {}
@@ -270,9 +270,9 @@ def _held(rows: Rows, of: dict[str, Any]) -> Rows:
     return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]
 
 
-def _middles(lines: Lines) -> dict[int, float]:
+def _middles(lines: Lines) -> dict[int | str, float]:
     """The middle of each object's lines."""
-    places: dict[int, list[int]] = {}
+    places: dict[int | str, list[int]] = {}
     for place, row in lines:
         places.setdefault(row["object"], []).append(place)
     return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
@@ -285,13 +285,15 @@ def _draw_paper(axes: Any, lines: Lines, name: str) -> None:
             axes.plot(published, place, label=NOTES[1], **picture.PAPER)
 
 
-def _paper_figure(name: str, number: int) -> float | None:
+def _paper_figure(name: str, number: int | str) -> float | None:
     """The paper's figure of a panel for an object, with the gain that the paper used; None where it has none."""
     grasp = table("paper")["grasp"]
     row: dict[str, float] = {**grasp["objects_higher_gain"], **grasp["objects"]}.get(str(number), {})
     return row["lifted"] * row["balanced"] if name == "success" and row else row.get(name)
 
 
-def _figure_place(number: int) -> int:
-    """Objects in the order of the paper's figure, the others behind them."""
-    return PAPER_ORDER.index(number) if number in PAPER_ORDER else 100 + number
+def _figure_place(called: int | str) -> tuple[int, str]:
+    """Objects in the order of the paper's figure, the others behind them, and those of one's own at the end."""
+    if isinstance(called, str):
+        return 1000, called
+    return (PAPER_ORDER.index(called) if called in PAPER_ORDER else 100 + called), ""

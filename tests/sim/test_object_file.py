@@ -1,0 +1,251 @@
+"""An object as a file: what is accepted, how what is wrong is said, and that record, grasp and TouchSensor take it."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import evetac_cli as evetac
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.params.grasp import Grasp
+from evetac_cli.params.recording import Record
+from evetac_cli.resources import PACKAGE, schemas, table
+from evetac_cli.sim import gripper, object_file, scene
+from evetac_cli.stages import grasp, record
+from evetac_cli.store.files import StageFile
+from evetac_cli.text_files import as_toml
+
+CAN = {"shape": "cylinder", "mass_g": 350, "width_mm": 66, "height_mm": 115, "static_friction": 0.8}
+COARSE = {"node_pitch_mm": 1.667}
+
+
+def written(folder: Path, stem: str = "can", /, **keys: Any) -> Path:
+    """A file of an object: the can with other keys; those that are None are left out."""
+    path = folder / f"{stem}.toml"
+    path.write_text(as_toml({key: value for key, value in {**CAN, **keys}.items() if value is not None}))
+    return path
+
+
+def test_a_row_is_like_one_of_the_table(tmp_path: Path) -> None:
+    """Assert that a file gives the row that objects.toml would have, with numbers as floats, under its name."""
+    name, row = object_file.read(written(tmp_path, name="cola-can", material="tin", tilt_deg=2, lever_mm=-3))
+    assert name == "cola-can"
+    assert row == {**CAN, "material": "tin", "tilt_deg": [2.0, 2.0], "lever_mm": -3.0}
+    assert all(isinstance(row[key], float) for key in ("mass_g", "width_mm", "height_mm"))
+    assert object_file.read(written(tmp_path))[0] == "own-object"
+
+
+@pytest.mark.parametrize("number", table("objects"))
+def test_objects_of_the_table_may_be_files(number: str, tmp_path: Path) -> None:
+    """Assert that every object of the paper's table, written to a file, is accepted and is the same row again."""
+    row = dict(table("objects")[number])
+    row.pop("depth_mm", None)  # of which no scene makes use
+    low, high = row.pop("tilt_deg", (None, None))
+    tilt = {} if low is None else {"tilt_deg": (low + high) / 2}
+    (tmp_path / "same.toml").write_text(as_toml({**row, **tilt}))
+    _, again = object_file.read(tmp_path / "same.toml")
+    assert again == {**row, **({} if low is None else {"tilt_deg": [tilt["tilt_deg"]] * 2})}
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"widht_mm": 60}, "unknown key widht_mm(.|\n)*did you mean width_mm"),
+    ({"mass": 60}, "unknown key mass(.|\n)*did you mean mass_g"),
+    ({"colour": "red"}, "unknown key colour(.|\n)*known keys: name"),
+    ({"shape": "cyllinder"}, "shape: unknown value(.|\n)*did you mean cylinder"),
+    ({"shape": "torus"}, "expected: flat, cylinder, sphere"),
+    ({"mass_g": None}, "keys are missing\n  expected: mass_g"),
+    ({"mass_g": None, "height_mm": None}, "expected: mass_g, height_mm"),
+    ({"static_friction": None}, "keys are missing\n  expected: static_friction"),
+    ({"mass_g": 0}, "mass_g: out of range(.|\n)*0.1 to 100000"),
+    ({"mass_g": "350 g"}, "mass_g: expected a number"),
+    ({"mass_g": True}, "mass_g: expected a number"),
+    ({"width_mm": 0.066}, "width_mm: out of range(.|\n)*1 to 10000"),  # in metres
+    ({"width_mm": 150}, "does not fit between the fingers(.|\n)*at most 104.8 mm(.|\n)*150 mm"),
+    ({"width_mm": 150, "grasped_width_mm": 105}, "grasped_width_mm: out of range"),
+    ({"static_friction": 0.01}, "static_friction: out of range(.|\n)*0.05 to 5"),
+    ({"static_friction": 6}, "static_friction: out of range"),
+    ({"kinetic_share": 1.2}, "kinetic_share: out of range"),
+    ({"tilt_deg": 45}, "tilt_deg: out of range"),
+    ({"name": "Can 1"}, "name: not a possible value"),
+    ({"name": "8"}, "name: not a possible value"),
+    ({"static_friction": float("nan")}, "static_friction: not a finite number"),
+]
+
+
+@pytest.mark.parametrize(("keys", "said"), WRONG)
+def test_what_is_wrong_is_said(keys: dict[str, Any], said: str, tmp_path: Path) -> None:
+    """Assert that a key that is misspelt, missing, of another unit or out of range is refused with the file's name."""
+    path = written(tmp_path, **keys)
+    with pytest.raises(InputError, match=said) as refused:
+        object_file.read(path)
+    assert refused.value.where == str(path)
+    assert refused.value.exit_code == 2
+
+
+@pytest.mark.parametrize("content", [b"shape = ", b"\xff\xfe", b"[" * 9000, b"", b"a.b.c = 1\n"])
+def test_no_object_at_all(content: bytes, tmp_path: Path) -> None:
+    """Assert that a file that is no TOML, or nothing of an object, is refused in words by record, with exit code 2."""
+    path = tmp_path / "can.toml"
+    path.write_bytes(content)
+    run = CliRunner().invoke(app, ["record", "--object", str(path), "-o", str(tmp_path / "out")])
+    assert run.exit_code == 2
+    assert run.stderr.startswith(f"error: {path}")
+    assert not (tmp_path / "out").exists()
+
+
+def test_objects_are_listed_together(tmp_path: Path) -> None:
+    """Assert that files and numbers may be mixed, that a name comes once, and that what is no list says so."""
+    can, box = written(tmp_path), written(tmp_path, "box", name="box", shape="flat")
+    assert list(scene.named_objects(f"8,{can},{box},1-2")) == [8, "own-object", "box", 1, 2]
+    with pytest.raises(InputError, match="two objects of one name(.|\n)*`name` of its own"):
+        scene.named_objects(f"{can},{can}")
+    for text in ("can", "own-object", "can.tom", ""):
+        with pytest.raises(InputError, match=r"not a list of objects(.|\n)*can\.toml"):
+            scene.named_objects(text)
+
+
+@pytest.mark.parametrize("name", ["press", "shear", "rest", "edge", "vibration"])
+def test_a_scene_without_an_object_refuses_it(name: str, tmp_path: Path) -> None:
+    """Assert that a file is not ignored where a scene holds nothing: a face, a stage or a speaker touches the gel."""
+    with pytest.raises(InputError, match="this scene holds no object"):
+        record.jobs([], Record(scene=name, objects=str(written(tmp_path))), tmp_path)
+
+
+def test_record_takes_it(tmp_path: Path, short_scene: Path) -> None:
+    """Assert name of the file, object and row in the header, a label, and that another mass is another recipe."""
+    recordings = []
+    for mass_g in (350, 351):
+        params = Record(scene=str(short_scene), objects=str(written(tmp_path, name="tin", mass_g=mass_g)), seed=3)
+        (job,) = record.jobs([], params, tmp_path / f"{mass_g}")
+        assert job.output.name == "short-tin-s3-000.recording.h5"
+        record.run(job, params)
+        with StageFile(job.output, "recording") as file:
+            recordings.append(file.header)
+            assert 0 < file.length("ms_to_idx") - 1 < 4000
+    parameters = [header["parameters"] for header in recordings]
+    assert [each["object"] for each in parameters] == ["tin", "tin"]
+    assert [each["object_row"]["mass_g"] for each in parameters] == [350.0, 351.0]
+    assert recordings[0]["id"] != recordings[1]["id"]
+
+
+def test_the_name_of_the_file_does_not_count(tmp_path: Path, short_scene: Path) -> None:
+    """Assert that two files of the same content are one recipe, wherever they lie, and that `name` makes another."""
+    (tmp_path / "other").mkdir()
+    files = [written(tmp_path), written(tmp_path / "other", "tin"), written(tmp_path, "named", name="tin")]
+    ids = []
+    for path in files:
+        params = Record(scene=str(short_scene), objects=str(path))
+        (job,) = record.jobs([], params, tmp_path / "out")
+        ids.append(record.simulated.make_recipe(job).id)
+    assert ids[0] == ids[1] != ids[2]
+
+
+def test_numbers_are_what_they_were(short_scene: Path) -> None:
+    """Assert that the table's objects keep their seeds: a number stands for itself."""
+    assert [object_file.seed_of(called) for called in (8, 20, None)] == [8, 20, 0]
+    assert object_file.seed_of("own-object") == object_file.seed_of("own-object") != object_file.seed_of("tin")
+
+
+def test_an_object_of_the_table_as_a_file_slips_alike(tmp_path: Path, short_scene: Path) -> None:
+    """Assert that, its own noise aside, a file of object 8's row is grasped as object 8: same start, same limit."""
+    row = table("objects")["8"]
+    (tmp_path / "eight.toml").write_text(as_toml(row))
+    ends = []
+    for objects in ("8", str(tmp_path / "eight.toml")):
+        trial = evetac.simulate(str(short_scene), objects, seed=1)
+        for slices, _ in enumerate(trial):
+            if slices == 300:
+                break
+        ends.append(float(trial.truth["truth/normal_force_n"]))
+    assert ends[0] == pytest.approx(ends[1], rel=0.5)
+    assert ends[0] > 0.1
+
+
+def test_kinetic_share_of_the_object_holds(tmp_path: Path, short_scene: Path) -> None:
+    """Assert that a kinetic share in the file takes the place of the scene's, and that a sensor's own comes first."""
+    sensor_file = tmp_path / "mine.sensor.toml"
+    sensor_file.write_text(as_toml({"like": "evetac", "friction": {"kinetic_share": 0.7}}))
+    for sensor, expected in (("evetac", 0.5), (str(sensor_file), 0.7)):
+        params = Record(scene=str(short_scene), objects=str(written(tmp_path, kinetic_share=0.5)), sensor=sensor)
+        (job,) = record.jobs([], params, tmp_path / "out")
+        devices, _ = record.simulated.play(job)
+        sampled = json.loads(devices.sampled)
+        assert sampled["kinetic_friction"] == pytest.approx(sampled["static_friction"] * expected)
+        devices.close()
+
+
+def test_grasp_takes_it(tmp_path: Path) -> None:
+    """Assert that a grasp of it is written under its name, reported by object and found by `info --where object=`."""
+    params = Grasp(
+        objects=str(written(tmp_path, name="tin", mass_g=40)), controller="fixed:5", lift_s=1.0, balance_s=0.1,
+        node_pitch_mm=2.5,
+    )  # fmt: skip
+    (job,) = grasp.jobs([], params, tmp_path / "grasps")
+    assert job.output.name == "lift-tin-s0-000.recording.h5"
+    grasp.run(job, params)
+    run = CliRunner().invoke(app, ["evaluate", "grasp", str(job.output), "--json", "-o", str(tmp_path / "r.report.h5")])
+    assert run.exit_code == 0, run.stderr
+    assert {row["object"] for row in json.loads(run.stdout)["rows"] if "object" in row} == {"tin"}
+    found = CliRunner().invoke(app, ["info", str(tmp_path / "grasps"), "--where", "object=tin", "--json"])
+    assert json.loads(found.stdout)["summary"]["fit"] == 1
+
+
+def test_a_touch_sensor_takes_the_same_keys() -> None:
+    """Assert that a dictionary of all keys but the name is accepted, and is checked against the same schema."""
+    properties = json.loads((schemas() / "object.v1.json").read_text())["properties"]
+    whole: dict[str, Any] = {**CAN, "kinetic_share": 0.9, "tilt_deg": 1.0, "material": "tin", "lever_mm": 1.0}
+    whole |= {"grasped_width_mm": 66, "name": "tin"}
+    assert set(whole) == set(properties)
+    for given in (whole, CAN, {key: np.float64(value) if key != "shape" else value for key, value in CAN.items()}):
+        sensor = evetac.TouchSensor(object=given, rng=np.random.default_rng(0), solver=COARSE)
+        assert len(sensor.step(0.002, normal_n=1.0).slices) == 2
+
+
+def test_a_touch_sensor_takes_the_file(tmp_path: Path) -> None:
+    """Assert that a file and its keys feel alike."""
+    felt = []
+    for given in (written(tmp_path), str(written(tmp_path)), CAN):
+        sensor = evetac.TouchSensor(object=given, rng=np.random.default_rng(0), solver=COARSE)
+        felt.append(sensor.step(0.005, normal_n=2.0, shear_n=(0.2, 0.0)).dot_xy_px)
+    assert np.array_equal(felt[0], felt[1]) and np.array_equal(felt[0], felt[2])
+
+
+def test_the_environment_takes_it(tmp_path: Path) -> None:
+    """Assert that Lift-v0 draws among numbers and files, and that one is chosen by its name."""
+    pytest.importorskip("gymnasium")
+    from evetac_cli.gym import LiftEnv
+
+    env = LiftEnv(f"8,{written(tmp_path, name='tin', mass_g=60)}", balance_s=0.1)
+    _, info = env.reset(seed=0, options={"object": "tin"})
+    assert info["object"] == "tin"
+    assert {env.reset(seed=seed)[1]["object"] for seed in range(4)} == {8, "tin"}
+
+
+def test_the_docs_list_every_key_with_its_range(tmp_path: Path) -> None:
+    """Assert that the table of docs/simulator.md has each key of the schema with its limits; its file works."""
+    page = (PACKAGE.parent / "docs" / "simulator.md").read_text()
+    section = page.split("## Objects of your own\n")[1].split("\n## ")[0]
+    rows = dict(re.findall(r"^\| `(\w+)`[^|]*\| ([^|]+) \|", section, re.MULTILINE))
+    properties = json.loads((schemas() / "object.v1.json").read_text())["properties"]
+    assert set(rows) | {"material"} == set(properties)
+    for key, rules in properties.items():
+        if "minimum" in rules:
+            assert rows[key].startswith(f"{rules['minimum']:,} to {rules['maximum']:,}"), key
+        if "enum" in rules:
+            assert rows[key] == ", ".join(rules["enum"])
+    assert f"{object_file.SLIPPERIEST:g} and more where it is held" in rows["static_friction"]
+    assert rows["grasped_width_mm"].endswith(f"{object_file.WIDEST_MM:g}")
+    (tmp_path / "can.toml").write_text(re.findall(r"```toml\n(.*?)```", section, re.DOTALL)[0])
+    assert object_file.read(tmp_path / "can.toml")[0] == "can"
+
+
+def test_the_widest_is_what_the_gripper_opens_to() -> None:
+    """Assert that the limit is that of the simulated gripper, to a tenth of a millimetre."""
+    gripper.ticks_at_gap(object_file.WIDEST_MM * 1e-3)
+    with pytest.raises(ValueError, match="width_m"):
+        gripper.ticks_at_gap((object_file.WIDEST_MM + 0.1) * 1e-3)
