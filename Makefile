@@ -35,7 +35,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-setup: $(READY)  ## make a virtual environment of its own in .venv, with all that the commands use
+setup: $(READY)  ## make a virtual environment of its own in .venv, with all that the commands use; two to six minutes
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -52,7 +52,7 @@ $(DEVELOPING): $(READY)
 experiments: $(READY)  ## list the experiments with their sizes
 	@$(REPRODUCE) --list
 
-demo: $(READY)  ## from touch to grasp on a simulated sensor, a few minutes; results in demo/ (SIZES, JOBS)
+demo: $(READY)  ## from touch to grasp on a simulated sensor, one to four minutes; results in demo/ (SIZES, JOBS)
 	@$(REPRODUCE) --only $@
 
 slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in data/slip (SMALL, SIZES, JOBS, as all that follow)
@@ -101,7 +101,7 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
-test: $(DEVELOPING)  ## the test suite
+test: $(DEVELOPING)  ## the test suite; installs first what it needs, if that was not done
 	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
 test-all: $(DEVELOPING)  ## the test suite with its longer cases

@@ -213,7 +213,7 @@ def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]
     if len(rows) <= FEW_ROWS and _table_width(widths) > width:
         columns = [names, *cells]
         fitting = _fitting([max(map(len, column)) for column in columns], width)
-        if min(fitting) >= LEAST_CELL:
+        if _table_width(fitting) <= width:
             yield _table(title, columns, fitting, ["left"] * len(columns), header=False)
             return
     for chosen in _side_by_side(widths, _naming(rows), width):

@@ -356,3 +356,12 @@ def test_counts_are_said_in_words(made: int, up_to_date: int, words: str) -> Non
     outcomes = [Outcome([], True, made=number < made) for number in range(made + up_to_date)]
     assert console.counted(outcomes) == words
     assert console.count(outcomes) == {"made": made, "up_to_date": up_to_date}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_few_rows_that_are_too_wide_stand_on_their_side(capsys: pytest.CaptureFixture[str], count: int) -> None:
+    """Assert that up to three rows of many short figures are one table with a line for each figure, not several."""
+    rows = [{f"a_rather_long_name_{column}": column + row for column in range(12)} for row in range(count)]
+    text = table(capsys, rows, {})
+    assert sum(line.startswith(("┏", "┌")) for line in text.splitlines()) == 1
+    assert text.count("│ a_rather_long_name_") == 12

@@ -206,7 +206,7 @@ def test_what_info_shows_of_a_recording_is_of_today() -> None:
 def test_pages_to_follow_promise_figures(name: str) -> None:
     """Assert that a page of the first hour has blocks to run, and that the detector's F1 is among what they promise."""
     page = first_hour.blocks(PAGES[name])
-    assert len(page) > 2
+    assert len(page) >= 2
     promised = {name: (low, high) for block in page for name, low, high in block.expected}
     assert promised["f1"] == (0.8, 1.0)
 

@@ -1,0 +1,136 @@
+"""README begins with two commands that set up what they need: they are those of CI and of the Makefile.
+
+What make sets up, in which extras, is said in docs/; a test compares these with pyproject.toml.
+"""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from evetac_cli.errors import EXTRAS
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+MAKEFILE = (ROOT / "Makefile").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+OF_DEVELOPERS = {"dev", "docs", "view"}  # what `make test` installs beyond what the commands use
+TWO = ["make demo", "make test"]
+
+
+def code_lines(page: str) -> list[str]:
+    """The lines of code of a page, fenced or indented, in their order."""
+    lines, fenced = [], False
+    for line in page.splitlines():
+        if line.startswith("```"):
+            fenced = not fenced
+        elif fenced or line.startswith("    "):
+            lines.append(line.strip())
+    return lines
+
+
+def used_extras() -> set[str]:
+    """The extras that `make setup` installs."""
+    (named,) = re.findall(r"^USED := (.+)$", MAKEFILE, re.MULTILINE)
+    return set(named.split(","))
+
+
+def planned(target: str) -> str:
+    """What make would run for a target on a machine where nothing was done so far."""
+    run = ["make", "--dry-run", "--no-print-directory", target, "VENV=nothing-here", "PYTHON=python-here"]
+    return subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+def test_readme_begins_with_them() -> None:
+    """Assert that the first lines of code of README are the two commands, right after what it is."""
+    assert code_lines(README)[:2] == TWO
+    assert README.splitlines().index(TWO[0]) < 25
+    assert README.split("\n## ")[1].startswith("Two commands")
+
+
+def test_ci_runs_readmes_test_command() -> None:
+    """Assert that CI begins with the command that README gives for the tests, and that each of its targets exists."""
+    commands = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if line.startswith("make ")]
+    assert commands[0] == TWO[1]
+    for command in (*commands, *TWO):
+        assert re.search(rf"^{command.split()[1]}:.*## ", MAKEFILE, re.MULTILINE), command
+    assert "what CI runs" in next(
+        line for line in (ROOT / "CONTRIBUTING.md").read_text().splitlines() if "test check" in line
+    )
+
+
+@pytest.mark.parametrize("target", ["demo", "test", "docs", "slip-data", "setup"])
+def test_a_target_sets_up_what_it_needs(target: str) -> None:
+    """Assert that on a fresh machine an environment is made, filled and compiled before anything else is run."""
+    lines = planned(target).splitlines()
+    steps = ("-m venv", "pip install", "--compile")
+    places = [next(at for at, line in enumerate(lines) if what in line) for what in steps]
+    assert places == sorted(places) and places[0] == 0
+    installs = [line for line in lines if "pip install" in line]
+    named = [set(re.findall(r"'\.\[(.+?)\]'", line)[0].split(",")) for line in installs]
+    assert named[0] == used_extras()
+    develops = target in ("test", "docs")
+    assert named[1:] == ([used_extras() | OF_DEVELOPERS] if develops else [])
+    if target != "setup":
+        assert len(lines) > places[-1] + 2  # and then its own work
+
+
+def test_nothing_large_comes_unasked() -> None:
+    """Assert that the viewer rerun, 500 MB, comes with the tests alone, and that no other extra is left out."""
+    assert "view" not in used_extras()
+    assert used_extras() | OF_DEVELOPERS == set(PROJECT["optional-dependencies"])
+    assert used_extras() | {"view"} == set(EXTRAS)
+
+
+@pytest.mark.parametrize(
+    ("page", "row"),
+    [("docs/install.md", r"^\| `(\w+)` \|"), ("docs/troubleshooting.md", r"^\| `pip install '\.\[(\w+)\]'` \|")],
+)
+def test_tables_of_extras_are_whole(page: str, row: str) -> None:
+    """Assert that a page lists every extra that a command may lack."""
+    assert set(re.findall(row, (ROOT / page).read_text(), re.MULTILINE)) == set(EXTRAS)
+
+
+def test_docs_say_what_setup_installs() -> None:
+    """Assert that what `make setup` prints is on the page of the first hour, and that docs say what it leaves out."""
+    said = next(line for line in planned("setup").splitlines() if line.startswith("echo"))
+    shown = said.split("'")[1].replace("nothing-here", ".venv")
+    assert shown in (ROOT / "docs" / "first-hour.md").read_text().splitlines()
+    troubleshooting = " ".join((ROOT / "docs" / "troubleshooting.md").read_text().split())
+    assert "`make setup` installs all of them but `view`, which is large" in troubleshooting
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/first-hour.md", "docs/install.md"])
+def test_times_are_the_same_on_every_page(page: str) -> None:
+    """Assert that pages which say how long setting up takes give the figures that were measured, and no others."""
+    text = " ".join((ROOT / page).read_text().split())
+    assert "2 min 20 s on two quiet cores" in text and "six minutes of processor time" in text
+    assert not re.search(r"two to four minutes|a minute or so", text)
+
+
+PIP = """Looking in indexes: https://pypi.org/simple
+Obtaining file:///home/me/evetac
+  Installing build dependencies: started
+Collecting numpy>=2.0
+  Downloading numpy-2.4.1-cp311-cp311-manylinux_2_28_x86_64.whl (16.9 MB)
+  Downloading packaging-26.0-py3-none-any.whl (74 kB)
+  Using cached torch-2.13.0-cp311-cp311-manylinux_2_28_x86_64.whl (888.1 MB)
+Installing collected packages: numpy, packaging, torch
+Successfully installed numpy-2.4.1
+"""
+
+
+def test_larger_packages_are_announced(tmp_path: Path) -> None:
+    """Assert that of what pip prints, packages of megabytes and the number of all are shown, and that failures fail."""
+    (tmp_path / "pip.txt").write_text(PIP)
+    rule = f"say: ; @cat {tmp_path}/pip.txt | $(SAYING)"
+    done = subprocess.run(["make", "--eval", rule, "say"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines() == [
+        "  Downloading numpy-2.4.1-cp311-cp311-manylinux_2_28_x86_64.whl (16.9 MB)",
+        "  Using cached torch-2.13.0-cp311-cp311-manylinux_2_28_x86_64.whl (888.1 MB)",
+        "  unpacking 3 packages",
+    ]
+    failing = ["make", "--eval", "say: ; @false | $(SAYING)", "say"]
+    assert subprocess.run(failing, cwd=ROOT, capture_output=True, check=False).returncode != 0
