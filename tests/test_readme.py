@@ -197,7 +197,7 @@ def test_what_info_shows_of_a_recording_is_of_today() -> None:
     block = re.compile(
         r"^ +kind +recording\n +schema version +([\d.]+)\n +id .*\n +method number +(\d+)$", re.MULTILINE
     )
-    shown = [found for page in PAGES.values() for found in block.findall(page)]
+    shown = [each for page in PAGES.values() for each in block.findall(page)]
     assert len(shown) == sum(page.count("  schema version  ") for page in PAGES.values()) > 0
     assert set(shown) == {(schema.load("recording").version, str(simulated.METHOD))}
 

@@ -68,10 +68,10 @@ EVERY = {(name, item.name): item for name, command in COMMANDS.items() for item 
 
 def said_default(text: str) -> str:
     """What a help text says after "default:", to the end of the sentence; or the words before "(the default)"."""
-    if found := re.search(r"(?:; d|\. D)efault: ((?:[^.]|\.(?=\S))+)", text):
-        return " ".join(found[1].replace(" %", "%").split())
-    found = re.search(r"(\S+) \(the default\)", text)
-    return f"{found[1]} (the default)" if found else ""
+    if after := re.search(r"(?:; d|\. D)efault: ((?:[^.]|\.(?=\S))+)", text):
+        return " ".join(after[1].replace(" %", "%").split())
+    before = re.search(r"(\S+) \(the default\)", text)
+    return f"{before[1]} (the default)" if before else ""
 
 
 def has_a_value(said: str, choices: tuple[str, ...]) -> bool:

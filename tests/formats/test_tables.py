@@ -150,9 +150,9 @@ def test_rows_that_are_left_out_say_why(tmp_path: Path, t_us: Sequence[int], sai
     """Assert that each row of a clock which no slice shows is said with the reason, a row at the very end too."""
     path = trial(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
     with open_recording(path) as recording:
-        told = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
+        missing_rows = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
     missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|followed)", said))
-    assert told == ([f"{missing} of 12 rows of gripper: {said}"] if said else [])
+    assert missing_rows == ([f"{missing} of 12 rows of gripper: {said}"] if said else [])
 
 
 def test_columns_say_their_unit_and_where_they_come_from(source: Path, table: Path) -> None:

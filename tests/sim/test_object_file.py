@@ -191,8 +191,8 @@ def test_grasp_takes_it(tmp_path: Path) -> None:
     run = CliRunner().invoke(app, ["evaluate", "grasp", str(job.output), "--json", "-o", str(tmp_path / "r.report.h5")])
     assert run.exit_code == 0, run.stderr
     assert {row["object"] for row in json.loads(run.stdout)["rows"] if "object" in row} == {"tin"}
-    found = CliRunner().invoke(app, ["info", str(tmp_path / "grasps"), "--where", "object=tin", "--json"])
-    assert json.loads(found.stdout)["summary"]["fit"] == 1
+    listed = CliRunner().invoke(app, ["info", str(tmp_path / "grasps"), "--where", "object=tin", "--json"])
+    assert json.loads(listed.stdout)["summary"]["fit"] == 1
 
 
 def test_a_touch_sensor_takes_the_same_keys() -> None:
@@ -208,11 +208,11 @@ def test_a_touch_sensor_takes_the_same_keys() -> None:
 
 def test_a_touch_sensor_takes_the_file(tmp_path: Path) -> None:
     """Assert that a file and its keys feel alike."""
-    felt = []
+    touched_px = []
     for given in (written(tmp_path), str(written(tmp_path)), CAN):
         sensor = evetac.TouchSensor(object=given, rng=np.random.default_rng(0), solver=COARSE)
-        felt.append(sensor.step(0.005, normal_n=2.0, shear_n=(0.2, 0.0)).dot_xy_px)
-    assert np.array_equal(felt[0], felt[1]) and np.array_equal(felt[0], felt[2])
+        touched_px.append(sensor.step(0.005, normal_n=2.0, shear_n=(0.2, 0.0)).dot_xy_px)
+    assert np.array_equal(touched_px[0], touched_px[1]) and np.array_equal(touched_px[0], touched_px[2])
 
 
 def test_the_environment_takes_it(tmp_path: Path) -> None:
