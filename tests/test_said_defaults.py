@@ -11,12 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from evetac_cli import resources
 from evetac_cli.cli import flags
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
+from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.sim import scene
 from evetac_cli.sim.gel import gel
@@ -40,6 +42,13 @@ def _of_lerobot(name: str) -> Any:
     return inspect.signature(write_lerobot.write).parameters[name].default
 
 
+def _time_unit(seconds: list[float]) -> str:
+    """The unit that these times of an imported file are taken for, where none is named."""
+    times = ColumnTimes("a.npz", None)
+    times.us(np.array(seconds), str)
+    return next(name for name, us in UNITS.items() if us == times.assumed)
+
+
 # What is said of a parameter's default, made from the value that the code has.
 SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "tolerance_um"): lambda: f"the scene's, or {Solver.tolerance_um}",
@@ -49,6 +58,9 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",
     ("record", "holding_ma"): lambda: f"what a virtual world asks for, {capture_plan.HOLDING_MA:g} otherwise",
     ("record", "readout_rate"): lambda: DvxplorerSettings().readout_rate,
+    ("record", "time_unit"): lambda: (
+        f"{_time_unit([1, 5, 9])} if all times are whole, {_time_unit([0.1, 0.2])} otherwise"
+    ),
     ("attach", "offset"): lambda: "0",
     ("calibrate", "gel"): lambda: "as its columns say, 9 or 8, or the default grid",
     ("identify", "pixel_mm"): lambda: f"that of --like, taken as known within {gripper_rows.SCALE_SHARE:.0%}",
