@@ -11,6 +11,7 @@ from evetac_cli.cli.commands import EVALUATE, PIPELINE
 from evetac_cli.cli.config import COMMANDS, resolve
 from evetac_cli.errors import InputError
 from evetac_cli.params.evaluation import EvaluateLabels, EvaluateSlip
+from evetac_cli.params.inspection import Doctor
 from evetac_cli.params.learning import Label, Track, Train
 from evetac_cli.params.parameter import flag_of, recipe_of
 from evetac_cli.params.recording import Record
@@ -109,6 +110,42 @@ def test_unknown_names(tmp_path: Path, text: str, key: str, near: str) -> None:
     assert key in message
     assert "expected: " in message
     assert (f"did you mean {near}?" in message) if near else ("try:" not in message)
+
+
+CONSENTS = [(command, item.name) for command, item in ALL_FIELDS if item.metadata["consent"]]
+STORED = ["true", "false", '"yes"', "1"]
+
+
+@pytest.mark.parametrize("value", STORED)
+@pytest.mark.parametrize(("command", "name"), CONSENTS)
+def test_consent_is_not_taken_from_a_file(tmp_path: Path, command: str, name: str, value: str) -> None:
+    """Assert that no config file moves a gripper, whatever it says of it, also where the flag is given as well."""
+    path = config(tmp_path, f"[{command}]\nseed = 3\n{name} = {value}\n")
+    for given in ({}, {name: True}, {name: False}):
+        message = refusal(EVERY[command], command, given, path)
+        assert f"{path}: {command}.{name}" in message
+        assert f"expected: {flag_of_name(command, name)} on the command line, each time" in message
+
+
+def flag_of_name(command: str, name: str) -> str:
+    return next(flag_of(item) for each, item in ALL_FIELDS if (each, item.name) == (command, name))
+
+
+def test_who_asks_for_consent() -> None:
+    """Assert that the flags that let a gripper move, or leave out a question, are those marked as consent."""
+    assert CONSENTS == [("record", "arm"), ("grasp", "arm")]
+    assert [item.name for item in dataclasses.fields(Doctor) if item.metadata["consent"]] == ["arm", "yes"]
+    for command, name in CONSENTS:
+        assert name not in recipe_of(EVERY[command]())
+
+
+@pytest.mark.parametrize("near", ["amr", "arn", "armed"])
+def test_consent_is_no_hint(tmp_path: Path, near: str) -> None:
+    """Assert that a slip of the pen is not answered with the name of what a file cannot give."""
+    for command, name in CONSENTS:
+        message = refusal(EVERY[command], command, {}, config(tmp_path, f"[{command}]\n{near} = true\n"))
+        assert f"unknown key `{near}`" in message
+        assert f"`{name}`" not in message and f" {name}," not in message
 
 
 def test_unknown_names_of_evaluate(tmp_path: Path) -> None:

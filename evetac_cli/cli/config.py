@@ -1,4 +1,8 @@
-"""Parameters of a command from its flags, from `--config FILE.toml` and from defaults, in this order, all checked."""
+"""Parameters of a command from its flags, from `--config FILE.toml` and from defaults, in this order, all checked.
+
+Why so: a config file may be somebody else's, or of yesterday. So what a person has to want now (`consent` of a
+parameter, as --arm) is a flag alone; a file that names it is refused, whatever it says.
+"""
 
 import dataclasses
 import math
@@ -63,10 +67,19 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
         table = table.get(word, {})
         if not isinstance(table, dict):
             raise InputError(f"`{word}` is not a table", where=str(path), expected=f"[{command.replace(' ', '.')}]")
-    known = [item.name for item in fields(cls)]
+    consents = {item.name: item for item in fields(cls) if item.metadata["consent"]}
+    known = [item.name for item in fields(cls) if item.name not in consents]
     hints = typing.get_type_hints(cls)
     values = {}
     for key, value in table.items():
+        if key in consents:
+            raise InputError(
+                "this is not taken from a file",
+                where=f"{path}: {command}.{key}",
+                expected=f"{flag_of(consents[key])} on the command line, each time",
+                found=f"{key} = {value!r}",
+                hint="remove it from the file",
+            )
         if key not in known:
             raise _unknown("key", key, known, where=f"{path}: [{command.replace(' ', '.')}]")
         values[key] = _coerce(value, hints[key], f"{path}: {command}.{key}")

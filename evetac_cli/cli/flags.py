@@ -125,7 +125,7 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
         if not flag.startswith("--"):
             option = typer.Argument(metavar=flag, help=_help(item), show_default=False)
         elif kind is bool:
-            names = f"{flag}/--no-{flag[2:]}"
+            names = flag if item.metadata["consent"] else f"{flag}/--no-{flag[2:]}"  # no file sets it, so none is unset
             option = typer.Option(names, help=_help(item), rich_help_panel=panel or None)
         else:
             option = typer.Option(flag, help=_help(item), rich_help_panel=panel or None)

@@ -75,6 +75,7 @@ class Grasp(Trials):
         False,
         "Move a real gripper. Torque goes off at the end and if anything fails: what is held then falls.",
         recipe=False,
+        consent=True,
     )
     max_current_ma: int = parameter(
         100,

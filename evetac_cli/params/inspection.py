@@ -146,5 +146,5 @@ class Doctor:
     camera: str | None = parameter(
         None, "--hardware: camera to try: dvxplorer, dvxplorer:SERIAL, dv, dv:SERIAL, or virtual.", recipe=False
     )
-    arm: bool = parameter(False, "--hardware: move a real gripper.", recipe=False)
-    yes: bool = parameter(False, "--hardware: do not ask before the fingers move.", recipe=False)
+    arm: bool = parameter(False, "--hardware: move a real gripper.", recipe=False, consent=True)
+    yes: bool = parameter(False, "--hardware: do not ask before the fingers move.", recipe=False, consent=True)

@@ -19,15 +19,18 @@ def parameter(
     low: float | None = None,
     high: float | None = None,
     recipe: bool = True,
+    consent: bool = False,
     flag: str = "",
     panel: str = "",
 ) -> Any:
     """A dataclass field that knows its help text, unit and range (both ends included).
 
-    panel: under which heading `--help` shows it; those that most people need have none, and come first.
+    consent: whether it lets something happen that a person has to want now, such as that a gripper moves: it is typed
+    each time, and no file can give it. panel: under which heading `--help` shows it; those that most people need have none, and come first.
     """
-    about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high, "recipe": recipe}
-    return field(default=default, metadata={**about, "flag": flag, "panel": panel})
+    about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high}
+    how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel}
+    return field(default=default, metadata={**about, **how})
 
 
 def recipe_of(params: Any) -> dict[str, Any]:

@@ -111,7 +111,7 @@ class Record(Trials):
         panel=DEVICES,
     )
     arm: bool = parameter(
-        False, "Move a real gripper. Torque goes off at the end: what is held then falls.", recipe=False
+        False, "Move a real gripper. Torque goes off at the end: what is held then falls.", recipe=False, consent=True
     )
     closing_ma: int = parameter(
         10,

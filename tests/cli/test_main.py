@@ -5,10 +5,12 @@ import importlib.util
 import json
 import os
 import pickle
+import pty
 import re
 import shutil
 import subprocess
 import sys
+import tty
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -622,6 +624,40 @@ def test_switches_can_be_set_and_unset(monkeypatch: pytest.MonkeyPatch, files: l
     result = evetac("record", "--config", "c.toml", "--json", *given) if given else evetac("record", "--json")
     (row,) = json.loads(result.stdout, parse_constant=pytest.fail)["rows"] if result.exit_code == 0 else [{}]
     assert row["sort"] is (given == ["--sort"])
+
+
+WAYS_WITHOUT_CONSENT = {
+    "record, no flag": ["record", "--camera", "virtual:prepared", "--gripper", "PORT"],
+    "record, config": ["record", "--config", "c.toml", "--camera", "virtual:prepared", "--gripper", "PORT"],
+    "record, config of all": ["record", "--config", "all.toml"],
+    "record, replay": ["record", "--camera", "replay:a.h5", "--gripper", "PORT"],
+    "grasp, config": ["grasp", "--config", "c.toml", "--camera", "virtual:prepared", "--gripper", "PORT"],
+    "grasp, rate and id": ["grasp", "--camera", "dvxplorer", "--gripper", "PORT:5@57600"],
+    "doctor, yes": ["doctor", "--hardware", "--yes", "--gripper", "PORT"],
+}
+
+
+@pytest.mark.parametrize("way", WAYS_WITHOUT_CONSENT)
+def test_no_byte_goes_to_a_gripper_without_typed_consent(
+    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a real port gets nothing where --arm was not typed, whatever files and the environment say."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    os.set_blocking(ours, False)
+    port = os.ttyname(theirs)
+    monkeypatch.chdir(tmp_path)
+    for name in ("ARM", "EVETAC_ARM", "EVETAC_RECORD_ARM", "RECORD_ARM"):
+        monkeypatch.setenv(name, "1")
+    Path("c.toml").write_text("[record]\narm = true\n[grasp]\narm = true\n")
+    Path("all.toml").write_text(f'[record]\ncamera = "virtual:prepared"\ngripper = "{port}"\narm = true\n')
+    result = evetac(*(text.replace("PORT", port) for text in WAYS_WITHOUT_CONSENT[way]))
+    assert result.exit_code == 2
+    assert "--arm" in plain_text(result.stderr)
+    with pytest.raises(BlockingIOError):
+        os.read(ours, 1)
+    for end in (ours, theirs):
+        os.close(end)
 
 
 @pytest.fixture

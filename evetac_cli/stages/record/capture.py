@@ -166,7 +166,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     check(trial, params, force=force)
     seeds = trial.seeds()
     rng = np.random.default_rng(seeds.spawn(1)[0])
-    if trial.cameras[0].is_hardware and not params.resume:
+    if trial.cameras[0].is_hardware or trial.gripper.is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
         came = opened.enter_context(session.signals_interrupt())

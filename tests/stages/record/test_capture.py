@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
@@ -284,6 +285,18 @@ def test_series_goes_on(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     for trial, name in enumerate(names):
         with StageFile(tmp_path / name) as file:
             assert file.header["parameters"]["trial"] == trial
+
+
+@pytest.mark.parametrize("flags", [{}, {"resume": True}, ARMED, {**ARMED, "resume": True}])
+def test_nothing_moves_before_a_person_has_put_the_object_in_place(
+    flags: dict[str, Any], rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that every trial after the first is asked for, in a series that goes on too."""
+    asked: list[str] = []
+    monkeypatch.setattr(console, "wait_for_enter", asked.append)
+    rig_is(Camera(), Hand() if "arm" in flags else None)
+    recording(tmp_path, seconds=0.02, count=3, **flags)
+    assert [text.partition(":")[0] for text in asked] == ["trial 1", "trial 2"]
 
 
 @pytest.mark.parametrize(
