@@ -26,7 +26,8 @@ def parameter(
     """A dataclass field that knows its help text, unit and range (both ends included).
 
     consent: whether it lets something happen that a person has to want now, such as that a gripper moves: it is typed
-    each time, and no file can give it. panel: under which heading `--help` shows it; those that most people need have none, and come first.
+    each time, and no file can give it. panel: under which heading `--help` shows it; those that most people need have
+    none, and come first.
     """
     about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high}
     how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel}

@@ -626,7 +626,7 @@ def test_switches_can_be_set_and_unset(monkeypatch: pytest.MonkeyPatch, files: l
     assert row["sort"] is (given == ["--sort"])
 
 
-WAYS_WITHOUT_CONSENT = {
+WITHOUT_CONSENT = {
     "record, no flag": ["record", "--camera", "virtual:prepared", "--gripper", "PORT"],
     "record, config": ["record", "--config", "c.toml", "--camera", "virtual:prepared", "--gripper", "PORT"],
     "record, config of all": ["record", "--config", "all.toml"],
@@ -637,9 +637,9 @@ WAYS_WITHOUT_CONSENT = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS_WITHOUT_CONSENT)
+@pytest.mark.parametrize("case", WITHOUT_CONSENT)
 def test_no_byte_goes_to_a_gripper_without_typed_consent(
-    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assert that a real port gets nothing where --arm was not typed, whatever files and the environment say."""
     ours, theirs = pty.openpty()
@@ -651,7 +651,7 @@ def test_no_byte_goes_to_a_gripper_without_typed_consent(
         monkeypatch.setenv(name, "1")
     Path("c.toml").write_text("[record]\narm = true\n[grasp]\narm = true\n")
     Path("all.toml").write_text(f'[record]\ncamera = "virtual:prepared"\ngripper = "{port}"\narm = true\n')
-    result = evetac(*(text.replace("PORT", port) for text in WAYS_WITHOUT_CONSENT[way]))
+    result = evetac(*(text.replace("PORT", port) for text in WITHOUT_CONSENT[case]))
     assert result.exit_code == 2
     assert "--arm" in plain_text(result.stderr)
     with pytest.raises(BlockingIOError):

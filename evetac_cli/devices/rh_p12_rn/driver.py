@@ -3,7 +3,8 @@
 In current mode the goal is a motor current; in position mode (the maker's current-based position mode) a position,
 reached with P gain and a largest current. Closing is positive in both. Limits are read from the device; a command
 beyond them is clamped to them, and counted. One cycle is a read of current, speed and position, and a command that is
-not answered; every 100th command is, which proves that commands arrive.
+not answered; every 100th command is, which proves that commands arrive. Beside others of each hundred it is asked
+whether torque is still on, and whether supply and temperature can be (measurements.py).
 
 Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
 current 0 and torque off, and `release_words` say what was read back. What no program can handle (SIGKILL, a pulled
@@ -35,7 +36,6 @@ from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
     POSITION_MODE,
-    REGISTERS,
     RETURN_DELAY_US,
     WATCHDOG_MS,
     WATCHDOG_TRIPPED,
@@ -43,16 +43,16 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
     check_model,
 )
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, Refused
+from evetac_cli.devices.rh_p12_rn.measurements import Measurements
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import DeviceError, EvetacError
 
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
+TORQUE_AT, SUPPLY_AT = 33, 66  # of these: each question beside a command of its own, lest one cycle take too long
 SET_UP_TRIES = 5
 OPENING_STEP_S = 0.005  # between two commands while it opens
 LONGEST_OPENING_S = 10.0
-_PRESENT = REGISTERS["Present Current"].address
-_PRESENT_SIZE = REGISTERS["Present Position"].address + REGISTERS["Present Position"].size - _PRESENT
 _GOAL = {"current": "Goal Current", "position": "Goal Position"}
 _T = TypeVar("_T")
 
@@ -112,6 +112,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._silent_ms = 0.0  # the longest silence since a command was answered
         self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
         self._torque = Torque(self._bus, settings.watchdog_ms)
+        self._measured = Measurements(self._bus, self._torque)
         _close_at_exit(self)
         try:
             self._bus.settle_s = SETTLE_S
@@ -132,16 +133,16 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Losses so far: answers_lost, answers_damaged, answers_stray, commands_clamped."""
-        return {**self._bus.counted, "commands_clamped": self._clamped}
+        """Losses so far: answers_lost, answers_damaged, answers_stray, commands_clamped, readings_impossible."""
+        return {
+            **self._bus.counted,
+            "commands_clamped": self._clamped,
+            "readings_impossible": self._measured.impossible,
+        }
 
     def read(self) -> GripperReading:
-        """Present current (mA) and position (ticks), in one transaction."""
-        data = self._attempt(lambda: self._bus.read_bytes(_PRESENT, _PRESENT_SIZE))
-        current_ma, position = REGISTERS["Present Current"], REGISTERS["Present Position"]
-        return GripperReading(
-            float(current_ma.decode(data[: current_ma.size])), position.decode(data[-position.size :])
-        )
+        """Present current (mA) and position (ticks), in one transaction; DeviceError where they cannot be."""
+        return self._attempt(self._measured.read)
 
     def write_current(self, current_ma: int) -> None:
         """Set the goal current in mA, clamped to the limit; only in current mode."""
@@ -182,6 +183,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
                 until_s = time.monotonic() + seconds
                 while time.monotonic() < until_s:
                     self._attempt(lambda: self._put(goals))
+                    self._attempt(self._measured.require_torque)
                     time.sleep(OPENING_STEP_S)
             finally:
                 self.close()
@@ -233,8 +235,8 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
                 written[name] = [before, value]
         limit_ma = bus.read("Current Limit")
         self._limit_ma = min(limit_ma, settings.max_current_ma or limit_ma)
-        lowest, highest = bus.read("Min Position Limit"), bus.read("Max Position Limit")
-        self._own_limits = lowest, highest
+        self._measured.set_up()
+        lowest, highest = self._measured.limits_ticks
         self._range_ticks = max(lowest, settings.first_tick), min(highest, settings.last_tick)
         if self._range_ticks[0] >= self._range_ticks[1]:
             raise DeviceError(
@@ -243,15 +245,13 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
                 expected=f"limits that overlap {settings.first_tick} to {settings.last_tick} ticks",
                 found=f"{lowest} to {highest}",
             )
-        if self._mode == "position":
-            bus.write("Position P Gain", settings.p_gain)
         return {
             "model": "RH-P12-RN(A)",
             "firmware": bus.read("Firmware Version"),
             "id": settings.id,
             "baud": bus.baud,
             "mode": self._mode,
-            "p_gain": bus.read("Position P Gain"),
+            "p_gain": settings.p_gain if self._mode == "position" else bus.read("Position P Gain"),
             "current_limit_ma": self._limit_ma,
             "range_ticks": list(self._range_ticks),
             "watchdog_ms": settings.watchdog_ms,
@@ -278,10 +278,17 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             self._bus.send(name, goal)
         else:
             self._put({name: goal})
+        place = self._commands % CHECK_EVERY
+        if place == TORQUE_AT:
+            self._measured.require_torque()
+        elif place == SUPPLY_AT:
+            self._measured.require_supply()
 
     def _put(self, goals: Mapping[str, int]) -> None:
         """Goals that are answered, with torque on; in position mode the current follows the position it is for."""
         if not self._torque.is_on:
+            if self._mode == "position":  # now, not when it was set up: it may have restarted since
+                self._bus.write("Position P Gain", self._settings.p_gain)
             self._torque.switch_on(self._here_ticks() if self._mode == "position" else None)
         try:
             for name, goal in goals.items():
@@ -300,8 +307,8 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     def _here_ticks(self) -> int:
         """Where the fingers are, within the gripper's own limits."""
-        lowest, highest = self._own_limits
-        return min(max(self._bus.read("Present Position"), lowest), highest)
+        lowest, highest = self._measured.limits_ticks
+        return min(max(self._measured.read().position_ticks, lowest), highest)
 
     def _attempt(self, action: Callable[[], _T]) -> _T:
         """Run a transaction; on any failure torque goes off, and the error says what was read back."""

@@ -1,14 +1,14 @@
 """What can be made to go wrong with a virtual camera or gripper, and the text by which it is asked for.
 
 A fault is `NAME[%PERCENT][@SECONDS[:DURATION]]`: %PERCENT strikes each answer with that probability, @SECONDS begins so
-long after the camera was started or the gripper's torque first switched on (without it at once; a watchdog trips under
-torque only, and waits for it), :DURATION ends it.
+long after the camera was started or the gripper's torque first switched on (without it at once; a watchdog trips, and a
+restart matters, under torque only, and waits for it), :DURATION ends it.
 On the command line they follow the device, joined by `+`: `--camera virtual:unplug@2 --gripper virtual:lost-answer%2`.
 """
 
 import re
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 
@@ -22,9 +22,10 @@ class FaultKind(NamedTuple):
     percent: bool = False  # %PERCENT
     usual_s: float = 0.0  # its duration if none is given; 0: it strikes once, or lasts for good
     torque: bool = False  # it cannot strike before torque is on
+    reads: tuple[str, int] | None = None  # a register of the gripper, and what it shows as long as this lasts
 
 
-_BEFORE = {"moment": False, "duration": False}  # it is so from before the camera is opened
+_BEFORE: dict[str, Any] = {"moment": False, "duration": False}  # it is so from before the camera is opened
 
 CAMERA_FAULTS: Mapping[str, FaultKind] = {
     "unplug": FaultKind("the camera is no longer on the bus"),
@@ -52,6 +53,13 @@ GRIPPER_FAULTS: Mapping[str, FaultKind] = {
     "bad-crc": FaultKind("one byte of the answer is damaged", percent=True),
     "watchdog": FaultKind("the Bus Watchdog trips as if the host had been silent", duration=False, torque=True),
     "overload": FaultKind("hardware error: torque off, an alert in every answer until reboot", duration=False),
+    "restart": FaultKind(
+        "24 V dip: torque off, all as after switching it on, no hardware error", duration=False, torque=True
+    ),
+    "false-position": FaultKind("its position reads 2,147,483,647 ticks", reads=("Present Position", 2**31 - 1)),
+    "false-current": FaultKind("its current reads -32,768 mA", reads=("Present Current", -(2**15))),
+    "false-voltage": FaultKind("its supply reads 0 V", reads=("Present Input Voltage", 0)),
+    "false-temperature": FaultKind("its temperature reads 255 C", reads=("Present Temperature", 255)),
     "unplug": FaultKind("the port is gone", duration=False),
 }
 

@@ -50,6 +50,7 @@ class VirtualServo:
         self._plant = plant
         self._booted_s = self._heard_s = self._now_s = now_s
         self.instructions: Counter[int] = Counter()  # how often each was received
+        self.false_readings: Mapping[str, int] = {}  # what registers show instead of what is measured
         self._memory = bytearray(table.TABLE_SIZE)
         for register in table.TABLE:
             self._set(register.name, register.default)
@@ -57,7 +58,8 @@ class VirtualServo:
             if name not in REGISTERS:
                 raise ValueError(f"{name} is no register of the gripper")
             self._set(name, value)
-        self._ram = bytes(self._memory[table.RAM_START :])  # as after reboot
+        self._ram = bytes(self._memory[table.RAM_START :])  # as after a restart
+        self._supply = {name: self._get(name) for name in ("Present Input Voltage", "Present Temperature")}
         self._registered: tuple[int, bytes] | None = None
         self._motion = self._plant.advance(Goals(), now_s)
         self._set("Goal Position", self._motion.position_ticks)
@@ -111,6 +113,14 @@ class VirtualServo:
             self._set("Torque Enable", 0)
         self._apply_registers()
 
+    def restart(self, now_s: float) -> None:
+        """As after its power was off for a moment, or a reboot: no torque, no watchdog, no error, its clock at 0."""
+        self._memory[table.RAM_START :] = self._ram
+        self._registered = None
+        self._booted_s = now_s
+        self._set("Goal Position", self._plant.advance(Goals(), now_s).position_ticks)
+        self._apply_registers()
+
     def _apply_registers(self) -> None:
         """Apply what was written: the plant's goals, the watchdog's time (s, 0 without watchdog or torque)."""
         watchdog = self._get("Bus Watchdog")
@@ -133,6 +143,8 @@ class VirtualServo:
         self._set("Present Velocity", velocity)
         self._set("Present Position", self._motion.position_ticks)
         self._set("Position Trajectory", self._get("Goal Position"))
+        for name, value in {**self._supply, **self.false_readings}.items():
+            self._set(name, value)
 
     # Instructions
 
@@ -213,7 +225,7 @@ class VirtualServo:
             Instruction.REG_WRITE: self._register,
             Instruction.ACTION: self._action,
             Instruction.FACTORY_RESET: self._factory_reset,
-            Instruction.REBOOT: lambda _: self._reboot(now_s),
+            Instruction.REBOOT: lambda _: self.restart(now_s),
             Instruction.CLEAR: self._clear,
             Instruction.SYNC_WRITE: self._sync_write,
             Instruction.BULK_WRITE: self._bulk_write,
@@ -249,12 +261,6 @@ class VirtualServo:
 
     def _factory_reset(self, _: bytes) -> None:
         raise Refused(Fault.RESULT)
-
-    def _reboot(self, now_s: float) -> None:
-        self._memory[table.RAM_START :] = self._ram
-        self._registered = None
-        self._booted_s = now_s
-        self._set("Goal Position", self._plant.advance(Goals(), now_s).position_ticks)
 
     def _clear(self, parameters: bytes) -> None:
         if parameters != _CLEAR:

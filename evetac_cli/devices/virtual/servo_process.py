@@ -73,14 +73,23 @@ class Faults:
             data = data[:-1] + bytes([data[-1] ^ 0x40])
         return Answer(data, after_s + (LATE_S if "late-answer" in names else 0.0))
 
+    def false_readings(self, now_s: float) -> dict[str, int]:
+        """What registers show now instead of what is measured, by name."""
+        shown: dict[str, int] = {}
+        for fault in self._waiting:
+            reads = GRIPPER_FAULTS[fault.name].reads
+            if reads is not None and self._lasts(fault, now_s):
+                shown[reads[0]] = reads[1]
+                self.struck[fault.name] = max(self.struck[fault.name], 1)
+        return shown
+
     def _take(self, now_s: float, torque: bool, *, spoiling: bool) -> list[str]:
         """Names of faults that strike once, and do so now; they are no longer waiting."""
         if torque and self._torque_s is None:
             self._torque_s = now_s
+        kinds = {name for name, kind in GRIPPER_FAULTS.items() if kind.reads is None and kind.percent == spoiling}
         struck = [
-            fault
-            for fault in self._waiting
-            if not fault.share and GRIPPER_FAULTS[fault.name].percent == spoiling and self._lasts(fault, now_s)
+            fault for fault in self._waiting if not fault.share and fault.name in kinds and self._lasts(fault, now_s)
         ]
         self._waiting = [fault for fault in self._waiting if fault not in struck]
         self.struck.update(fault.name for fault in struck)
@@ -138,8 +147,11 @@ class Line:
                 self.unplug()
             elif name == "watchdog":
                 self._servo.trip()
+            elif name == "restart":
+                self._servo.restart(now_s)
             else:
                 self._servo.overload()
+        self._servo.false_readings = self._faults.false_readings(now_s)
 
     def _receive(self) -> None:
         host_s, now_s = time.monotonic(), self._clock.now_s()

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import _Port
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError
@@ -35,11 +36,12 @@ def test_position_mode_is_set_up(fresh: VirtualGripper) -> None:
     settings = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540, max_current_ma=200)
     with RhP12Rn(fresh.port, mode="position", settings=settings) as driver:
         assert driver.described["eeprom_written"] == {"Operating Mode": [0, 5]}
-        assert (fresh.read_register("Operating Mode"), fresh.read_register("Position P Gain")) == (5, 50)
+        assert fresh.read_register("Operating Mode") == 5
         assert is_off(fresh)
         here = driver.read().position_ticks
         driver.write_position(here)
-        assert fresh.read_register("Torque Enable") == 1
+        assert (fresh.read_register("Torque Enable"), fresh.read_register("Position P Gain")) == (1, 50)
+        assert driver.described["p_gain"] == 50
         assert fresh.read_register("Goal Current") == 200
         assert fresh.read_register("Goal Position") == here
         with pytest.raises(DeviceError, match="opened in position mode"):
@@ -117,7 +119,10 @@ def test_impossible_settings_are_refused(wrong: dict[str, Any]) -> None:
 
 
 def test_one_answered_transaction_a_cycle(fresh: VirtualGripper) -> None:
-    """Assert that of 201 cycles each reads once, and that all commands but the 1st, 101st and 201st go unanswered."""
+    """Assert that of 201 cycles each reads once, and that all commands but the 1st, 101st and 201st go unanswered.
+
+    Of a hundred cycles one asks too for torque, and one for supply and temperature.
+    """
     with RhP12Rn(fresh.port, settings=SLOW) as driver:
         before = fresh.instructions()
         for k in range(201):
@@ -125,10 +130,38 @@ def test_one_answered_transaction_a_cycle(fresh: VirtualGripper) -> None:
             driver.write_current(k % 7)
         after = fresh.instructions()
         spent = {code: after[code] - before.get(code, 0) for code in after}
-        assert spent[Instruction.READ] == 201 + 1  # and the watchdog, whether it is armed
+        assert spent[Instruction.READ] == 201 + 2 * 2 + 1  # and the watchdog, whether it is armed
         assert spent[Instruction.SYNC_WRITE] == 198
         assert spent[Instruction.WRITE] == 3 + 3  # and goal current, watchdog and torque before the first
         assert fresh.read_register("Goal Current") == 200 % 7
+
+
+def test_bytes_on_the_wire(fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert what a cycle costs on average: 52 bytes for reading and commanding, and 1.2 for all that is checked."""
+    sizes: list[int] = []
+    write, read = _Port.writePort, _Port.readPort
+
+    def counted_write(port: _Port, packet: list[int]) -> int:
+        sizes.append(len(packet))
+        return write(port, packet)
+
+    def counted_read(port: _Port, length: int) -> bytes:
+        data = read(port, length)
+        sizes.append(len(data))
+        return data
+
+    with RhP12Rn(fresh.port, settings=SLOW) as driver:
+        driver.write_current(1)
+        monkeypatch.setattr(_Port, "writePort", counted_write)
+        monkeypatch.setattr(_Port, "readPort", counted_read)
+        cycles = 1000
+        for _ in range(cycles):
+            driver.read()
+            driver.write_current(1)
+        reading, command = 14 + 21, 17
+        checks = 0.1 * 6 + (14 + 12 + 14 + 14) / 100 + (14 + 11 - command) / 100
+        assert sum(sizes) / cycles == pytest.approx(reading + command + checks)
+        assert checks < 1.5
 
 
 def test_readings_are_signed(fresh: VirtualGripper) -> None:

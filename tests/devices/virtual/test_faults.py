@@ -38,6 +38,9 @@ def test_faults_of_a_camera(text: str, fault: Fault) -> None:
         ("bad-crc%2.5", Fault("bad-crc", share=0.025)),
         ("late-answer@0", Fault("late-answer", 0.0)),
         ("lost-answer%20@1:3", Fault("lost-answer", 1.0, 3.0, 0.2)),
+        ("restart@0", Fault("restart", 0.0)),
+        ("false-position", Fault("false-position")),
+        ("false-voltage@1:0.5", Fault("false-voltage", 1.0, 0.5)),
     ],
 )
 def test_faults_of_a_gripper(text: str, fault: Fault) -> None:
@@ -60,13 +63,27 @@ def test_other_faults_of_a_camera_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [*WRONG, "bad-crc%101", "bad-crc%0", "bad-crc%", "bad-crc%-1", "bad-crc@1:2", "overload@1:2", "stall"]
+    "text",
+    [
+        *WRONG,
+        "bad-crc%101",
+        "bad-crc%0",
+        "bad-crc%",
+        "bad-crc%-1",
+        "bad-crc@1:2",
+        "overload@1:2",
+        "restart@1:2",
+        "stall",
+    ],
 )
 def test_other_faults_of_a_gripper_are_refused(text: str) -> None:
     """Assert that what is no fault of a gripper is refused, with all that are, and how they are written."""
     with pytest.raises(InputError, match="virtual gripper") as refused:
         gripper_fault(text)
-    assert "NAME@SECONDS of late-answer, lost-answer, bad-crc, watchdog, overload, unplug" in str(refused.value)
+    assert "NAME@SECONDS of late-answer, lost-answer, bad-crc, watchdog, overload, restart, unplug" in str(
+        refused.value
+    )
+    assert "NAME@SECONDS:DURATION of false-position, false-current, false-voltage," in str(refused.value)
     assert "DURATION, of late-answer, lost-answer, bad-crc" in str(refused.value)
 
 
@@ -113,6 +130,18 @@ def test_an_answer_is_spoilt_once() -> None:
     assert late == (b"ab", LATE_S)
     faults.add(gripper_fault("overload@2"))
     assert [faults.due(now_s, torque=True) for now_s in (1.9, 2.0, 2.1)] == [[], ["overload"], []]
+
+
+def test_false_readings_last_for_their_time() -> None:
+    """Assert that registers show what was asked for between moment and end, or for good, and then what is measured."""
+    texts = ("false-current@1:2", "false-voltage")
+    faults = Faults([gripper_fault(text) for text in texts], np.random.default_rng(0))
+    assert faults.false_readings(0.0) == {"Present Input Voltage": 0}
+    assert faults.due(10.0, torque=True) == []
+    shown = [set(faults.false_readings(now_s)) for now_s in (10.9, 11.0, 12.9, 13.0)]
+    voltage, both = {"Present Input Voltage"}, {"Present Input Voltage", "Present Current"}
+    assert shown == [voltage, both, both, voltage]
+    assert faults.struck == {"false-current": 1, "false-voltage": 1}
 
 
 def test_the_page_on_safety_lists_every_fault_of_a_gripper() -> None:

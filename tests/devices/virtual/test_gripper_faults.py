@@ -33,6 +33,11 @@ SEEN_AS = {
     "bad-crc": "answers_damaged",
     "watchdog": "bus watchdog has tripped",
     "overload": "hardware error: overload",
+    "restart": "has no torque any more",
+    "false-position": "reports a position that cannot be",
+    "false-current": "reports a current that cannot be",
+    "false-voltage": "reports a supply that cannot be",
+    "false-temperature": "reports a temperature that cannot be",
     "unplug": "the port is gone|there is no such port",
 }
 

@@ -266,6 +266,32 @@ def test_overload_drops_torque_until_reboot() -> None:
     assert asked.write("Torque Enable", 1) == 0
 
 
+def test_a_restart_is_as_after_switching_it_on() -> None:
+    """Assert that it has no torque, no watchdog, no error and a clock at 0, and takes goals, as if nothing had been."""
+    asked = Asked(Operating_Mode=0)
+    for name, value in (("Bus Watchdog", 5), ("Torque Enable", 1), ("Goal Current", 30)):
+        asked.write(name, value)
+    asked.servo.tick(0.05)
+    assert asked.servo.value("Realtime Tick") == 50
+    asked.servo.restart(0.06)
+    names = ("Torque Enable", "Bus Watchdog", "Goal Current", "Hardware Error Status", "Realtime Tick")
+    asked.servo.tick(0.06)
+    assert [asked.servo.value(name) for name in names] == [0] * 5
+    assert asked.write("Goal Current", 20) == 0
+    assert not asked.servo.torque
+
+
+def test_false_readings_show_for_as_long_as_they_are_set() -> None:
+    """Assert that they stand in for what is measured, supply and temperature included, and leave nothing behind."""
+    asked = Asked()
+    names = ("Present Position", "Present Input Voltage", "Present Temperature")
+    before = [asked.servo.value(name) for name in names]
+    asked.servo.false_readings = {"Present Position": -(2**31), "Present Input Voltage": 0, "Present Temperature": 255}
+    assert [asked.servo.value(name) for name in names] == [-(2**31), 0, 255]
+    asked.servo.false_readings = {}
+    assert [asked.servo.value(name) for name in names] == before == [300, 240, 35]
+
+
 def test_factory_reset_is_refused() -> None:
     """Assert that no kind of factory reset is carried out, for one or for all."""
     asked = Asked(Return_Delay_Time=3)

@@ -1,0 +1,153 @@
+"""What a gripper measures of itself, read in one transaction; what cannot be is refused, and a restart is noticed.
+
+Why so: a checksum says that an answer came as it was sent, not that it makes sense. A servo whose encoder, memory or
+supply is broken sends numbers that no finger can have, and a law would follow them. And a servo whose 24 V dip is back
+after some ms: without torque, without its watchdog, with no hardware error, and it takes every command. So Realtime
+Tick (ms since it was switched on) is read with every TICK_EVERY-th reading, whose block then begins 6 bytes earlier:
+0.6 bytes more a reading, where Torque Enable, 62 bytes before the others, would be as much again as all of it. A tick
+that is earlier than it was is asked about: only Torque Enable 0 is a restart, or another program's doing.
+
+Why these bounds: a servo's limits are those of its goals. Fingers are driven against their stop in current mode, and
+bend under load, so a position some ticks beyond is normal: BEYOND_TICKS are a tenth of the fingers' way. A finger goes
+2 ticks a ms at the servo's fastest (29.7 rpm), so a position that is ten times that away was not reached. The motor's
+peak is 3.33 A (e-Manual). Beyond the limits of supply and temperature a servo raises a hardware error, which ends all
+by itself; a reading that is well beyond them without one is no measurement.
+"""
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from evetac_cli.devices import GripperReading
+from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
+from evetac_cli.devices.rh_p12_rn.torque import Torque
+from evetac_cli.errors import DeviceError
+
+TICK_EVERY = 10  # readings: 20 ms at 500 a second
+TICK_WRAPS_MS = 32768
+TICK_SLACK_MS = 1000.0  # a servo's clock that is ahead of ours by less did not restart
+BEYOND_TICKS = 64
+FASTEST_TICKS_MS = 20.0
+MOST_MA = 4000
+SUPPLY_SHARES = 0.8, 1.2  # of the lower and of the upper limit
+HOT_C = 20  # beyond the limit
+_T = TypeVar("_T")
+_TICK, _CURRENT, _POSITION = (REGISTERS[name] for name in ("Realtime Tick", "Present Current", "Present Position"))
+_END = _POSITION.address + _POSITION.size
+_SUPPLY = REGISTERS["Present Input Voltage"].address
+_SUPPLY_SIZE = REGISTERS["Present Temperature"].address + REGISTERS["Present Temperature"].size - _SUPPLY
+
+
+class Impossible(DeviceError):
+    """A reading that no servo can have."""
+
+
+class Measurements:
+    """The readings of one gripper on an open bus; `impossible` counts those that were asked for again."""
+
+    def __init__(self, bus: Bus, torque: Torque) -> None:
+        self._bus, self._torque = bus, torque
+        self._readings = self.impossible = 0
+        self._last: tuple[int, float] | None = None  # position, and when asking for it began
+        self._tick: tuple[int, float] | None = None  # the servo's clock, and when asking for it began
+
+    def set_up(self) -> None:
+        """Read the limits by which readings are judged."""
+        read = self._bus.read
+        self.limits_ticks = read("Min Position Limit"), read("Max Position Limit")
+        self._volts = tuple(
+            share * read(f"{which} Voltage Limit") / 10
+            for share, which in zip(SUPPLY_SHARES, ("Min", "Max"), strict=True)
+        )
+        self._most_c = read("Temperature Limit") + HOT_C
+
+    def read(self) -> GripperReading:
+        """Present current (mA) and position (ticks); DeviceError if they cannot be, or torque is gone."""
+        return self._twice(self._read)
+
+    def require_supply(self) -> None:
+        """DeviceError if the supply's voltage or the temperature cannot be."""
+        self._twice(self._check_supply)
+
+    def require_torque(self, restart: str = "") -> None:
+        """DeviceError if torque was switched on here, and is off; restart: what makes one think of a restart."""
+        if self._torque.is_on and self._bus.read("Torque Enable") == 0:
+            restarted = "restarted, and " if restart else ""
+            dip = "did its 24 V dip, so that it restarted, or did another program switch torque off?"
+            raise DeviceError(
+                f"the gripper {restarted}has no torque any more: what it held may have fallen",
+                where=self._where,
+                expected="Torque Enable 1, as this program wrote it",
+                found=f"0{restart}",
+                hint="did its 24 V dip? check supply and cable" if restart else dip,
+            )
+
+    @property
+    def _where(self) -> str:
+        return f"gripper {self._bus.id} at {self._bus.port}"
+
+    def _twice(self, ask: Callable[[], _T]) -> _T:
+        """What is asked; of a reading that cannot be a second one decides, as of an answer that is lost."""
+        try:
+            return ask()
+        except Impossible:
+            self.impossible += 1
+            return ask()
+
+    def _read(self) -> GripperReading:
+        begins = _CURRENT if self._readings % TICK_EVERY else _TICK
+        self._readings += 1
+        begun_s = time.monotonic()
+        data = self._bus.read_bytes(begins.address, _END - begins.address)
+        if begins is _TICK:
+            self._look_at_the_clock(_TICK.decode(data[: _TICK.size]), begun_s)
+            data = data[_CURRENT.address - _TICK.address :]
+        current_ma, position_ticks = _CURRENT.decode(data[: _CURRENT.size]), _POSITION.decode(data[-_POSITION.size :])
+        self._check(current_ma, position_ticks, begun_s)
+        self._last = position_ticks, begun_s
+        return GripperReading(float(current_ma), position_ticks)
+
+    def _look_at_the_clock(self, tick_ms: int, begun_s: float) -> None:
+        """Ask for torque where the servo's clock shows less than it did, but for its wrap."""
+        before, self._tick = self._tick, (tick_ms, begun_s)
+        if before is None:
+            return
+        passed_ms = (time.monotonic() - before[1]) * 1e3
+        if (tick_ms - before[0]) % TICK_WRAPS_MS > passed_ms + TICK_SLACK_MS:
+            self.require_torque(f"; Realtime Tick fell from {before[0]:,} to {tick_ms:,} ms")
+
+    def _check(self, current_ma: int, position_ticks: int, begun_s: float) -> None:
+        if abs(current_ma) > MOST_MA:
+            raise self._impossible("current", f"{MOST_MA:,} mA at most, either way", f"{current_ma:,} mA")
+        (lowest, highest), shown = self.limits_ticks, f"{position_ticks:,} ticks"
+        if not lowest - BEYOND_TICKS <= position_ticks <= highest + BEYOND_TICKS:
+            about = (
+                f"{lowest - BEYOND_TICKS:,} to {highest + BEYOND_TICKS:,} ticks, for limits of {lowest} to {highest}"
+            )
+            raise self._impossible("position", about, shown)
+        if self._last is None:
+            return
+        before, asked_s = self._last
+        passed_ms = (time.monotonic() - asked_s) * 1e3
+        reach = BEYOND_TICKS + FASTEST_TICKS_MS * passed_ms
+        if abs(position_ticks - before) > reach:
+            about = f"{reach:,.0f} ticks at most from {before:,}, where it was {passed_ms:.0f} ms before"
+            raise self._impossible("position", about, shown)
+
+    def _check_supply(self) -> None:
+        data = self._bus.read_bytes(_SUPPLY, _SUPPLY_SIZE)
+        volts, temperature_c = int.from_bytes(data[:2], "little") / 10, data[2]
+        low, high = self._volts
+        if not low <= volts <= high:
+            raise self._impossible("supply", f"{low:g} to {high:g} V", f"{volts:g} V")
+        if temperature_c > self._most_c:
+            raise self._impossible("temperature", f"{self._most_c} C at most", f"{temperature_c} C")
+
+    def _impossible(self, what: str, expected: str, shown: str) -> Impossible:
+        return Impossible(
+            f"the gripper reports a {what} that cannot be: {shown}",
+            where=self._where,
+            expected=expected,
+            hint="switch 24 V off and on; if it comes again, the gripper is damaged",
+        )
