@@ -150,8 +150,8 @@ class Virtual(NamedCamera):
         for each in faults:
             camera_fault(each)
         prepared, firmware = (numbers.get(key, "").partition("=")[2] for key in ("prepared", "firmware"))
-        rate = parse_number(prepared or str(PREPARED_EVENTS_S), "prepared=EVENTS_S", name)
-        number = round(parse_number(firmware or str(FIRMWARE), "firmware=NUMBER", name))
+        rate = parse_number(prepared or str(PREPARED_EVENTS_S), 1, 1e9, "prepared=EVENTS_S", name)
+        number = round(parse_number(firmware or str(FIRMWARE), 1, 1e9, "firmware=NUMBER", name))
         return cls(faults, rate if "prepared" in numbers else None, number)
 
     @property

@@ -1,25 +1,29 @@
-"""Grippers by name, as on the command line: `--gripper /dev/ttyUSB0@2000000`.
+"""Grippers by name, as on the command line: `--gripper /dev/ttyUSB0:1@2000000`.
 
 `parse` turns a name into an object of one of the kinds below and touches no device; its `open` starts the driver, which
 is imported only then.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from evetac_cli.devices import Gripper
-from evetac_cli.devices.naming import no_such_device, parse_number
+from evetac_cli.devices.naming import no_such_device, number, parse_number
+from evetac_cli.devices.rh_p12_rn.control_table import LAST_ID, SDK_RATES
 from evetac_cli.devices.virtual.faults import gripper_fault
+from evetac_cli.errors import InputError
 
 if TYPE_CHECKING:
     from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
     from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.servo_plant import SharedPlant
 
-NAMES = "sim, virtual, none, or a PORT[@BAUD] such as /dev/ttyUSB0@2000000"
+NAMES = "sim, virtual, none, or a PORT[:ID][@BAUD] such as /dev/ttyUSB0, /dev/ttyUSB0:5 or /dev/ttyUSB0@57600"
 PORT_BEGINS = ("/", "./", "COM", "tty")
-BAUD = 2_000_000
+_OF_A_PATH = re.compile(r"\d\.\d|/")  # what is behind a colon of a port's own name
+BAUD, ID = 2_000_000, 1  # where none is named
 # A virtual servo answers when the computer lets it run, which a busy one may not do for a tenth of a second.
 VIRTUAL_ANSWER_MS = 200.0
 VIRTUAL_WATCHDOG_MS = 1000
@@ -48,18 +52,23 @@ class NamedGripper:
         """Bits a second on the wire."""
         return BAUD
 
+    @property
+    def id(self) -> int:
+        """Its number on the wire."""
+        return ID
+
     def __str__(self) -> str:
         return self.name
 
-    def patient(self, settings: "RhP12RnSettings") -> "RhP12RnSettings":
-        """The settings that were asked for, as this gripper can keep them: a virtual one gets more time."""
-        return settings
+    def settings(self, **asked: Any) -> "RhP12RnSettings":
+        """The driver's settings with what is asked for, as this gripper can keep them: a virtual one gets more time.
 
-    def default_settings(self) -> "RhP12RnSettings":
-        """The driver's settings where nothing is asked for."""
+        ValueError for what no gripper can keep.
+        """
         from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 
-        return RhP12RnSettings() if self.watchdog_ms is None else RhP12RnSettings(watchdog_ms=self.watchdog_ms)
+        watchdog = {} if self.watchdog_ms is None else {"watchdog_ms": self.watchdog_ms}
+        return RhP12RnSettings(id=self.id, **watchdog | asked)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
         """Start the virtual servo behind the port; None where the servo is real, or there is none."""
@@ -69,7 +78,7 @@ class NamedGripper:
         """The gripper at a port, and what it is and how it is set (for a header); DeviceError if it does not answer."""
         from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn
 
-        driver = RhP12Rn(port, self.baud, mode, self.default_settings())
+        driver = RhP12Rn(port, self.baud, mode, self.settings())
         return driver, self.setup(driver.described)
 
     def setup(self, described: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,16 +113,12 @@ class Virtual(NamedGripper):
     name = "virtual"
     faults: tuple[str, ...] = ()
 
-    def patient(self, settings: "RhP12RnSettings") -> "RhP12RnSettings":
+    def settings(self, **asked: Any) -> "RhP12RnSettings":
         """Longer times, because the computer that simulates the servo stops it now and then."""
-        watchdog_ms = VIRTUAL_WATCHDOG_FACTOR * settings.watchdog_ms
-        return replace(settings, answer_ms=VIRTUAL_ANSWER_MS, watchdog_ms=watchdog_ms)
-
-    def default_settings(self) -> "RhP12RnSettings":
-        """Times that a busy computer can keep."""
-        if self.watchdog_ms is not None:
-            return self.patient(super().default_settings())
-        return replace(super().default_settings(), answer_ms=VIRTUAL_ANSWER_MS, watchdog_ms=VIRTUAL_WATCHDOG_MS)
+        kept = super().settings(**asked)
+        is_asked = "watchdog_ms" in asked or self.watchdog_ms is not None
+        watchdog_ms = VIRTUAL_WATCHDOG_FACTOR * kept.watchdog_ms if is_asked else VIRTUAL_WATCHDOG_MS
+        return replace(kept, answer_ms=VIRTUAL_ANSWER_MS, watchdog_ms=watchdog_ms)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
         """Start the virtual servo; plant: the finger that it moves, None for one of its own."""
@@ -124,15 +129,25 @@ class Virtual(NamedGripper):
 
 @dataclass(frozen=True)
 class Serial(NamedGripper):
-    """`PORT[@BAUD]`: a ROBOTIS RH-P12-RN(A) at a serial port."""
+    """`PORT[:ID][@BAUD]`: a ROBOTIS RH-P12-RN(A) at a serial port."""
 
     name = "port"
     is_hardware = True
     port: str = ""
     baud: int = BAUD
+    id: int = ID
 
     def __str__(self) -> str:
-        return f"{self.port}@{self.baud}"
+        return f"{self._of_id}@{self.baud}"
+
+    @property
+    def shortest(self) -> str:
+        """The shortest name for it: id and rate only where they are not the usual ones."""
+        return self._of_id if self.baud == BAUD else str(self)
+
+    @property
+    def _of_id(self) -> str:
+        return self.port if self.id == ID else f"{self.port}:{self.id}"
 
 
 def parse(text: str) -> NamedGripper:
@@ -148,6 +163,24 @@ def parse(text: str) -> NamedGripper:
     if text == NoGripper.name:
         return NoGripper()
     if text.startswith(PORT_BEGINS):
-        port, at, baud = text.partition("@")
-        return Serial(port, int(parse_number(baud, "--gripper PORT@BAUD", text)) if at else BAUD)
+        return parse_port(text)
     raise no_such_device("gripper", NAMES, text, (Simulated.name, Virtual.name, NoGripper.name))
+
+
+def parse_port(text: str) -> Serial:
+    """Understand PORT[:ID][@BAUD]; InputError for an id or a rate that no gripper can have.
+
+    A port may have colons of its own, as /dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0: what stands behind the
+    last one is an id unless it is like `1.0`, or has a slash.
+    """
+    named, at, rate = text.rpartition("@") if "@" in text else (text, "", "")
+    if ":" in rate:
+        raise InputError("the id stands before the rate", where="--gripper", expected="PORT:ID@BAUD", found=text)
+    bauds = [each for each in SDK_RATES if number(rate) == each] if at else [BAUD]
+    if not bauds:
+        rates = ", ".join(map(str, SDK_RATES))
+        raise InputError("no such baud rate", where="--gripper PORT@BAUD", expected=f"one of {rates}", found=text)
+    port, colon, last = named.rpartition(":")
+    if not colon or _OF_A_PATH.search(last):
+        return Serial(named, bauds[0])
+    return Serial(port, bauds[0], int(parse_number(last, 0, LAST_ID, "--gripper PORT:ID", text, whole=True)))

@@ -1,18 +1,28 @@
-"""Refusals that names of cameras and of grippers share: no such device, and not a number."""
+"""What names of cameras and of grippers share: numbers with their range, and the refusal of names that are none."""
 
+import math
 from difflib import get_close_matches
 
 from evetac_cli.errors import InputError
 
 
-def parse_number(text: str, where: str, name: str) -> float:
-    """A number from 1 to below 1e9 that is part of a device's name; InputError if it is none."""
+def number(text: str) -> float:
+    """The number that a text is; NaN for any other."""
     try:
-        value = float(text)
+        return float(text)
     except ValueError:
-        value = float("nan")
-    if not 1 <= value < 1e9:
-        raise InputError("not a number", where=where, expected="1 to 1e9", found=name)
+        return math.nan
+
+
+def parse_number(text: str, low: float, high: float, where: str, name: str, *, whole: bool = False) -> float:
+    """A number in [low, high] that is part of a device's name; InputError if it is none, or not whole where it must be.
+
+    where: the part, as in `virtual:prepared=EVENTS_S`; name: the whole name.
+    """
+    value = number(text)
+    if not low <= value <= high or (whole and value != int(value)):
+        kind = "a whole number, " if whole else ""
+        raise InputError("not such a number", where=where, expected=f"{kind}{low:g} to {high:g}", found=name)
     return value
 
 

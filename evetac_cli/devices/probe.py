@@ -21,7 +21,8 @@ import usb.util
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import CONTROL_TIMEOUT_MS, FoundCamera, find_cameras
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, SDK_RATES, Bus, BusDevice, latency_timer_ms, scan
+from evetac_cli.devices.rh_p12_rn.control_table import SDK_RATES
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, Bus, BusDevice, latency_timer_ms, scan
 
 FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
 # Asked for, of a gripper that answers.
@@ -37,6 +38,9 @@ READ = (
     "Max Voltage Limit",
     "Present Temperature",
     "Temperature Limit",
+    "Present Position",
+    "Min Position Limit",
+    "Max Position Limit",
 )
 
 
@@ -128,13 +132,15 @@ class Host:
                     users.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
         return sorted(users)
 
-    def scan(self, port: Path) -> list[BusDevice]:
-        """Grippers with id 1 at any rate; if there is none, those with any id at the rates in use."""
-        grippers = scan(str(port), self.rates, answer_ms=self.answer_ms)
-        for baud in () if grippers else self.rates:
+    def scan(self, port: Path, id_: int = 1) -> list[BusDevice]:
+        """Grippers on a port: that of this id at any rate, and those of other ids at the same rate, else at all."""
+        named = scan(str(port), self.rates, (id_,), answer_ms=self.answer_ms)
+        found = {(each.baud, each.id): each for each in named}
+        for baud in {each.baud for each in named} or self.rates:
             with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
-                grippers += [BusDevice(baud, id_, model) for id_, (model, _) in bus.devices().items()]
-        return grippers
+                for other, (model, _) in bus.devices().items():
+                    found.setdefault((baud, other), BusDevice(baud, other, model))
+        return list(found.values())
 
     def registers(self, port: Path, gripper: BusDevice, names: Iterable[str] = READ) -> dict[str, int]:
         """Values of a gripper's registers by name; DeviceError if it does not answer."""

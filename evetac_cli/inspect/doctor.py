@@ -15,9 +15,11 @@ from typing import Any
 from evetac_cli.console import print_text
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
-from evetac_cli.devices.probe import FTDI, Host
+from evetac_cli.devices.grippers import BAUD, ID, Serial, parse_port
+from evetac_cli.devices.probe import FTDI, Host, SerialPort
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
+from evetac_cli.devices.rh_p12_rn.measurements import BEYOND_TICKS
 from evetac_cli.errors import EXTRAS, DeviceError, install_hint
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Outcome
@@ -27,7 +29,7 @@ RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
 INSTALL_RULES = f"evetac doctor --print-udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
 OLDEST_FIRMWARE = 8
-LEAST_BAUD, USUAL_BAUD = 1_000_000, 2_000_000  # a cycle of 2 ms needs the first; --gripper PORT takes the second
+LEAST_BAUD = 1_000_000  # a cycle of 2 ms needs it
 LATENCY_MS = 1
 FREE_BYTES = 1 << 30  # some 5 min of a million events a second, at 3.5 bytes each on disk
 SPEEDS = {
@@ -51,6 +53,7 @@ SERVES = {
 }
 
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
+NOT_ASKED = "not asked: no FTDI adapter"
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
 Row = dict[str, Any]
@@ -84,8 +87,13 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
         reason = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
         rows.append(check(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
     grippers = 0
-    for path, named in _ports(host, params):
-        port_rows, count = _port(host, path, named)
+    for port, named in _ports(host, params):
+        if named is None and port.vendor != FTDI:
+            rows.append(
+                check(f"port {port.path}", "gripper", None, NOT_ASKED, "", f"evetac doctor --gripper {port.path}")
+            )
+            continue
+        port_rows, count = _port(host, port.path, named)
         rows += port_rows
         grippers += count
     wrong = sum(row["ok"] is False for row in rows)
@@ -219,18 +227,18 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
     return "access", False, message, "", "unplug it and plug it in again, without a hub"
 
 
-def _ports(host: Host, params: Doctor) -> Iterator[tuple[Path, bool]]:
-    """Ports to examine, and whether the user named them."""
+def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
+    """The serial ports that there are, or that the user named, with the gripper that was named there."""
     given = params.gripper or ""
-    named = Path(given.partition("@")[0]) if given and given.partition(":")[0] not in NO_PORTS else None
+    named = parse_port(given) if given and given.partition(":")[0] not in NO_PORTS else None
     for port in host.serial_ports():
-        if port.vendor == FTDI and (named is None or port.path.resolve() != named.resolve()):
-            yield port.path, False
+        if named is None or port.path.resolve() != Path(named.port).resolve():
+            yield port, None
     if named is not None:
-        yield named, True
+        yield SerialPort(Path(named.port), "", ""), named
 
 
-def _port(host: Host, path: Path, named: bool) -> tuple[list[Row], int]:
+def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]:
     """Rows of one port and of the grippers on it, and the number of these."""
     name = f"port {path}"
     if not path.exists():
@@ -238,7 +246,7 @@ def _port(host: Host, path: Path, named: bool) -> tuple[list[Row], int]:
     if not _is_serial(path):
         fix = f"name the adapter's port; {WHICH_PORTS}"
         return [check(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
-    rows = []
+    rows: list[Row] = []
     if not os.access(path, os.R_OK | os.W_OK):
         fix = f"sudo usermod -aG dialout $USER, and log in again; or {INSTALL_RULES}"
         return [check(name, "permission", False, "none, for you", "", fix)], 0
@@ -255,7 +263,7 @@ def _port(host: Host, path: Path, named: bool) -> tuple[list[Row], int]:
         fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
         return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
     try:
-        grippers = host.scan(path)
+        grippers = host.scan(path, ID if named is None else named.id)
     except DeviceError as error:
         return [*rows, check(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
     if not grippers:
@@ -264,8 +272,13 @@ def _port(host: Host, path: Path, named: bool) -> tuple[list[Row], int]:
         # an adapter that the user did not name may well serve another device
         return [
             *rows,
-            check(name, "gripper", False if named else None, "none answers", f"an answer at {rates}", fix),
+            check(name, "gripper", None if named is None else False, "none answers", f"an answer at {rates}", fix),
         ], 0
+    if named is not None and named.id != ID and named.id not in [each.id for each in grippers]:
+        answers = " and ".join(f"gripper {each.id}" for each in grippers)
+        fix = " or ".join(_flag(path, each) for each in grippers)
+        found = f"{answers} answer{'s' if len(grippers) == 1 else ''}"
+        rows.append(check(name, "id", False, found, f"gripper {named.id}, as it was named", f"name it: {fix}"))
     for gripper in grippers:
         try:
             rows += _gripper(host, path, gripper)
@@ -289,6 +302,11 @@ def _is_serial(path: Path) -> bool:
         os.close(port)
 
 
+def _flag(path: Path, gripper: BusDevice) -> str:
+    """The flag by which commands reach a gripper, as short as can be."""
+    return f"--gripper {Serial(str(path), gripper.baud, gripper.id).shortest}"
+
+
 def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     name = f"gripper {gripper.id} at {path}"
     right = gripper.model == MODEL_NUMBER
@@ -296,16 +314,16 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     fix = "" if right else "this driver serves the RH-P12-RN(A) only"
     yield check(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
     fast = gripper.baud >= LEAST_BAUD
-    change = f"change_baud('{path}', {gripper.baud}, {USUAL_BAUD}, id_={gripper.id})"
+    change = f"change_baud('{path}', {gripper.baud}, {BAUD}, id_={gripper.id})"
     slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (torque goes off)'
-    unusual = f"name it: --gripper {path}@{gripper.baud}" if gripper.baud != USUAL_BAUD else ""
     expected = f"{LEAST_BAUD} at least, for 500 commands a second"
-    yield check(name, "baud", fast, str(gripper.baud), expected, unusual if fast else slow_fix)
+    yield check(name, "baud", fast, str(gripper.baud), expected, "" if fast else slow_fix)
     if not right:
         return
+    yield check(name, "flag", True, _flag(path, gripper))
     registers = host.registers(path, gripper)
     delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
-    fix = "" if delay_us == 0 else f"evetac record --gripper {path}@{gripper.baud} sets it when it opens the gripper"
+    fix = "" if delay_us == 0 else f"evetac record {_flag(path, gripper)} sets it when it opens the gripper"
     yield check(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
     errors = hardware_errors(registers["Hardware Error Status"])
     fix = "remove the cause, then switch its 24 V off and on" if errors else ""
@@ -320,6 +338,12 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     yield check(
         name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "" if cool else "let it cool down"
     )
+    ticks, low, high = (
+        registers[f"{which}"] for which in ("Present Position", "Min Position Limit", "Max Position Limit")
+    )
+    there = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
+    fix = "" if there else "switch its 24 V off and on; if it comes again, the gripper is damaged"
+    yield check(name, "position", there, f"{ticks:,} ticks", f"{low} to {high} ticks, or a little beyond", fix)
     off = registers["Torque Enable"] == 0
     fix = "" if off else "another program may drive it, or have left it so"
     yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)

@@ -52,6 +52,7 @@ SILENCE = 3  # times the watchdog's time
 ROOM_TICKS = range(60, 640)  # where the fingers can both close and open a little
 CAMERA_S = 1.0
 LIBRARIES = ("dynamixel-sdk", "pyserial", "pyusb", "libusb-package")
+LOOK_FOR_IT = "24 V on? evetac doctor --gripper PORT, without --hardware, says which id and rate answer"
 MOTION = "the fingers will move a little: nothing may be between them, and the 24 V switch within reach"
 
 
@@ -200,12 +201,12 @@ def _try_gripper(
         if servo is not None:
             opened.callback(servo.close)
         port = gripper.port if servo is None else servo.port
-        settings = gripper.default_settings()
+        settings = gripper.settings()
         found_bus: list[Bus] = []
 
         def open_() -> tuple[bool, str]:
             found_bus.append(opened.enter_context(Bus(port, gripper.baud, settings.id, answer_ms=settings.answer_ms)))
-            return True, f"{port} at {gripper.baud} baud"
+            return True, f"{port} at {gripper.baud} baud, id {settings.id}"
 
         steps.do(name, "port", "the serial port opens", open_, "evetac doctor says what keeps it")
         check = GripperCheck(found_bus[0], settings, steps, name, registers)
@@ -277,7 +278,7 @@ class GripperCheck:
             lost = {why: count for why, count in bus.counted.items() if count}
             return not lost, ", ".join(f"{why} {count}" for why, count in lost.items()) or f"{READS} answers, none lost"
 
-        self._do("answers", f"model number {MODEL_NUMBER}, RH-P12-RN(A)", answers, "24 V on? id and baud rate right?")
+        self._do("answers", f"model number {MODEL_NUMBER}, RH-P12-RN(A)", answers, LOOK_FOR_IT)
         self._do("registers", "every register can be read", everything)
         self._do("supply", "a voltage within its limits", supply, "check the 24 V supply")
         self._do("temperature", "below its limit", temperature, "let it cool down")

@@ -64,8 +64,9 @@ class Grasp(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); or its PORT or"
-        " PORT@BAUD; default: that of the camera.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); or"
+        " PORT[:ID][@BAUD], as /dev/ttyUSB0:5@57600, id 1 and 2000000 baud where left out; default: that of the"
+        " camera.",
         recipe=False,
     )
     calibration: Path | None = parameter(

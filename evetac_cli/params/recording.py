@@ -97,8 +97,9 @@ class Record(Trials):
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); none; or its PORT"
-        " or PORT@BAUD; default: that of the camera, or none.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); none; or"
+        " PORT[:ID][@BAUD], as /dev/ttyUSB0:5@57600, id 1 and 2000000 baud where left out; default: that of the camera,"
+        " or none.",
         recipe=False,
     )
     seconds: float | None = parameter(

@@ -11,6 +11,8 @@ from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.devices.opening import open_rig
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import EvetacError, InputError
 from tests.conftest import Made
 
@@ -98,6 +100,15 @@ GRIPPERS: dict[str, NamedGripper] = {
     "virtual:lost-answer@1+overload@2": grippers.Virtual(("lost-answer@1", "overload@2")),
     "/dev/ttyUSB0": grippers.Serial("/dev/ttyUSB0", grippers.BAUD),
     "/dev/ttyUSB0@57600": grippers.Serial("/dev/ttyUSB0", 57600),
+    "/dev/ttyUSB0:5": grippers.Serial("/dev/ttyUSB0", grippers.BAUD, 5),
+    "/dev/ttyUSB0:0@1000000": grippers.Serial("/dev/ttyUSB0", 1_000_000, 0),
+    "COM3:252@1e6": grippers.Serial("COM3", 1_000_000, 252),
+    "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0": grippers.Serial(
+        "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0"
+    ),
+    "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0:7@57600": grippers.Serial(
+        "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0", 57600, 7
+    ),
 }
 
 
@@ -109,17 +120,67 @@ def test_grippers(text: str) -> None:
 
 
 def test_a_port_is_written_with_its_rate() -> None:
-    """Assert that a gripper at a port says where it is and how fast, and that other grippers have no port."""
+    """Assert that a gripper at a port says where it is, which and how fast, so that it can be read again."""
+    assert str(GRIPPERS["/dev/ttyUSB0:5"]) == "/dev/ttyUSB0:5@2000000"
+    for gripper in GRIPPERS.values():
+        if isinstance(gripper, grippers.Serial):
+            assert grippers.parse(str(gripper)) == grippers.parse(gripper.shortest) == gripper
+    shortest = [each.shortest for each in GRIPPERS.values() if isinstance(each, grippers.Serial)]
+    assert shortest[:4] == ["/dev/ttyUSB0", "/dev/ttyUSB0@57600", "/dev/ttyUSB0:5", "/dev/ttyUSB0:0@1000000"]
     assert str(GRIPPERS["/dev/ttyUSB0@57600"]) == "/dev/ttyUSB0@57600"
     assert (GRIPPERS["/dev/ttyUSB0@57600"].port, GRIPPERS["/dev/ttyUSB0@57600"].baud) == ("/dev/ttyUSB0", 57600)
     assert (GRIPPERS["sim"].port, GRIPPERS["sim"].baud) == ("", grippers.BAUD)
 
 
-@pytest.mark.parametrize("text", ["", "grip", "/dev/ttyUSB0@fast", "/dev/ttyUSB0@0", "sim2", "virtual:dead@1"])
+@pytest.mark.parametrize("text", ["", "grip", "sim2", "virtual:dead@1"])
 def test_no_such_gripper(text: str) -> None:
     """Assert that other names are refused."""
     with pytest.raises(InputError):
         grippers.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        *((f"/dev/ttyUSB0@{rate}", "9600, 57600, 115200") for rate in ("fast", "0", "", "57600.5", "12345", "4500000")),
+        *((f"/dev/ttyUSB0@{rate}", "9600, 57600, 115200") for rate in ("nan", "inf", "-57600", "1e99")),
+        *((f"/dev/ttyUSB0:{id_}", "0 to 252") for id_ in ("253", "254", "99999", "", "five", "5x", "-1")),
+        *((f"/dev/ttyUSB0:{id_}@57600", "0 to 252") for id_ in ("253", "", "x")),
+        ("/dev/ttyUSB0@57600:5", "PORT:ID@BAUD"),
+    ],
+)
+def test_no_such_id_or_rate(text: str, expected: str) -> None:
+    """Assert that an id or a rate that no gripper can have is refused with those that there are."""
+    with pytest.raises(InputError, match="--gripper") as refused:
+        grippers.parse(text)
+    assert expected in str(refused.value)
+
+
+def test_settings_of_a_named_gripper() -> None:
+    """Assert that the driver is set up for the id and the watchdog that were named, and a virtual one gets time."""
+    named = grippers.parse("/dev/ttyUSB0:7")
+    assert named.settings() == RhP12RnSettings(id=7)
+    assert named.settings(watchdog_ms=60, max_current_ma=9) == RhP12RnSettings(id=7, watchdog_ms=60, max_current_ma=9)
+    assert replace(named, watchdog_ms=40).settings() == RhP12RnSettings(id=7, watchdog_ms=40)
+    virtual = grippers.parse("virtual")
+    assert virtual.settings().id == 1
+    assert (
+        virtual.settings(watchdog_ms=60).watchdog_ms == replace(virtual, watchdog_ms=60).settings().watchdog_ms == 300
+    )
+    assert virtual.settings().answer_ms == virtual.settings(answer_ms=5.0).answer_ms == grippers.VIRTUAL_ANSWER_MS
+
+
+@pytest.mark.parametrize("id_", [0, 5, 252])
+def test_a_gripper_of_any_id_is_opened_and_described_by_it(id_: int) -> None:
+    """Assert that what is named is what is spoken to, and that the header says so."""
+    with VirtualGripper(registers={"ID": id_}) as servo:
+        named = replace(grippers.parse(f"{servo.port}:{id_}"), watchdog_ms=500)
+        driver, setup = named.open("current", named.port)
+        assert driver is not None
+        driver.write_current(3)
+        assert servo.read_register("Goal Current") == 3
+        driver.close()
+    assert (setup["name"], setup["id"], setup["baud"]) == ("port", id_, 2_000_000)
 
 
 def test_gripper_follows_the_camera() -> None:

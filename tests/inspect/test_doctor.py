@@ -15,12 +15,14 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.devices import grippers
 from evetac_cli.devices.probe import Host
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
+from evetac_cli.errors import DeviceTimeout
 from evetac_cli.inspect import doctor
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.inspection import Doctor
@@ -275,6 +277,40 @@ def test_a_gripper_as_it_comes_from_the_factory(machine: Made, plugged: Any) -> 
         ]
 
 
+@pytest.mark.parametrize(("id_", "baud"), [(5, 57_600), (0, 2_000_000), (1, 1_000_000), (1, 2_000_000)])
+def test_the_flag_that_doctor_names_reaches_the_gripper(machine: Made, plugged: Any, id_: int, baud: int) -> None:
+    """Assert that a gripper of any id and rate is found, and opened by the very text that doctor prints."""
+    port, gripper = plugged(registers=GOOD | {"ID": id_}, baud=baud)
+    host = dataclasses.replace(machine, rates=(57_600, 1_000_000, 2_000_000))
+    flag = rows_of_device(doctor.run(Doctor(), host), f"gripper {id_} at {port}")["flag"]["found"]
+    assert flag.startswith("--gripper ")
+    named = grippers.parse(flag.removeprefix("--gripper "))
+    assert (named.id, named.baud) == (id_, baud)
+    with Bus(named.port, named.baud, named.id, answer_ms=PATIENCE_MS) as bus:
+        assert bus.ping() == 35074
+    assert len(flag) == len(f"--gripper {port}") + 2 * (id_ != 1) + (1 + len(str(baud))) * (baud != 2_000_000)
+
+
+def test_no_answer_leads_to_the_gripper_in_two_steps(machine: Made, plugged: Any) -> None:
+    """Assert that who names the wrong id is sent to doctor, and by doctor to the right flag."""
+    port, gripper = plugged(registers=GOOD | {"ID": 5})
+    with pytest.raises(DeviceTimeout, match="no answer to: ping") as lost, Bus(str(port), 2_000_000, 1) as bus:
+        bus.ping()
+    assert f"evetac doctor --gripper {port}" in str(lost.value)
+    rows = rows_of_device(doctor.run(Doctor(gripper=str(port)), machine), "gripper 5")
+    assert rows["flag"]["found"] == f"--gripper {port}:5"
+
+
+@pytest.mark.parametrize("asked", [":7", ":7@2000000", ":0"])
+def test_an_id_that_does_not_answer(machine: Made, plugged: Any, asked: str) -> None:
+    """Assert that a gripper that was named by an id that is not there is missed, with those that are."""
+    port, _ = plugged(registers=GOOD | {"ID": 5})
+    result = doctor.run(Doctor(gripper=f"{port}{asked}"), dataclasses.replace(machine, answer_ms=50.0))
+    row = wrong(result)["id"]
+    assert row["found"] == "gripper 5 answers" and f"gripper {asked[1]}" in row["expected"]
+    assert f"--gripper {port}:5" in row["fix"]
+
+
 @pytest.mark.parametrize(
     ("registers", "check", "words"),
     [
@@ -309,7 +345,9 @@ def test_an_adapter_without_a_gripper(machine: Made, plugged: Any) -> None:
 def test_other_adapters_are_left_alone(machine: Made) -> None:
     """Assert that doctor sends nothing to what is no FTDI adapter, unless it is named."""
     port = adapter(machine, vendor="2341", name="ttyACM0")
-    assert rows_of_device(doctor.run(Doctor(), machine), "port") == {}
+    (row,) = rows_of_device(doctor.run(Doctor(), machine), f"port {port}").values()
+    assert (row["ok"], row["found"]) == (None, "not asked: no FTDI adapter")
+    assert row["fix"] == f"evetac doctor --gripper {port}"
     assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["exists"]
 
 

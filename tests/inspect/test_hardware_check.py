@@ -29,7 +29,7 @@ def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Answers are waited for, and silence lasts no longer than it has to."""
     monkeypatch.setattr(grippers, "VIRTUAL_ANSWER_MS", SLOW.answer_ms)
     monkeypatch.setattr(hardware_check, "SILENCE", 2)
-    monkeypatch.setattr(grippers.Serial, "default_settings", lambda self: grippers.Virtual().default_settings())
+    monkeypatch.setattr(grippers.Serial, "settings", lambda self: grippers.Virtual().settings())
 
 
 def tried(folder: Path, gripper: str, ask: Any = None, **flags: Any) -> tuple[Outcome, dict[str, Any]]:

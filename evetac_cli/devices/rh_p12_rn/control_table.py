@@ -35,6 +35,9 @@ BAUD_RATES = {  # values of Baud Rate
     9: 10_500_000,
 }
 
+SDK_RATES = tuple(rate for rate in BAUD_RATES.values() if rate <= 4_000_000)  # that the maker's dynamixel-sdk can set
+LAST_ID = 252
+
 HARDWARE_ERRORS = ("input voltage", "hall sensor", "overheating", "encoder", "electrical shock", "overload")  # bits 0-5
 
 
@@ -84,7 +87,7 @@ _EEPROM = (
     _read_only("Model Number", 0, 2, MODEL_NUMBER),
     _read_only("Model Information", 2, 4),
     _read_only("Firmware Version", 6, 1, 14),
-    Register("ID", 7, 1, 1, 0, 252),
+    Register("ID", 7, 1, 1, 0, LAST_ID),
     Register("Baud Rate", 8, 1, 1, 0, 9),
     Register("Return Delay Time", 9, 1, 250, 0, 254, "2 us"),
     Register("Operating Mode", 11, 1, POSITION_MODE, only=(CURRENT_MODE, POSITION_MODE)),

@@ -35,6 +35,7 @@ from evetac_cli import console
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
+    LAST_ID,
     POSITION_MODE,
     RETURN_DELAY_US,
     WATCHDOG_MS,
@@ -74,7 +75,7 @@ class RhP12RnSettings:
         watchdog = range(WATCHDOG_MS, 127 * WATCHDOG_MS + 1, WATCHDOG_MS)
         delay = range(0, 254 * RETURN_DELAY_US + 1, RETURN_DELAY_US)
         for name, valid, expected in (
-            ("id", 0 <= self.id <= 252, "0 to 252"),
+            ("id", 0 <= self.id <= LAST_ID, f"0 to {LAST_ID}"),
             ("p_gain", 0 <= self.p_gain <= 32767, "0 to 32767"),
             ("max_current_ma", self.max_current_ma is None or self.max_current_ma > 0, "more than 0"),
             ("last_tick", self.first_tick < self.last_tick, f"more than first_tick {self.first_tick}"),

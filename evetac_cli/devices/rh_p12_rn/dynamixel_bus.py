@@ -28,7 +28,7 @@ from dynamixel_sdk import (
     Protocol2PacketHandler,
 )
 
-from evetac_cli.devices.rh_p12_rn.control_table import BAUD_RATES, REGISTERS, hardware_errors
+from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS, SDK_RATES, hardware_errors
 from evetac_cli.errors import DeviceError, DeviceTimeout
 
 ANSWER_MS = 20.0  # beyond the time on the wire; a serial adapter at its usual latency timer answers after 16 ms
@@ -37,7 +37,6 @@ WARY_S = 2.0  # after a lost answer
 FOLLOWS_S = 1e-3  # an answer follows its question within this, and the time on the wire
 LONGEST_ANSWER = 40  # bytes, with its question
 PAUSE_S = 100e-6  # servos miss what follows too closely on an instruction without answer
-SDK_RATES = tuple(rate for rate in BAUD_RATES.values() if rate <= 4_000_000)
 _FAULTS = {
     1: "could not carry it out",
     2: "does not know the instruction",
@@ -241,7 +240,7 @@ class Bus(AbstractContextManager["Bus"]):
             f"no answer to: {what}",
             where=self._where,
             expected="an answer at the first or second try",
-            hint="are 24 V on, id and baud rate right? evetac doctor looks for it",
+            hint=f"are 24 V on? evetac doctor --gripper {self.port} says which id and rate answer",
         )
 
     def _once(self, instruction: int, parameters: bytes) -> tuple[list[int], int, int]:
@@ -278,7 +277,7 @@ class Bus(AbstractContextManager["Bus"]):
             "the port is gone: unplugged?",
             where=self._where,
             found=str(error) or type(error).__name__,
-            hint="plug it in again; evetac doctor looks for it",
+            hint=f"plug it in again, and ask evetac doctor --gripper {self.port}",
         )
 
 
@@ -286,7 +285,7 @@ def _not_opened(where: str, error: BaseException) -> DeviceError:
     """The DeviceError for a port that cannot be opened: missing, not permitted, in use."""
     number = getattr(error, "errno", None)
     if number == 2 or "No such file" in str(error):
-        return DeviceError("there is no such port", where=where, hint="evetac doctor lists what is plugged in")
+        return DeviceError("there is no such port", where=where, hint="evetac doctor lists the serial ports")
     if number == 13:
         hint = "sudo usermod -aG dialout $USER, then log in again; or evetac doctor --print-udev"
         return DeviceError("no permission to open the port", where=where, hint=hint)

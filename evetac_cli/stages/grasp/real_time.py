@@ -88,13 +88,12 @@ def jobs(
 
 def gripper_settings(params: Grasp, gripper: NamedGripper) -> RhP12RnSettings:
     """How the gripper is set up: an answer is waited for so long that two tries fit into the watchdog's time."""
-    asked = RhP12RnSettings(
+    return gripper.settings(
         max_current_ma=params.max_current_ma,
         watchdog_ms=params.watchdog_ms,
         answer_ms=min(ANSWER_MS, params.watchdog_ms / 3),
         last_tick=LAST_TICK,
     )
-    return gripper.patient(asked)
 
 
 def check(trial: DeviceTrial, params: Grasp, *, force: bool) -> None:
