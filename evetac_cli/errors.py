@@ -12,6 +12,7 @@ Kernels raise ValueError; the stage that calls them knows where the value came f
 Where files were made all the same, an error or Ctrl-C takes along what came of them: `attach_outcome`.
 """
 
+import signal
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -42,6 +43,18 @@ def shortened(text: str) -> str:
         return text
     end = MOST_CHARACTERS // 4
     return f"{text[: MOST_CHARACTERS - end]} [...] {text[-end:]}"
+
+
+def exit_code_words(code: int | None, said: str = "") -> str:
+    """How a process ended, in words; "" if it still runs. code: as of multiprocessing; said: its own last words."""
+    if code is None:
+        return ""
+    if code >= 0:
+        return f"exit code {code}: {said}" if said else f"exit code {code}{', without a word' if code == 0 else ''}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
 
 
 class EvetacError(Exception):

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from evetac_cli import console
 from evetac_cli.cli import compiling
-from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome
+from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome, exit_code_words
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 
 if TYPE_CHECKING:  # `evetac --help` loads none of it
@@ -202,11 +202,12 @@ class _Worker:
             return self.pipe.recv()
         except (EOFError, OSError):
             self.process.join()
+            killed = self.process.exitcode == -signal.SIGKILL  # which is how a system takes memory back
             return EvetacError(
                 "the process that worked on it died",
                 where=str(self.job.output),
-                found=f"killed by signal {-(self.process.exitcode or 0)}" if (self.process.exitcode or 0) < 0 else "",
-                hint="out of memory? use fewer --jobs",
+                found=exit_code_words(self.process.exitcode),
+                hint="out of memory? use fewer --jobs" if killed else "run it again; with --jobs 1 it says more",
             )
 
     def interrupt(self) -> None:

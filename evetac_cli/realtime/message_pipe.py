@@ -22,6 +22,21 @@ _READ_BYTES = 1 << 16
 _PAUSE_S = 1e-3
 
 
+class PeerGone(BrokenPipeError):
+    """The process at the other end of a pipe of ours is gone: not what a camera or a file raises by the same name."""
+
+
+def take_order(orders: Connection, timeout_s: float = 0.0) -> bool:
+    """Whether an order has come in this time, which is taken; PeerGone if nobody gives orders any more."""
+    if not orders.poll(timeout_s):
+        return False
+    try:
+        orders.recv()
+    except (EOFError, OSError):
+        raise PeerGone("whoever gives orders is gone") from None
+    return True
+
+
 class MessageWriter:
     """The writing end; takes messages at any time and sends them when there is room."""
 
@@ -52,13 +67,15 @@ class MessageWriter:
         return True
 
     def send(self) -> None:
-        """Send as much as there is room for; BrokenPipeError if there is no reader any more."""
+        """Send as much as there is room for; PeerGone if there is no reader any more."""
         while self._waiting:
             first = self._waiting[0]
             try:
                 sent = os.write(self._pipe.fileno(), first)
             except BlockingIOError:
                 return
+            except BrokenPipeError:
+                raise PeerGone("whoever reads is gone") from None
             self.waiting_bytes -= sent
             if sent < len(first):
                 self._waiting[0] = first[sent:]

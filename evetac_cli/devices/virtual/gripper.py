@@ -11,13 +11,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import Any
 
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
 from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.devices.virtual.servo_plant import Obstacle, SharedPlant
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import DeviceError, exit_code_words
 from evetac_cli.resources import PACKAGE
 
 END_S = 5.0
@@ -114,7 +114,13 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise DeviceError("the virtual gripper's process has ended", hint="its last messages are on stderr")
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_S)
+            how = exit_code_words(self._process.returncode)
+            raise DeviceError(
+                f"the process of the virtual gripper died{f' ({how})' if how else ''}",
+                hint="its last messages, if any, are above",
+            )
         return json.loads(line)
 
 

@@ -29,6 +29,7 @@ import numpy as np
 
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, ignore_interrupts, start_shielded
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
@@ -73,13 +74,17 @@ class VirtualWorld:
         self._asked_s = 0.0
         self._polling = False  # whether the last call had no time to wait, and got words
         self._counters = context.Array("q", 4, lock=False)
+        self._last_words = LastWords()
         self._orders, orders = context.Pipe()
         self._words, words = context.Pipe(duplex=False)
         truths, truth_pipe = context.Pipe(duplex=False) if tells_truth else (None, None)
         self.truths = None if truths is None else MessageReader(truths)
         self._process: BaseProcess | None = context.Process(
-            target=_run_world,
-            args=(dict(plan), seeds, durations, self.patient, self.plant, orders, words, truth_pipe, self._counters),
+            target=telling,
+            args=(
+                *(self._last_words, _run_world, dict(plan), seeds, durations, self.patient),
+                *(self.plant, orders, words, truth_pipe, self._counters),
+            ),
             name="evetac-world",
             daemon=True,
         )
@@ -110,7 +115,7 @@ class VirtualWorld:
         try:
             reply = self._orders.recv()
         except EOFError:
-            raise DeviceError("the process of the virtual world died while it started") from None
+            raise self.died("while it started") from None
         if isinstance(reply, EvetacError):
             raise reply
         if isinstance(reply, str):
@@ -142,7 +147,19 @@ class VirtualWorld:
         try:
             self._orders.send(on)
         except OSError:
-            raise DeviceError("the process of the virtual world died") from None
+            raise self.died() from None
+
+    def died(self, when: str = "") -> DeviceError:
+        """The error for a world whose process is gone; a copy in another process knows its last words at most."""
+        words, process = self._last_words, self._process
+        how = words.read() if process is None else exit_words(process, words)
+        sentence = f"the process of the virtual world died {when}".rstrip()
+        return DeviceError(f"{sentence} ({how})" if how else sentence)
+
+    @property
+    def has_died(self) -> bool:
+        """Whether its process ended before it was closed; unknown, and so False, to a copy in another process."""
+        return self._process is not None and self._process.pid is not None and self._process.exitcode is not None
 
     def take(self, most: int, timeout_s: float) -> bytes:
         """Event words, little-endian, as they come; b"" if none came in time, and none are due from before the call.
@@ -159,7 +176,7 @@ class VirtualWorld:
             if select.select([self._words], [], [], timeout_s)[0]:
                 data = os.read(self._words.fileno(), most)
                 if not data:
-                    raise DeviceError("the process of the virtual world died")
+                    raise self.died()
                 self._polling = polls
                 return data
             timeout_s = SLICE_S
@@ -212,7 +229,7 @@ def _run_world(
             if readable:
                 running_world.run(orders.recv())
             running_world.tick()
-        except (EOFError, OSError):  # the recorder is gone, perhaps without having been asked
+        except (EOFError, BrokenPipeError, ConnectionResetError):  # the recorder is gone, perhaps without being asked
             plant.remove()
             return
 

@@ -30,7 +30,8 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control
-from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.last_words import error_words
+from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
 from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
@@ -45,6 +46,8 @@ FRESH_US = 150.0  # age that a status should have when a step reads it: the dete
 FOLLOWING = 0.02  # of what a step is off, so much is corrected at a time
 MOST_SHIFT_US = 4.0
 FLUSH_S = 5.0
+LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
+DYING_S = 0.5
 FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first slice
 WAITING_S = 0.01
 ORDER_S = 0.1
@@ -196,9 +199,8 @@ def run_controller(
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     gripper: RhP12Rn | None = None
     try:
-        while not orders.poll(ORDER_S):
+        while not take_order(orders, ORDER_S):
             _raise_if_ended(ending)
-        orders.recv()
         scheduling = set_realtime_priority(PRIORITY)
         with RhP12Rn(settings.port, settings.baud, "position", settings.gripper) as gripper:
             setup = {name: value for name, value in gripper.described.items() if name != "eeprom_written"}
@@ -209,18 +211,28 @@ def run_controller(
             gc.disable()  # the loop makes no cycles
             clock, sleep = settings.time.now_s, settings.time.sleep
             result = command_grasp(gripper, shared, settings, outbox, clock, sleep, detector.poll, ending)
-    except (EOFError, BrokenPipeError):  # whoever started this is gone
+    except PeerGone:  # whoever started this; it may have only asked this to end
+        result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
+        _speak_for_recorder(result, died=_has_died(recorder))
         return
     except EvetacError as error:
         result = result._replace(ended=str(error).splitlines()[0], error=error)
-    except Exception as error:  # raised by the process that started this
-        torque = "torque was never on" if gripper is None else gripper.release_words
-        failed = DeviceError(f"the controller failed: {type(error).__name__}: {error}; {torque}")
+    except BaseException as error:  # raised by the process that started this
+        torque = result.torque if gripper is None else gripper.release_words
+        failed = DeviceError(f"the controller failed: {error_words(error)}; {torque}")
         result = result._replace(ended=str(failed), error=failed, torque=torque)
     _speak_for_recorder(result, died=os.getppid() != recorder)
     outbox.put(result)
-    with contextlib.suppress(BrokenPipeError):
-        outbox.flush(FLUSH_S)
+    with contextlib.suppress(PeerGone):
+        outbox.flush(LAST_FLUSH_S)
+
+
+def _has_died(parent: int) -> bool:
+    """Whether the parent is dead, given that its end of a pipe is closed: a dying one closes them a little before."""
+    until_s = time.monotonic() + DYING_S
+    while os.getppid() == parent and time.monotonic() < until_s:
+        time.sleep(WAITING_S)
+    return os.getppid() != parent
 
 
 def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:

@@ -24,7 +24,8 @@ from evetac_cli.devices.cameras import CameraSettings, NamedCamera, RunningCamer
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.last_words import error_words
+from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
 from evetac_cli.realtime.processes import (
     NICE,
     ignore_interrupts,
@@ -43,6 +44,7 @@ FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluat
 WARM_UP_SLICES = 30  # of noise, before the camera runs
 WARM_UP_EVENTS = 3000  # in each
 FLUSH_S = 5.0
+LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
 ORDER_S = 0.1
 SWITCH_S = 2e-4  # the threads that read and decode take turns so often
 
@@ -152,7 +154,8 @@ def run_detector(
         sys.setswitchinterval(SWITCH_S)
         outbox.put("ready")
         outbox.flush(FLUSH_S)
-        _wait_for_order(orders, ending)
+        while not take_order(orders, ORDER_S):
+            _raise_if_ended(ending)
         gc.collect()  # which takes long, and once the camera runs its slices wait
         scheduling = set_niceness(NICE)  # before the camera's thread, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
@@ -160,36 +163,21 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)
-        detect(camera, detector, status, outbox, settings.slices, ending, lambda: _ordered(orders))
-    except (EOFError, BrokenPipeError):  # whoever started this is gone
+        detect(camera, detector, status, outbox, settings.slices, ending, lambda: take_order(orders))
+    except PeerGone:  # whoever started this
         return
     except EvetacError as failed:
         error = failed
-    except Exception as failed:  # raised by the process that started this
-        error = DeviceError(f"the detector failed: {type(failed).__name__}: {failed}")
+    except BaseException as failed:  # raised by the process that started this
+        error = DeviceError(f"the detector failed: {error_words(failed)}")
     finally:
         if camera is not None:
             with contextlib.suppress(DeviceError):  # it may have failed already
                 camera.close()
     outbox.put(DetectorEnded(dict(camera.counted) if camera is not None else {}, error))
-    with contextlib.suppress(BrokenPipeError):
-        outbox.flush(FLUSH_S)
+    with contextlib.suppress(PeerGone):
+        outbox.flush(LAST_FLUSH_S)
     alive.close()
-
-
-def _wait_for_order(orders: Connection, ending: Sequence[int]) -> None:
-    """Wait for the next order; DeviceError if a signal comes before it, that ends this process."""
-    while not orders.poll(ORDER_S):
-        _raise_if_ended(ending)
-    orders.recv()
-
-
-def _ordered(orders: Connection) -> bool:
-    """Whether the next order has come, which is taken."""
-    has_come = orders.poll()
-    if has_come:
-        orders.recv()
-    return has_come
 
 
 def _raise_if_ended(ending: Sequence[int]) -> None:

@@ -23,6 +23,7 @@ from evetac_cli.devices.rh_p12_rn.torque import release
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.realtime.emergency_key import EmergencyKey
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import start_shielded
 from evetac_cli.realtime.shared_status import SharedStatus
@@ -47,7 +48,6 @@ LAST_S = 0.5  # for the one to end by itself, once the other has ended
 END_S = 3.0
 POLL_S = 0.05
 ALIVE_S = 0.005  # the loop that records gives a sign of life as often as this
-ALIVE = "it is still running"
 FELL = "the object fell"
 _T = TypeVar("_T")
 
@@ -75,14 +75,21 @@ class GraspProcesses:
         steps, steps_end = context.Pipe(duplex=False)
         detector_end, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
         self.slices, self.steps = MessageReader(slices), MessageReader(steps)
+        self._words = LastWords(), LastWords()
         self.detector = context.Process(
-            target=detector_process.run_detector,
-            args=(detector, self.status, world, theirs[0], slices_end, alive),
+            target=telling,
+            args=(
+                *(self._words[0], detector_process.run_detector),
+                *(detector, self.status, world, theirs[0], slices_end, alive),
+            ),
             name="evetac-detector",
         )
         self.controller = context.Process(
-            target=controller_process.run_controller,
-            args=(controller, self.status, theirs[1], steps_end, detector_end),
+            target=telling,
+            args=(
+                *(self._words[1], controller_process.run_controller),
+                *(controller, self.status, theirs[1], steps_end, detector_end),
+            ),
             name="evetac-controller",
         )
         for process in (self.detector, self.controller):
@@ -149,10 +156,14 @@ class GraspProcesses:
                     raise message.error
             if inbox.ended:
                 torque = f"; {self.switch_off()}" if process is self.controller else ""
-                raise DeviceError(f"{process.name} died while it started{torque}", found=exit_words(process))
+                raise DeviceError(f"{process.name} died while it started{torque}", found=self.exit_words(process))
         if signals:
             raise KeyboardInterrupt("interrupted: nothing was recorded")
         raise DeviceError(f"{process.name} did not come up", expected=f"within {most_s:g} s")
+
+    def exit_words(self, process: Any) -> str:
+        """How one of the two ended, in words; "" if it has not within a second."""
+        return exit_words(process, self._words[process is self.controller])
 
     def close(self) -> None:
         """End both; torque is off afterwards, or the servo's watchdog sees to it. Signals wait until then."""
@@ -173,13 +184,6 @@ class GraspProcesses:
         """What torque is once both were closed; for whoever broke off recording."""
         ended = [message for message in self.steps.take() if isinstance(message, ControllerEnded)]
         return ended[-1].torque if ended else self.switch_off()
-
-
-def exit_words(process: Any) -> str:
-    """How a process ended, in words; ALIVE if it has not within a second."""
-    process.join(1.0)
-    code = process.exitcode
-    return ALIVE if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"
 
 
 @dataclass
@@ -289,18 +293,24 @@ class RecordedGrasp:
             return True
         return bool(self.ended) and self.ended != OPENED  # then the controller ends by itself
 
-    def conclude(self, processes: GraspProcesses) -> None:
-        """Find out why it ended, from what both said at their end, or from that they said nothing."""
+    def conclude(self, processes: GraspProcesses, world: "VirtualWorld | None" = None) -> None:
+        """Find out why it ended, from what both said at their end, or from that they said nothing.
+
+        world: the virtual one, if there is one: the detector sees that it is gone, and does not know why.
+        """
         detector, controller = self.detector, self.controller
         if controller is not None:
             self.torque = controller.torque
         if controller is None:
-            why = self.controller_hung or f"the controller died ({exit_words(processes.controller)})"
-            self.error = DeviceError(f"{why}; {self.torque}")
-        elif detector is None and (exit_ := exit_words(processes.detector)) != ALIVE:
+            exit_ = processes.exit_words(processes.controller)
+            died = f"the controller died ({exit_})" if exit_ else "the controller does not end"
+            self.error = DeviceError(f"{self.controller_hung or died}; {self.torque}")
+        elif detector is None and (exit_ := processes.exit_words(processes.detector)):
             self.error = DeviceError(f"the detector died ({exit_}); {self.torque}")
         else:
             self.error = (detector and detector.error) or controller.error
+            if world is not None and world.has_died:
+                self.error = world.died()
             if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
                 self.error.message += f"; {self.torque}"
         opened = controller is not None and self.ended == OPENED == controller.ended
@@ -390,5 +400,5 @@ def record(
         for message in truths.take():
             recorded.take_truth(message)
             until_s = time.monotonic() + END_S
-    recorded.conclude(processes)
+    recorded.conclude(processes, world)
     return recorded

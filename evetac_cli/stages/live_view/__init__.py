@@ -21,6 +21,7 @@ from evetac_cli import console
 from evetac_cli.devices import losses
 from evetac_cli.errors import DeviceError, InputError, install_hint
 from evetac_cli.events import Events
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, start_shielded
@@ -52,10 +53,12 @@ class LiveView:
         self._said: list[str] = []
         self._lost: tuple[str, str] | None = None
         self._missed = 0
-        self._has_ended = False
+        self._has_ended = self._has_told = False
+        self._moves = title.moves
+        self._last_words = LastWords()
         self._process = context.Process(
-            target=run_view,
-            args=(where, title, self._shared, open_detector, inbox, ready_end),
+            target=telling,
+            args=(self._last_words, run_view, where, title, self._shared, open_detector, inbox, ready_end),
             name="evetac-live-view",
             daemon=True,
         )
@@ -66,7 +69,8 @@ class LiveView:
             self._wait_for(ready)
             self.url = str(ready.recv())
         except EOFError:
-            raise DeviceError("the live view died while it started", hint="leave out --live") from None
+            how = exit_words(self._process, self._last_words)
+            raise DeviceError(f"the live view died while it started ({how})", hint="leave out --live") from None
         except BaseException:
             self._process.kill()
             raise
@@ -108,7 +112,8 @@ class LiveView:
         )
 
     def lost(self, counts: Mapping[str, int]) -> None:
-        """Show what devices lost so far, by DEVICE.REASON."""
+        """Show what devices lost so far, by DEVICE.REASON; asked every so often, it says too that the view died."""
+        self._tell_death()
         lost = losses.events_lost(counts)
         now = (lost if isinstance(lost, str) else f"{lost:,}", losses.reasons(counts) or "")
         if now != self._lost:
@@ -132,6 +137,7 @@ class LiveView:
         """Say why there will be no more slices, and end the process; a second call does nothing."""
         if self._has_ended:
             return
+        self._tell_death()
         self._has_ended = True
         self._send(Ended(why))
         with suppress(BrokenPipeError):
@@ -142,6 +148,15 @@ class LiveView:
             self._process.join()
         for text in self._said:
             console.say(text)
+
+    def _tell_death(self) -> None:
+        """Say once that the view is gone, why, and what that means for its button."""
+        if self._has_told or self._has_ended or self._process.exitcode is None:
+            return
+        self._has_told = True
+        how = exit_words(self._process, self._last_words)
+        button = ", and its button with it: Ctrl-C lets go" if self._moves else ""
+        console.say(f"the live view died ({how}){button}; the recording goes on")
 
     def _send(self, message: Any) -> None:
         with suppress(BrokenPipeError):  # the view has gone, which ends no recording

@@ -217,16 +217,37 @@ def test_close_ends_the_process(made: Made) -> None:
     assert not world.plant.path.exists()
 
 
+class Bomb:
+    """What nobody can be given: it fails where it is taken."""
+
+    def __reduce__(self) -> Any:
+        return int, ("gel",)
+
+
+DEATHS: dict[str, tuple[Callable[[VirtualWorld], None], str]] = {
+    "killed": (lambda world: world._process.kill(), r"\(SIGKILL\)"),
+    "a defect": (lambda world: world._orders.send(Bomb()), r"\(exit code 1: ValueError: .*'gel', in .*, line \d+\)"),
+}
+
+
 @pytest.mark.slow
-def test_death_of_the_world_is_an_error(made: Made) -> None:
-    """Assert that a world that died is an error, and not waited for."""
+@pytest.mark.parametrize("how", DEATHS)
+def test_death_of_the_world_is_an_error(how: str, made: Made) -> None:
+    """Assert that a world that died is an error with its reason, and not waited for; a copy knows its last words."""
     world = VirtualWorld(short_plan(made), seeds())
-    world._process.kill()
+    assert not world.has_died
+    die, why = DEATHS[how]
+    die(world)
     world._process.join()
-    with pytest.raises(DeviceError, match="died"):
+    assert world.has_died
+    with pytest.raises(DeviceError, match=f"the process of the virtual world died {why}"):
         world.take(4096, 0.1)
-    with pytest.raises(DeviceError, match="died"):
+    with pytest.raises(DeviceError, match=f"died {why}"):
         for _ in range(2):
             world.run(True)
             time.sleep(0.05)
+    world._process, process = None, world._process
+    assert ("ValueError" in str(world.died())) == (how == "a defect")
+    assert not world.has_died
+    world._process = process
     world.close()

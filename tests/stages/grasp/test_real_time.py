@@ -261,8 +261,8 @@ def test_m2_a_dead_controller_leaves_a_file_and_words(
     """Assert that a controller that died without a word ends in words of torque, and a file without its figures."""
 
     def dies(processes: Any, world: Any, writer: RecordingWriter, *more: Any) -> RecordedGrasp:
-        died = DeviceError("the controller died (signal 9); torque is off (read back)")
-        recorded = some(writer, "the controller died (signal 9)", died)
+        died = DeviceError("the controller died (SIGKILL); torque is off (read back)")
+        recorded = some(writer, "the controller died (SIGKILL)", died)
         recorded.controller = None
         return recorded
 

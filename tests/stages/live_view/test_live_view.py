@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import empty
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp, live_view, record
+from evetac_cli.stages.live_view.messages import Title
 from evetac_cli.store.files import StageFile
 
 pytest.importorskip("tornado")
@@ -219,8 +220,29 @@ def test_a_recording_goes_on_without_its_view(tmp_path: Path) -> None:
         os.kill(view, signal.SIGKILL)
         code, said = page.end()
     assert code == 0, said
+    assert said.count("the live view died (SIGKILL); the recording goes on") == 1
     with StageFile(tmp_path / "a.recording.h5", "recording") as file:
         assert file.length("ms_to_idx") == 4001
+
+
+class Bomb:
+    """A detector's opener that nobody can be given: it fails where it is taken."""
+
+    def __init__(self, fails_when_taken: bool) -> None:
+        self._fails_when_taken = fails_when_taken
+
+    def __reduce__(self) -> Any:
+        return (int, ("gel",)) if self._fails_when_taken else (Bomb, (True,))
+
+
+@pytest.mark.slow
+def test_a_view_that_does_not_come_up_says_why() -> None:
+    """Assert that its death while it starts is told with what is known of it."""
+    title = Title("record a", simulated=True, moves=False)
+    with pytest.raises(DeviceError, match=r"the live view died while it started \(exit code 1"):
+        live_view.LiveView("terminal", title, Bomb(True))  # type: ignore[arg-type]
+    with pytest.raises(DeviceError, match=r"died while it started \(exit code 1: TypeError: .*, in samples.py, line"):
+        live_view.LiveView("terminal", title, 3)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

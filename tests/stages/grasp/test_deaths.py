@@ -1,0 +1,181 @@
+"""A process of a grasp that ends before its time says why: no death is told as "exit code 0"."""
+
+import multiprocessing
+import os
+import signal
+import time
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import nan
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.devices.cameras import NamedCamera, OpenedCamera
+from evetac_cli.errors import DeviceError
+from evetac_cli.events import Events, empty
+from evetac_cli.realtime.last_words import LastWords, telling
+from evetac_cli.realtime.message_pipe import MessageReader
+from evetac_cli.realtime.shared_status import SharedStatus
+from evetac_cli.stages.grasp.controller_process import ControllerEnded
+from evetac_cli.stages.grasp.detector_process import DetectorEnded, DetectorSettings, run_detector
+from evetac_cli.stages.grasp.recorder import RecordedGrasp
+
+GOOD_SLICES = 20
+PATIENCE_S = 60.0
+
+
+class Camera:
+    """Empty slices, and then what a test wants."""
+
+    sensor: dict[str, Any] = {}
+    counted = {"late_events": 3}
+
+    def __init__(self, then: Callable[[], None]) -> None:
+        self._then, self._slices = then, 0
+
+    def read(self) -> Events | None:
+        self._slices += 1
+        if self._slices > GOOD_SLICES:
+            self._then()
+        return empty()
+
+    def now_us(self) -> int:
+        return 1000 * self._slices
+
+    def close(self) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Failing(NamedCamera):
+    """A camera that fails when it is opened, or later; a process of its own can be given it."""
+
+    name = "failing"
+    fault: str = ""
+    opens: bool = True
+
+    def open(self, *_: Any) -> OpenedCamera:
+        if not self.opens:
+            FAULTS[self.fault]()
+        return OpenedCamera(Camera(FAULTS[self.fault]), {})
+
+
+def raises(error: BaseException) -> Callable[[], None]:
+    def fail() -> None:
+        raise error
+
+    return fail
+
+
+class Local(Exception):
+    """An error that another process cannot be given."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+FAULTS: dict[str, Callable[[], None]] = {
+    "EOFError": raises(EOFError()),
+    "BrokenPipeError": raises(BrokenPipeError(32, "Broken pipe")),
+    "ConnectionResetError": raises(ConnectionResetError(104, "Connection reset by peer")),
+    "SystemExit: 0": raises(SystemExit(0)),
+    "MemoryError": raises(MemoryError()),
+    "Local: 1 and 2": raises(Local(1, 2)),
+    "the process of the virtual world died": raises(DeviceError("the process of the virtual world died")),
+    "KeyError: 'gel'": lambda: {}["gel"],
+}
+
+
+def started(fault: str, *, opens: bool = True) -> tuple[Any, MessageReader, list[Any]]:
+    """The detector's process with a failing camera, told to begin and to go on; what it sends, what must stay open."""
+    context = multiprocessing.get_context("spawn")
+    theirs, orders = context.Pipe(duplex=False)
+    slices, slices_end = context.Pipe(duplex=False)
+    ended, alive = context.Pipe(duplex=False)
+    seeds = np.random.SeedSequence(0)
+    settings = DetectorSettings(Failing(fault=fault, opens=opens), seeds, {}, None, "stable", 0.5, 10_000)
+    words = LastWords()
+    arguments = (words, run_detector, settings, SharedStatus(), None, theirs, slices_end, alive)
+    process = context.Process(target=telling, args=arguments, daemon=True)
+    process.start()
+    for end in (theirs, slices_end, alive):
+        end.close()
+    for order in ("begin", "go"):
+        orders.send(order)
+    return process, MessageReader(slices), [orders, ended, words]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("opens", [True, False], ids=["reading", "opening"])
+def test_the_detector_says_what_ended_it(fault: str, opens: bool) -> None:
+    """Assert that whatever its camera raises, the ends of pipes and of programs too, comes as an error in words."""
+    process, inbox, kept = started(fault, opens=opens)
+    messages: list[Any] = []
+    until_s = time.monotonic() + PATIENCE_S
+    while not inbox.ended and time.monotonic() < until_s:
+        messages += inbox.take()
+        time.sleep(0.01)
+    process.join(PATIENCE_S)
+    (ended,) = [message for message in messages if isinstance(message, DetectorEnded)]
+    assert isinstance(ended.error, DeviceError)
+    assert fault in str(ended.error)
+    assert ended.counted == ({"late_events": 3} if opens else {})
+    assert process.exitcode == 0
+    assert len(kept) == 3
+
+
+def test_a_detector_whose_recorder_is_gone_ends_quietly() -> None:
+    """Assert that it neither waits nor complains where nobody is left to read it."""
+    process, inbox, kept = started("EOFError")
+    inbox._pipe.close()
+    kept[0].close()
+    process.join(PATIENCE_S)
+    assert process.exitcode == 0
+    assert kept[2].read() == ""
+
+
+# What the recorder says of one that ended
+
+
+def dies(what: str) -> None:
+    if what == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "exit":
+        os._exit(0)
+    raise RuntimeError("the pipe could not be written")
+
+
+DEATHS = {
+    "kill": r"\(SIGKILL\)",
+    "exit": r"\(exit code 0, without a word\)",
+    "raise": r"\(exit code 1: RuntimeError: the pipe could not be written, in test_deaths.py, line \d+\)",
+}
+
+
+@pytest.mark.parametrize("how", DEATHS)
+@pytest.mark.parametrize("part", ["detector", "controller"])
+def test_the_recorder_tells_a_death_with_its_reason(part: str, how: str) -> None:
+    """Assert that signal, exit code and last error stand behind `died`, for both processes."""
+    words = LastWords()
+    process = multiprocessing.get_context("spawn").Process(target=telling, args=(words, dies, how))
+    process.start()
+    process.join(PATIENCE_S)
+    recorded = RecordedGrasp(1000, torque="torque is off (read back)")
+    ended = ControllerEnded("stopped", None, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off (read back)")
+    recorded.controller = ended if part == "detector" else None
+    exits = lambda which: words_of(process, words) if which is process else ""  # noqa: E731
+    processes = SimpleNamespace(detector=process, controller=process, exit_words=exits)
+    recorded.conclude(processes)  # type: ignore[arg-type]  # only what is asked of them here
+    with pytest.raises(DeviceError, match=f"the {part} died {DEATHS[how]}; torque is off"):
+        raise recorded.error or AssertionError
+    assert recorded.ended.startswith(f"the {part} died (")
+
+
+def words_of(process: Any, words: LastWords) -> str:
+    from evetac_cli.realtime.last_words import exit_words
+
+    return exit_words(process, words)
