@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from evetac_cli.devices import Clock, EventCamera
-from evetac_cli.devices.naming import no_such_device, parse_number
+from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, no_such_device, options, parse_number
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.events import FRAME_PX
@@ -141,18 +141,22 @@ class Virtual(NamedCamera):
     firmware: int = FIRMWARE
 
     @classmethod
-    def parse(cls, options: str) -> "Virtual":
+    def parse(cls, text: str) -> "Virtual":
         """Understand `prepared[=EVENTS_S]`, `firmware=NUMBER` and faults, joined by +; InputError for any other."""
-        name = f"{cls.name}:{options}" if options else cls.name
-        given = list(filter(None, options.split("+")))
-        numbers = {key: option for option in given if (key := option.partition("=")[0]) in ("prepared", "firmware")}
-        faults = tuple(option for option in given if option not in numbers.values())
-        for each in faults:
-            camera_fault(each)
-        prepared, firmware = (numbers.get(key, "").partition("=")[2] for key in ("prepared", "firmware"))
-        rate = parse_number(prepared or str(PREPARED_EVENTS_S), 1, 1e9, "prepared=EVENTS_S", name)
-        number = round(parse_number(firmware or str(FIRMWARE), 1, 1e9, "firmware=NUMBER", name))
-        return cls(faults, rate if "prepared" in numbers else None, number)
+        name = f"{cls.name}:{text}"
+        faults: list[str] = []
+        rate = firmware = None
+        for option in options(text):
+            key, is_given, given = option.partition("=")
+            if key == "prepared" and rate is None:
+                where = "--camera virtual:prepared=EVENTS_S"
+                rate = parse_number(given, *EVENTS_S, where, name) if is_given else float(PREPARED_EVENTS_S)
+            elif key == "firmware" and is_given and firmware is None:
+                firmware = int(parse_number(given, *FIRMWARES, "--camera virtual:firmware=NUMBER", name, whole=True))
+            else:
+                camera_fault(option)
+                faults.append(option)
+        return cls(tuple(faults), rate, FIRMWARE if firmware is None else firmware)
 
     @property
     def simulates_scene(self) -> bool:

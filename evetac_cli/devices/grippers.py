@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from evetac_cli.devices import Gripper
-from evetac_cli.devices.naming import no_such_device, number, parse_number
+from evetac_cli.devices.naming import no_such_device, number, options, parse_number
 from evetac_cli.devices.rh_p12_rn.control_table import LAST_ID, SDK_RATES
 from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.errors import InputError
@@ -154,7 +154,7 @@ def parse(text: str) -> NamedGripper:
     """Understand --gripper; InputError if there is no such gripper, or no such fault of a virtual one."""
     kind, _, rest = text.partition(":")
     if kind == Virtual.name:
-        faults = tuple(filter(None, rest.split("+")))
+        faults = options(rest)
         for each in faults:
             gripper_fault(each)
         return Virtual(faults)

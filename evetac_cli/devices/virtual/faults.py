@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from evetac_cli.devices.naming import NUMBER, number
 from evetac_cli.errors import InputError
 
 
@@ -64,8 +65,7 @@ GRIPPER_FAULTS: Mapping[str, FaultKind] = {
 }
 
 
-_NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)"
-_FORM = re.compile(rf"([a-z0-9-]+)(?:%{_NUMBER})?(?:@{_NUMBER}(?::{_NUMBER})?)?")
+_FORM = re.compile(rf"([a-z0-9-]+)(?:%({NUMBER}))?(?:@({NUMBER})(?::({NUMBER}))?)?")
 
 
 class Fault(NamedTuple):
@@ -99,14 +99,15 @@ def _parse(text: str, kinds: Mapping[str, FaultKind], device: str) -> Fault:
         name, percent, start, duration = form.groups()
         fault = Fault(
             name,
-            None if start is None else float(start),
-            kind.usual_s if duration is None else float(duration),
-            float(percent or 0.0) / 100.0,
+            None if start is None else number(start),
+            kind.usual_s if duration is None else number(duration),
+            number(percent or "0") / 100.0,
         )
         if (
             (percent is None or (kind.percent and 0.0 < fault.share <= 1.0))
-            and (start is None or kind.moment)
-            and (duration is None or (kind.duration and (percent is not None or not kind.percent)))
+            and (start is None or (kind.moment and fault.start_s == fault.start_s))
+            and (duration is None or (kind.duration and fault.duration_s > 0.0))
+            and (duration is None or percent is not None or not kind.percent)
         ):
             return fault
     raise InputError(f"not a fault of a virtual {device}", expected=_expected(kinds), found=text)
@@ -120,4 +121,5 @@ def _expected(kinds: Mapping[str, FaultKind]) -> str:
         ("NAME%PERCENT, too with @SECONDS or @SECONDS:DURATION,", [n for n, k in kinds.items() if k.percent]),
         ("NAME alone", [n for n, k in kinds.items() if not k.moment]),
     )
-    return "; ".join(f"{form} of {', '.join(names)}" for form, names in forms if names)
+    words = [f"{form} of {', '.join(names)}" for form, names in forms if names]
+    return "; ".join([*words, "SECONDS 0 or more, DURATION more than 0"])
