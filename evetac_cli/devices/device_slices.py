@@ -138,6 +138,10 @@ class DeviceSlices:
         passed_us = min(self.recording_us(begun_us), self.most_us(begun_us))
         return max(0, int(passed_us - self._patience_us) // SLICE_US)
 
+    def heard(self, host_us: float) -> None:
+        """The camera gave a time that was not believed: it is not silent."""
+        self._told, self._told_us = max(self._closed, self._due), host_us
+
     def take(self, events: Events) -> list[Events]:
         """Put events into their slices, but for those whose slice is closed."""
         if events.size == 0 or self._origin_us is None:

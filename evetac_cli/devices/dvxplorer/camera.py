@@ -94,6 +94,7 @@ class WordSlices(DeviceSlices):
         super().__init__(patience_us)
         event_words.step(event_words.start(), bytes(4))  # loads or compiles it before there is a clock to keep
         self._decoder = event_words.start()
+        self._quiet_ms = 0  # of silences of which the camera's times do not say how long they were
         self._flooded_since_us: float | None = (
             None  # host time since which every read was full, and none brought a time
         )
@@ -103,6 +104,7 @@ class WordSlices(DeviceSlices):
         """Losses so far by reason: events, words, timestamps, bytes, time."""
         counts = dict(self._decoder.counted)
         counts["clock_restarts"] += self.clock_restarts
+        counts["ms_without_time"] += self._quiet_ms
         if self.ms_without_time > event_words.QUIET_MS:  # until now; an earlier one was counted by the decoder
             counts["ms_without_time"] += self.ms_without_time
         return {**counts, "late_events": self.late_events, "early_events": self.early_events}
@@ -111,6 +113,11 @@ class WordSlices(DeviceSlices):
     def open_events(self) -> int:
         """Events that are known, of slices that are not closed."""
         return self.waiting_events + self._decoder.frame.size
+
+    @property
+    def undecoded(self) -> bytes:
+        """The part that has come of a word that is cut."""
+        return self._decoder.rest
 
     def push_words(
         self, data: bytes, begun_us: float, ended_us: float, *, emptied: bool, gap: bool = False
@@ -122,7 +129,11 @@ class WordSlices(DeviceSlices):
         if gap:
             event_words.bytes_were_lost(self._decoder)
         before_us = self._decoder.now_us
+        quiet_ms, unmeasured = self.ms_without_time, self._decoder.unmeasured_times
         events = event_words.step(self._decoder, data, self.device_ms(ended_us), self._most_ms(ended_us))
+        if self._decoder.unmeasured_times > unmeasured:  # reads that found nothing say how long it was silent before
+            self.heard(ended_us)
+            self._quiet_ms += quiet_ms if quiet_ms > event_words.QUIET_MS else 0
         closed = []
         if self._decoder.first_ms is not None and data:
             closed = self.push(events, SLICE_US * self._decoder.first_ms, self._decoder.now_us, ended_us)
@@ -201,6 +212,12 @@ class DvxplorerCamera:
         """Losses so far by reason: events, words, timestamps, bytes."""
         own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors", "failed_transfers")}
         return {**self._slices.counted, **own, "events_after_last_slice": self._left}
+
+    @property
+    def waiting(self) -> tuple[int, bytes]:
+        """What is in no slice that was handed out, and not lost: events that are decoded, and words that are not."""
+        decoded = self._slices.open_events + sum(part.size for part in self._ready)
+        return decoded, self._slices.undecoded + self._reader.waiting
 
     @property
     def messages(self) -> tuple[str, ...]:

@@ -31,8 +31,9 @@ LOSSES = (
     "refused_timestamps",
     "clock_restarts",
     "torn_bytes",  # of words whose other part is missing
-    "ms_without_time",  # device time that passed without a TIMESTAMP where there was more than QUIET_MS of it
+    "ms_without_time",  # device time that passed without any TIMESTAMP where there was more than QUIET_MS of it
 )
+REFUSED = LOSSES.index("refused_timestamps")
 _EVENTS, _BEFORE, _UNKNOWN, _MISSING, _OUTSIDE, _REPEATED, _REFUSED, _RESTARTS, _, _NO_TIME = range(len(LOSSES))
 
 # Registers of a decoder. GAP: whether bytes were lost on the way since the last TIMESTAMP, so that there may be none.
@@ -176,7 +177,7 @@ def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64
         if step_ms > 0:  # else it is repeated, and its frames go on
             registers[MS] += step_ms
             registers[LAST_US] = -1
-        if step_ms > QUIET_MS and not registers[GAP]:
+        if step_ms > QUIET_MS and not registers[GAP] and not registers[REFUSALS]:  # else times did come, not believed
             counts[_NO_TIME] += step_ms
         registers[TRUST] = TRUSTED if refused else min(registers[TRUST] + 1, TRUSTED)  # refused: a new clock
     if registers[TRUST] >= TRUSTED:

@@ -57,6 +57,11 @@ class Decoder:
         return SLICE_US * int(self.registers[loops.MS]) + max(0, int(self.registers[loops.LAST_US]))
 
     @property
+    def unmeasured_times(self) -> int:
+        """How many TIMESTAMPs do not say how much later they are than the one before: the first, and refused ones."""
+        return int(self.counts[loops.REFUSED]) + (self.first_ms is not None)
+
+    @property
     def counted(self) -> Mapping[str, int]:
         """What was lost so far: occurrences by reason, and events."""
         return {name: int(count) for name, count in zip(LOSSES, self.counts, strict=True)}

@@ -92,6 +92,12 @@ class UsbReader(Thread):
         data = first.data if first is last else b"".join(block.data for block in taken)
         return Block(data, first.begun_us, last.ended_us, first.gap, last.emptied)
 
+    @property
+    def waiting(self) -> bytes:
+        """What is in the queue."""
+        with self._changed:
+            return b"".join(block.data for block in self._blocks)
+
     def end(self) -> None:
         """Stop reading and wait until the thread has ended."""
         with self._changed:

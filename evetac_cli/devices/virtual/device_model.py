@@ -65,6 +65,11 @@ class DeviceModel:
         self._alters = False  # whether it is set to crop, flip or flatten
         self._decoder = event_words.start()  # where crop, flip or flatten change the events
 
+    @property
+    def waiting(self) -> bytes:
+        """Words that nobody has fetched yet."""
+        return bytes(self._fifo)
+
     def has(self, name: str) -> bool:
         """Whether a fault lasts now; those before RUN always do."""
         if not self._faults:  # as nearly always, in a loop that has to keep time

@@ -75,6 +75,11 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         """Events that its sensor saw while it ran, whatever became of them: what a recording is measured by."""
         return self._model.events_seen
 
+    @property
+    def waiting(self) -> bytes:
+        """Words in its buffer, which nobody has fetched yet."""
+        return self._model.waiting
+
     # What pyusb asks of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:

@@ -352,7 +352,10 @@ def test_damaged_timestamps_now_and_then_are_no_new_clock() -> None:
 
 @pytest.mark.parametrize("host_ms", [None, 5000])
 def test_clock_that_starts_anew(host_ms: int | None) -> None:
-    """Assert that a camera whose clock is set back is believed after some refusals, and time never goes back."""
+    """Assert that a camera whose clock is set back is believed after some refusals, and time never goes back.
+
+    That the host is further on means that this program was late, not that the camera was silent.
+    """
     words = [stamp(4000), column(1, 0, True), group(0, 1)]
     for ms in range(40):
         words += [stamp(ms), column(1, 0, True), group(0, 1)]
@@ -364,7 +367,6 @@ def test_clock_that_starts_anew(host_ms: int | None) -> None:
         "refused_timestamps": REFUSED_IN_A_ROW,
         "clock_restarts": 1,
         "events_in_dropped_frames": REFUSED_IN_A_ROW - 1,
-        **({} if host_ms is None else {"ms_without_time": host_ms - 4000}),
     }
 
 

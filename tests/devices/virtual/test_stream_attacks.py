@@ -1,7 +1,11 @@
 """Attacks on the stream of a virtual camera: the driver outlasts each, and counts what the camera counts."""
 
+import time
+from typing import Any
+
 import pytest
 
+from evetac_cli.devices.dvxplorer.usb_reader import UsbReader
 from evetac_cli.devices.virtual.stream_attacks import ATTACKS, Attack, Ending, attack
 
 EVENTS_S = 100_000
@@ -14,8 +18,35 @@ QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "fast@
 )
 def test_the_driver_outlasts_every_attack(attacked: Attack) -> None:
     """Assert slices that follow the host's time, and losses that are the camera's own count, or at least so many."""
-    ending = attack(attacked.fault, 1.0, EVENTS_S)
+    ending = attack(attacked, 1.0, EVENTS_S)
     assert ending.slices == 1000
+    assert ending.faults(attacked, EVENTS_S) == []
+
+
+@pytest.mark.parametrize("late", [(0.0, 0.7), (0.35, 0.4), (0.48, 0.3)], ids=str)
+@pytest.mark.parametrize("fault", [fault for fault in QUICK if "@0:" not in fault])
+def test_a_computer_that_stands_still_changes_no_count(
+    fault: str, late: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert the same of every attack where the thread that reads the camera is kept from running for a while.
+
+    From so long after its first read, for so long: as on a computer that others need, at the start or over the fault.
+    """
+    at_s, for_s = late
+    moments: list[float] = []  # of the first read, and of the one that is late
+    put = UsbReader._put
+
+    def delayed(reader: UsbReader, block: Any) -> None:
+        if not moments:
+            moments.append(time.monotonic())
+        if len(moments) == 1 and time.monotonic() >= moments[0] + at_s:
+            moments.append(time.monotonic())
+            time.sleep(for_s)
+        put(reader, block)
+
+    monkeypatch.setattr(UsbReader, "_put", delayed)
+    attacked = next(each for each in ATTACKS if each.fault == fault)
+    ending = attack(attacked, 1.0, EVENTS_S)
     assert ending.faults(attacked, EVENTS_S) == []
 
 
@@ -30,6 +61,9 @@ def test_the_driver_outlasts_every_attack(attacked: Attack) -> None:
         (Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 9,000"), True, ["the number is not known"]),
         (Ending(1000, 1000.0, 50_000, 100_000, "unknown, at least 9,000"), False, []),
         (Ending(1000, 1000.0, 50_000, 100_000, 49_000), True, []),
+        (Ending(1000, 1200.0, 100_000, 120_000, 0, 20_000), True, []),
+        (Ending(1000, 1200.0, 100_000, 120_000, 0, 10_000), True, ["0 events said to be lost, 10000 were"]),
+        (Ending(1000, 1200.0, 100_000, 120_000, 9_500, 10_000), True, []),
     ],
 )
 def test_what_is_wrong_with_an_ending(ending: Ending, countable: bool, wrong: list[str] | None) -> None:
