@@ -1,17 +1,20 @@
-"""Kill or stop a process of `grasp` or `record` at a random moment; how long does the motor keep its current?
+"""Kill and stop processes of `grasp` or `record` at random moments; how long does the motor keep its current?
 
-    python scripts/attack/kill_grasps.py -o kills.jsonl [--count 200] [--how kill|stop] [--watchdog-ms 60] [--busy 4]
+    python scripts/attack/kill_grasps.py --kills 40 --stops 20 -o kills.jsonl          # of grasps, on a quiet machine
+    python scripts/attack/kill_grasps.py --kills 40 --stops 20 -o kills.jsonl --json   # the same as one JSON object
+    python scripts/attack/kill_grasps.py --kills 10 --stops 0 --commands grasp record --watchdog-ms 100 --busy 4
 
 The commands are real ones, with a camera that plays prepared words and a gripper at a port. At its other end is a
 virtual servo, in a process of its own that outlives the commands. It keeps its own log, by the clock by which
 the kill is timed: when the motor got current, when it was without, and when the last goal came. The moment is anywhere
-from before the first word to after the last; of every four trials two are timed from when the motor first got current,
-until after it is without. The process is the recorder (the parent of all), the detector or the controller, where there
-is one yet. A stopped process goes on after 1 s and is watched for 1 s more.
+from before the first word to after the last; every other trial is timed from when the motor first got current, until
+after it is without. The process is the recorder (the parent of all), the detector or the controller, where there
+is one yet. A kill is SIGKILL, a stop SIGSTOP: a stopped process goes on after 1 s and is watched for 1 s more.
 
-Every trial is a line of JSON, and trials whose line is there are not run again. The machine's own lateness, that of a
-thread that wakes every millisecond, is measured beside it. Exit code 1 where a motor had current for more than 100 ms,
-or gripped again; beside busy loops (--busy) that is reported without a bound.
+Every trial is a line of JSON, and trials whose line is in the file of -o are not run again. The machine's own lateness,
+that of a thread that wakes every millisecond, is measured beside it. At the end stands a row for the kills, one for the
+stops and one for all: how many, and without current after how many ms at most. Exit code 1 where a motor had current
+for more than 100 ms, or gripped again; beside busy loops (--busy) that is reported without a bound.
 """
 
 import argparse
@@ -286,9 +289,7 @@ def one(
     again = gripped_before and any(begin > first_off_s for begin, _ in spans)
     servo.wait_without_current()
     return {
-        "command": name,
         "struck": "nothing: it had ended" if ended_before else struck,
-        "since": since,
         "after_s": round(after_s, 4),
         "had_current": had_current,
         "without_current_ms": round((last_s - struck_s) * 1e3, 2),
@@ -300,63 +301,80 @@ def one(
     }
 
 
-def summary(rows: list[dict[str, Any]], chosen: argparse.Namespace) -> dict[str, Any]:
-    """All trials in one row."""
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Some trials in one row."""
     ms = np.array([row["without_current_ms"] for row in rows])
     moving = ms[[row["had_current"] for row in rows]]
     return {
-        "how": chosen.how,
-        "watchdog_ms": chosen.watchdog_ms,
-        "busy_loops": chosen.busy,
         "trials": len(rows),
         "with_current_when_struck": len(moving),
         "without_current_ms_median": float(np.median(moving)) if len(moving) else None,
         "without_current_ms_p99": float(np.percentile(moving, 99)) if len(moving) else None,
-        "without_current_ms_most": float(ms.max()),
+        "without_current_ms_most": float(ms.max()) if len(ms) else None,
         "over_100_ms": int((ms > BOUND_MS).sum()),
         "gripped_again": sum(row["gripped_again"] for row in rows),
         "tracebacks": sum(row["traceback"] for row in rows),
-        "machine_late_ms_p99": float(np.median([row["machine_late_ms_p99"] for row in rows])),
-        "machine_late_ms_most": max(row["machine_late_ms_most"] for row in rows),
+        "machine_late_ms_p99": float(np.median([row["machine_late_ms_p99"] for row in rows])) if rows else None,
+        "machine_late_ms_most": max((row["machine_late_ms_most"] for row in rows), default=None),
     }
+
+
+def planned(chosen: argparse.Namespace) -> list[dict[str, Any]]:
+    """What each trial is: kills, then stops; of each the commands in turn, half timed from the first current."""
+    trials = []
+    for how, count in (("kill", chosen.kills), ("stop", chosen.stops)):
+        for trial in range(count):
+            name = chosen.commands[trial % len(chosen.commands)]
+            since = ("start", "current")[trial // len(chosen.commands) % 2]
+            which = {"watchdog_ms": chosen.watchdog_ms, "busy": chosen.busy, "seed": chosen.seed}
+            trials.append({"how": how, "trial": trial, "command": name, "since": since, **which})
+    return trials
+
+
+def strike(plan: dict[str, Any], servo: Servo, lives: tuple[float, float], folder: Path) -> dict[str, Any]:
+    """Run one trial; its moment and its process are drawn from its seed, its number and how it is struck."""
+    name, how, since = plan["command"], plan["how"], plan["since"]
+    rng = np.random.default_rng([plan["seed"], plan["trial"], how == "stop"])
+    part = PARTS[rng.integers(3)] if name == "grasp" else PARTS[0]
+    after_s = float(rng.uniform(0.0, lives[since == "current"] + SETTLED_S))
+    return {**plan, **one(name, part, since, after_s, how, plan["watchdog_ms"], servo, folder)}
 
 
 def main() -> None:
     """Strike, watch, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, prog="kill_grasps.py"
+    )
     parser.add_argument(
         "-o", "--out", type=Path, help="JSON lines, one a trial; trials that are in it are not run again"
     )
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--how", choices=("kill", "stop"), default="kill")
+    parser.add_argument("--kills", type=int, default=20, help="how many processes are killed")
+    parser.add_argument("--stops", type=int, default=0, help="how many are stopped, and go on after a second")
+    parser.add_argument("--commands", nargs="+", choices=("grasp", "record"), default=["grasp"])
     parser.add_argument("--watchdog-ms", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--busy", type=int, default=0, help="so many busy loops beside it")
+    parser.add_argument("--json", action="store_true", help="print one JSON object with all trials")
     parser.add_argument("--servo", type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.servo is not None:
         be_servo(chosen.servo)
         return
-    which = {"how": chosen.how, "watchdog_ms": chosen.watchdog_ms, "busy": chosen.busy, "seed": chosen.seed}
+    trials = planned(chosen)
     lines = chosen.out.read_text().splitlines() if chosen.out is not None and chosen.out.exists() else []
     known = [json.loads(line) for line in lines]
-    rows = [row for row in known if which.items() <= row.items() and row["trial"] < chosen.count]
-    done = {row["trial"] for row in rows}
+    rows = [row for plan in trials for row in known if plan.items() <= row.items()]
+    left = [plan for plan in trials if not any(plan.items() <= row.items() for row in known)]
     with ExitStack() as opened:
         folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
         servo = Servo(folder)
         opened.callback(servo.close)
         opened.enter_context(busy_loops(chosen.busy))
-        lives = {name: lives_s(name, servo, chosen.watchdog_ms, folder) for name in ("grasp", "record")}
+        needed = sorted({plan["command"] for plan in left})
+        lives = {name: lives_s(name, servo, chosen.watchdog_ms, folder) for name in needed}
         late = Lateness()
-        for trial in sorted(set(range(chosen.count)) - done):
-            rng = np.random.default_rng([chosen.seed, trial])
-            name = ("grasp", "record")[trial % 2]
-            part = PARTS[rng.integers(3)] if name == "grasp" else PARTS[0]
-            since = ("start", "current")[trial // 2 % 2]
-            after_s = float(rng.uniform(0.0, lives[name][since == "current"] + SETTLED_S))
-            struck = one(name, part, since, after_s, chosen.how, chosen.watchdog_ms, servo, folder)
-            row = {"trial": trial, **which, **struck}
+        for plan in left:
+            row = strike(plan, servo, lives[plan["command"]], folder)
             row["machine_late_ms_p99"], row["machine_late_ms_most"] = late.take()
             rows.append(row)
             text = json.dumps(row)
@@ -364,8 +382,13 @@ def main() -> None:
             if chosen.out is not None:
                 with chosen.out.open("a") as file:
                     file.write(text + "\n")
-    whole = summary(rows, chosen)
-    print(json.dumps(whole))
+    whole = summary(rows)
+    if chosen.json:
+        print(json.dumps({"command": "kill_grasps", "simulated": True, "rows": rows, "summary": whole}))
+    else:
+        for how in ("kill", "stop"):
+            print(f"{how}s: {json.dumps(summary([row for row in rows if row['how'] == how]))}")
+        print(f"all: {json.dumps(whole)}")
     if not chosen.busy and (whole["over_100_ms"] or whole["gripped_again"]):
         raise SystemExit(1)
 
