@@ -9,7 +9,7 @@ that is earlier than it was is asked about: only Torque Enable 0 is a restart, o
 
 Why these bounds: a servo's limits are those of its goals. Fingers are driven against their stop in current mode, and
 bend under load, so a position some ticks beyond is normal: BEYOND_TICKS are a tenth of the fingers' way. A finger goes
-2 ticks a ms at the servo's fastest (29.7 rpm), so a position that is ten times that away was not reached. The motor's
+2 ticks a ms at the servo's fastest (29.7 rpm), so a position that is three times that away was not reached. The motor's
 peak is 3.33 A (e-Manual). Beyond the limits of supply and temperature a servo raises a hardware error, which ends all
 by itself; a reading that is well beyond them without one is no measurement.
 """
@@ -28,7 +28,7 @@ TICK_EVERY = 10  # readings: 20 ms at 500 a second
 TICK_WRAPS_MS = 32768
 TICK_SLACK_MS = 1000.0  # a servo's clock that is ahead of ours by less did not restart
 BEYOND_TICKS = 64
-FASTEST_TICKS_MS = 20.0
+FASTEST_TICKS_MS = 6.0
 MOST_MA = 4000
 SUPPLY_SHARES = 0.8, 1.2  # of the lower and of the upper limit
 HOT_C = 20  # beyond the limit

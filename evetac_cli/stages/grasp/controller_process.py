@@ -52,6 +52,7 @@ FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first sl
 WAITING_S = 0.01
 ORDER_S = 0.1
 OVER = "the grasp is over"
+DETECTOR = "the detector"
 RECORDER_HANGS = "the recorder hangs"
 STOPPED = "stopped"
 TOO_LONG = "the time allowed is over"
@@ -173,9 +174,9 @@ class Watch:
         recorder_us: when the recorder last was.
         """
         if self._has_ended():
-            return "the detector died", status.at_us
+            return f"{DETECTOR} died", status.at_us
         for what, alive_us, most_us in (
-            ("the detector hangs: no sign of life", status.at_us, self._fresh_us),
+            (f"{DETECTOR} hangs: no sign of life", status.at_us, self._fresh_us),
             ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
             (f"{RECORDER_HANGS}: no sign of life", recorder_us, self._recorder_us),
         ):
@@ -382,6 +383,6 @@ def _wait_for_status(
             return False
         _raise_if_ended(ending)
         if clock() > until_s:
-            raise DeviceError("the detector did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
+            raise DeviceError(f"{DETECTOR} did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
         sleep(WAITING_S)
     return True

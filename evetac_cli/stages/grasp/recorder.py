@@ -29,7 +29,7 @@ from evetac_cli.realtime.processes import start_shielded
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp import controller_process, detector_process
-from evetac_cli.stages.grasp.controller_process import OVER, ControllerEnded, ControllerSettings, GripperReady
+from evetac_cli.stages.grasp.controller_process import DETECTOR, OVER, ControllerEnded, ControllerSettings, GripperReady
 from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings, SliceBatch
 from evetac_cli.stages.grasp.loop import TrialBuffer
 from evetac_cli.stages.live_view import LiveView
@@ -305,7 +305,11 @@ class RecordedGrasp:
             exit_ = processes.exit_words(processes.controller)
             died = f"the controller died ({exit_})" if exit_ else "the controller does not end"
             self.error = DeviceError(f"{self.controller_hung or died}; {self.torque}")
-        elif detector is None and (exit_ := processes.exit_words(processes.detector)):
+        elif (
+            detector is None
+            and (controller.error is None or DETECTOR in controller.ended)  # else the controller failed before
+            and (exit_ := processes.exit_words(processes.detector))
+        ):
             self.error = DeviceError(f"the detector died ({exit_}); {self.torque}")
         else:
             self.error = (detector and detector.error) or controller.error
@@ -350,7 +354,8 @@ def record(
     recorded = RecordedGrasp(end_ms)
     truths = None if world is None else world.truths
     first_end_s = stopped_s = math.inf
-    while not (processes.slices.ended and processes.steps.ended) and time.monotonic() < stopped_s + END_S:
+    heard_s = -math.inf  # when a message last came: who sends goes on being waited for, also where writing is slow
+    while not (processes.slices.ended and processes.steps.ended) and time.monotonic() < max(stopped_s, heard_s) + END_S:
         inboxes = [
             inbox for inbox in (processes.slices, processes.steps, truths) if inbox is not None and not inbox.ended
         ]
@@ -364,12 +369,14 @@ def record(
                 progress(recorded.slices)
             else:
                 recorded.detector = message
+            heard_s = time.monotonic()
         processes.give_sign_of_life()  # a segment may have been written, which takes a while
         for message in processes.steps.take():
             if isinstance(message, list):
                 recorded.take_steps(message, writer, view)
             else:
                 recorded.controller = message
+            heard_s = time.monotonic()
         now_s = time.monotonic()
         if processes.slices.ended or processes.steps.ended:
             first_end_s = min(first_end_s, now_s)

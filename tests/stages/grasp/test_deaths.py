@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from array import array
 from collections.abc import Callable
@@ -17,11 +18,12 @@ import pytest
 from evetac_cli.devices.cameras import NamedCamera, OpenedCamera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
-from evetac_cli.realtime.last_words import LastWords, telling
-from evetac_cli.realtime.message_pipe import MessageReader
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import SharedStatus
+from evetac_cli.stages.grasp import recorder
 from evetac_cli.stages.grasp.controller_process import ControllerEnded
-from evetac_cli.stages.grasp.detector_process import DetectorEnded, DetectorSettings, run_detector
+from evetac_cli.stages.grasp.detector_process import DetectorEnded, DetectorSettings, SliceBatch, joined, run_detector
 from evetac_cli.stages.grasp.recorder import RecordedGrasp
 
 GOOD_SLICES = 20
@@ -167,15 +169,71 @@ def test_the_recorder_tells_a_death_with_its_reason(part: str, how: str) -> None
     recorded = RecordedGrasp(1000, torque="torque is off (read back)")
     ended = ControllerEnded("stopped", None, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off (read back)")
     recorded.controller = ended if part == "detector" else None
-    exits = lambda which: words_of(process, words) if which is process else ""  # noqa: E731
-    processes = SimpleNamespace(detector=process, controller=process, exit_words=exits)
+    processes = SimpleNamespace(detector=process, controller=process, exit_words=lambda which: exit_words(which, words))
     recorded.conclude(processes)  # type: ignore[arg-type]  # only what is asked of them here
     with pytest.raises(DeviceError, match=f"the {part} died {DEATHS[how]}; torque is off"):
         raise recorded.error or AssertionError
     assert recorded.ended.startswith(f"the {part} died (")
 
 
-def words_of(process: Any, words: LastWords) -> str:
-    from evetac_cli.realtime.last_words import exit_words
+class Writer:
+    """In place of the file."""
 
-    return exit_words(process, words)
+    def __init__(self) -> None:
+        self.slices = 0
+
+    def append(self, events: Events, rows: dict[str, Any]) -> None:
+        self.slices += 1
+
+    def append_rows(self, row: dict[str, Any]) -> None:
+        pass
+
+
+def send_on(outbox: MessageWriter, pipe: Any) -> None:
+    """What a detector still sends after the end, for 3 s; then its last words."""
+    for _ in range(30):
+        outbox.put(SliceBatch(joined([empty()] * 5), [0] * 5, [nan] * 5, [1.0] * 5, [0.0] * 5))
+        outbox.flush(PATIENCE_S)
+        time.sleep(0.1)
+    outbox.put(DetectorEnded({"late_events": 7}, None))
+    outbox.flush(PATIENCE_S)
+    pipe.close()
+
+
+def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that slices and last words are taken that take longer to come than a process has that says nothing.
+
+    The controller ended first, with the reason; the detector long after, and properly.
+    """
+    monkeypatch.setattr(recorder, "END_S", 2.0)
+    slices, steps = (multiprocessing.Pipe(duplex=False) for _ in range(2))
+    failed = DeviceError("the gripper restarted, and has no torque any more; torque is off (read back)")
+    outbox = MessageWriter(steps[1])
+    outbox.put(ControllerEnded(str(failed), failed, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off"))
+    outbox.flush(PATIENCE_S)
+    steps[1].close()
+    processes = SimpleNamespace(
+        slices=MessageReader(slices[0]), steps=MessageReader(steps[0]), now_s=time.monotonic,
+        give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None),
+        detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a word",
+    )  # fmt: skip
+    sender = threading.Thread(target=send_on, args=(MessageWriter(slices[1]), slices[1]))
+    sender.start()
+    writer, key = Writer(), SimpleNamespace(pressed=False)
+    recorded = recorder.record(processes, None, writer, 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    sender.join()
+    assert writer.slices == recorded.slices == 150
+    assert recorded.detector == DetectorEnded({"late_events": 7}, None)
+    assert str(recorded.error) == str(failed)
+    assert recorded.ended.startswith("the gripper restarted")
+
+
+def test_who_failed_first_is_told() -> None:
+    """Assert that a detector that was ended without its last words does not hide why the controller ended."""
+    failed = DeviceError("the gripper restarted; torque is off")
+    hangs = DeviceError("the detector hangs: no sign of life for 50 ms; torque is off")
+    for error, said in ((failed, "the gripper restarted"), (hangs, "the detector died (SIGKILL)")):
+        recorded = RecordedGrasp(1000, torque="torque is off")
+        recorded.controller = ControllerEnded(str(error), error, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off")
+        recorded.conclude(SimpleNamespace(detector=0, controller=1, exit_words=lambda which: "SIGKILL"))  # type: ignore[arg-type]
+        assert recorded.ended.startswith(said)
