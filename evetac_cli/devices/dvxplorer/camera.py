@@ -195,6 +195,7 @@ class DvxplorerCamera:
             self._slices = WordSlices(held_us + patience_us)
             self._reader.start()
             self._slices.start(self._now_us())  # before RUN, so that no time of its stream is earlier
+            self.time.slices_read_until(self.time.now_s())  # from now on a virtual camera's time waits for `read`
             self._send(protocol.run(self._generation))
         except BaseException as error:
             self.close()

@@ -22,7 +22,7 @@ from evetac_cli.devices.virtual.dvxplorer import STORE_TO_FLASH, VirtualDvxplore
 from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.realtime.shared_time import HOST_TIME
+from evetac_cli.realtime.shared_time import CREEP, HOST_TIME, PATIENCE_S, READER_S
 
 
 def few(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
@@ -141,6 +141,20 @@ def test_host_time_of_a_slice() -> None:
             assert camera.host_us(SLICE_US * (index + 1)) <= source.time.now_s() * 1e6 + 1
         assert source._began_s is not None
         assert 0 <= camera.host_us(0) - 1e6 * source._began_s < 50e3
+
+
+def test_time_waits_for_the_first_read() -> None:
+    """Assert that the stream of a virtual camera waits for who reads it from its start, not from the first slice on."""
+    source = PreparedWords(few(0.4))
+    with closing(DvxplorerCamera(backend=VirtualDvxplorer(source))) as camera:
+        began_s = time.monotonic()
+        time.sleep(0.3)  # as a program that is kept from running
+        assert source._began_s is not None
+        passed_s = source.time.now_s() - source._began_s
+        waited_s = time.monotonic() - began_s
+        assert passed_s < READER_S + CREEP * waited_s + max(0.0, waited_s - PATIENCE_S) + 5e-3
+        read(camera, 300)
+        assert lost(camera) == {}
 
 
 def test_a_silent_sensor_has_slices() -> None:
