@@ -69,6 +69,7 @@ class Host:
     dev: Path = Path("/dev")
     usb_backend: Any = None  # of pyusb; None: libusb
     answer_ms: float = ANSWER_MS
+    broadcast_ms: float = 0.0  # how long answers to all are waited for; 0: as long as the maker's SDK does
     rates: tuple[int, ...] = SDK_RATES
 
     def has_libusb(self) -> bool:
@@ -138,7 +139,7 @@ class Host:
         found = {(each.baud, each.id): each for each in named}
         for baud in {each.baud for each in named} or self.rates:
             with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
-                for other, (model, _) in bus.devices().items():
+                for other, (model, _) in bus.devices(self.broadcast_ms).items():
                     found.setdefault((baud, other), BusDevice(baud, other, model))
         return list(found.values())
 

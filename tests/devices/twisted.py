@@ -12,6 +12,9 @@ from evetac_cli.devices.virtual.servo import VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics
 from evetac_cli.devices.virtual.servo_process import Faults, Line
 from evetac_cli.realtime.shared_time import HOST_TIME
+from tests.devices.stepped import StepClock
+
+PATIENCE_S = 60.0
 
 
 class Twist(Faults):
@@ -21,6 +24,8 @@ class Twist(Faults):
         super().__init__([], np.random.default_rng(0))
         self.readings: Mapping[str, int] = {}  # what registers show instead of what is measured
         self.next: list[str] = []  # faults that strike before the next instruction
+        self.passes_s = 0.0  # time that passes before the next instruction
+        self.passed = threading.Event()
 
     def due(self, now_s: float, torque: bool) -> list[str]:
         names, self.next = self.next, []
@@ -31,30 +36,46 @@ class Twist(Faults):
 
 
 class TwistedServo:
-    """A servo at a port."""
+    """A servo at a port; its time is the host's, or that of a clock which only the test moves."""
 
-    def __init__(self, registers: Mapping[str, int], position_ticks: float) -> None:
+    def __init__(self, registers: Mapping[str, int], position_ticks: float, clock: StepClock | None) -> None:
+        self._clock = clock
+        time = clock or HOST_TIME
         plant = OwnDynamics(Obstacle(), position_ticks)
-        self._servo = VirtualServo(plant, {"Baud Rate": baud_code(2_000_000), **registers}, HOST_TIME.now_s())
+        self._servo = VirtualServo(plant, {"Baud Rate": baud_code(2_000_000), **registers}, time.now_s())
         self.twist = Twist()
-        self._line = Line(self._servo, self.twist, HOST_TIME)
+        self._line = Line(self._servo, self.twist, time)
         self.port = self._line.port
 
     def value(self, name: str) -> int:
         """A register, as it is."""
         return self._servo.value(name)
 
+    def pass_time(self, seconds: float) -> None:
+        """Let so much of the test's clock pass, in which nobody speaks to the servo, and wait until it has."""
+        self.twist.passed.clear()
+        self.twist.passes_s = seconds
+        assert self.twist.passed.wait(PATIENCE_S)
+
     def serve(self, until: int) -> None:
         """Be the servo until this descriptor can be read."""
         while not self._line.wait(until):
-            pass
+            if self.twist.passes_s:
+                assert self._clock is not None
+                self._clock.sleep(self.twist.passes_s)
+                self._line._woken_s = self._clock.now_s()  # else it would take the time for one in which it was frozen
+                self._servo.tick(self._clock.now_s())
+                self.twist.passes_s = 0.0
+                self.twist.passed.set()
         self._line.unplug()
 
 
 @contextmanager
-def twisted_servo(registers: Mapping[str, int] | None = None, position_ticks: float = 400.0) -> Iterator[TwistedServo]:
+def twisted_servo(
+    registers: Mapping[str, int] | None = None, position_ticks: float = 400.0, clock: StepClock | None = None
+) -> Iterator[TwistedServo]:
     """A servo that listens for as long as the block lasts."""
-    servo = TwistedServo(registers or {}, position_ticks)
+    servo = TwistedServo(registers or {}, position_ticks, clock)
     until, end = os.pipe()
     thread = threading.Thread(target=servo.serve, args=(until,), daemon=True)
     thread.start()

@@ -29,6 +29,7 @@ from evetac_cli.params.inspection import Doctor
 
 RATES = (2_000_000,)  # each at which nobody answers takes its time
 PATIENCE_MS = 300.0  # the virtual servo's process may have to wait for a core
+BROADCAST_MS = 3000.0  # and so where it is found by asking all
 
 
 class NoBus:
@@ -281,7 +282,7 @@ def test_a_gripper_as_it_comes_from_the_factory(machine: Made, plugged: Any) -> 
 def test_the_flag_that_doctor_names_reaches_the_gripper(machine: Made, plugged: Any, id_: int, baud: int) -> None:
     """Assert that a gripper of any id and rate is found, and opened by the very text that doctor prints."""
     port, gripper = plugged(registers=GOOD | {"ID": id_}, baud=baud)
-    host = dataclasses.replace(machine, rates=(57_600, 1_000_000, 2_000_000))
+    host = dataclasses.replace(machine, rates=(baud,), broadcast_ms=BROADCAST_MS)
     flag = rows_of_device(doctor.run(Doctor(), host), f"gripper {id_} at {port}")["flag"]["found"]
     assert flag.startswith("--gripper ")
     named = grippers.parse(flag.removeprefix("--gripper "))
@@ -297,7 +298,8 @@ def test_no_answer_leads_to_the_gripper_in_two_steps(machine: Made, plugged: Any
     with pytest.raises(DeviceTimeout, match="no answer to: ping") as lost, Bus(str(port), 2_000_000, 1) as bus:
         bus.ping()
     assert f"evetac doctor --gripper {port}" in str(lost.value)
-    rows = rows_of_device(doctor.run(Doctor(gripper=str(port)), machine), "gripper 5")
+    host = dataclasses.replace(machine, broadcast_ms=BROADCAST_MS)
+    rows = rows_of_device(doctor.run(Doctor(gripper=str(port)), host), "gripper 5")
     assert rows["flag"]["found"] == f"--gripper {port}:5"
 
 
@@ -305,7 +307,8 @@ def test_no_answer_leads_to_the_gripper_in_two_steps(machine: Made, plugged: Any
 def test_an_id_that_does_not_answer(machine: Made, plugged: Any, asked: str) -> None:
     """Assert that a gripper that was named by an id that is not there is missed, with those that are."""
     port, _ = plugged(registers=GOOD | {"ID": 5})
-    result = doctor.run(Doctor(gripper=f"{port}{asked}"), dataclasses.replace(machine, answer_ms=50.0))
+    host = dataclasses.replace(machine, broadcast_ms=BROADCAST_MS)
+    result = doctor.run(Doctor(gripper=f"{port}{asked}"), host)
     row = wrong(result)["id"]
     assert row["found"] == "gripper 5 answers" and f"gripper {asked[1]}" in row["expected"]
     assert f"--gripper {port}:5" in row["fix"]

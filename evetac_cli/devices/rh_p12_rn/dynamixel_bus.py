@@ -77,6 +77,7 @@ class _Port(PortHandler):  # type: ignore[misc]
         self._pause_until_s = 0.0
         self._heard_s = 0.0
         self._wary_until_s = 0.0
+        self.least_ms = 0.0  # in which answers may come, where the SDK asks for less
         self.strays = 0  # answers that came when nobody waited for them
 
     def setupPort(self, cflag_baud: int) -> bool:
@@ -93,6 +94,9 @@ class _Port(PortHandler):  # type: ignore[misc]
 
     def setPacketTimeout(self, packet_length: int) -> None:
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._answer_ms)
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        super().setPacketTimeoutMillis(max(msec, self.least_ms))
 
     def be_wary(self) -> None:
         """An answer was lost and may still come: for a while, see whether another follows the one that was taken.
@@ -194,14 +198,16 @@ class Bus(AbstractContextManager["Bus"]):
         """Restart the device: torque off, hardware error cleared."""
         self._transact(INST_REBOOT, b"", 0, "reboot")
 
-    def devices(self) -> dict[int, tuple[int, int]]:
-        """Model number and firmware of every device on the bus by id, by a broadcast ping (about 0.8 s)."""
+    def devices(self, least_ms: float = 0.0) -> dict[int, tuple[int, int]]:
+        """Model number and firmware of every device on the bus by id, by a broadcast ping (0.8 s, or least_ms)."""
+        self._port.least_ms = least_ms
         try:
             answers, _ = self._packets.broadcastPing(self._port)
         except _BROKEN as error:
             raise self._gone(error) from error
         finally:
             self._port.is_using = False
+            self._port.least_ms = 0.0
         return {id_: (model, firmware) for id_, (model, firmware) in answers.items()}
 
     def close(self) -> None:

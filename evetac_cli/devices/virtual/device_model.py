@@ -24,6 +24,7 @@ _RATE = {"fast": (10, 1), "slow": (1, 10)}  # of the camera's clock, as a fracti
 _TORN_BYTES = 3
 _BURST_BYTES = 16  # zeros fill the last one of a transfer
 _LONGEST_WAIT_S = 0.05  # after which a waiting transfer checks whether the camera was unplugged
+_SHORTEST_WAIT_S = 1e-6
 _COLUMN_CODE, _TIMESTAMP_CODE = 1, 2  # bits 26 up of a word
 _US_BITS = 0x3FF << 11  # of a COLUMN word
 
@@ -126,18 +127,20 @@ class DeviceModel:
         end_s = time.monotonic() + timeout_s
         while self._fill(0.0):  # what came while nobody asked lies in a real camera's buffer
             pass
+        is_asked = False  # whether the source was waited for: a computer that stands still is no camera without words
         while True:
             now_s = time.monotonic()
             flush_s = self._sent_s + 1e-6 * self._flush_us
             if len(self._fifo) >= most or (self._fifo and now_s >= flush_s):
                 break
-            if now_s >= end_s or self.has("unplug") or self.halted:
+            if (now_s >= end_s and (is_asked or self._fifo)) or self.has("unplug") or self.halted:
                 return b""
             if self._fifo:
                 time.sleep(max(0.0, min(flush_s, end_s) - now_s))
                 self._fill(0.0)
             else:
-                self._fill(min(end_s - now_s, _LONGEST_WAIT_S))
+                self._fill(min(max(end_s - now_s, _SHORTEST_WAIT_S), _LONGEST_WAIT_S))
+                is_asked = True
         if self.has("odd"):
             most = min(most, (max(len(self._fifo), 2) - 2) | 1)
         sent = bytes(self._fifo[:most])

@@ -1,16 +1,20 @@
 """The gripper driver against the virtual gripper: set-up, limits, commands, watchdog."""
 
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from evetac_cli.devices.rh_p12_rn import driver as driver_module
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import _Port
 from evetac_cli.devices.virtual.dynamixel_frames import Instruction
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError
 from tests.conftest import SLOW, is_off
+from tests.devices.stepped import StepClock
+from tests.devices.twisted import twisted_servo
 
 # Setting up
 
@@ -183,21 +187,27 @@ def test_commands_are_whole_numbers(fresh: VirtualGripper) -> None:
         driver.write_current(1.5)  # type: ignore[arg-type]
 
 
-def test_watchdog_runs_from_the_first_command_on(fresh: VirtualGripper) -> None:
+def test_watchdog_runs_from_the_first_command_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that one may take one's time before the first command, and that silence after it is said at the next."""
+    clock = StepClock()
+    monkeypatch.setattr(driver_module, "time", SimpleNamespace(monotonic=clock.now_s, sleep=time.sleep))
     settings = RhP12RnSettings(answer_ms=2000, watchdog_ms=100)
-    driver = RhP12Rn(fresh.port, settings=settings)
-    time.sleep(0.3)
-    driver.read()
-    driver.write_current(12)
-    time.sleep(0.5)
-    assert fresh.read_register("Bus Watchdog") == -1
-    with pytest.raises(DeviceError, match=r"bus watchdog has tripped(.|\n)*every 100 ms(.|\n)*torque is off"):
-        driver.write_current(12)
-    assert fresh.read_register("Torque Enable") == 0
-    with pytest.raises(DeviceError, match="is closed"):
+    with twisted_servo(clock=clock) as servo:
+        driver = RhP12Rn(servo.port, settings=settings)
+        servo.pass_time(0.3)
         driver.read()
-    driver.close()
+        driver.write_current(12)
+        servo.pass_time(0.09)
+        driver.write_current(12)
+        servo.pass_time(0.5)
+        assert (servo.value("Bus Watchdog"), servo.value("Torque Enable")) == (-1, 1)
+        said = r"bus watchdog has tripped(.|\n)*every 100 ms(.|\n)*500 ms of silence(.|\n)*torque is off"
+        with pytest.raises(DeviceError, match=said):
+            driver.write_current(12)
+        assert servo.value("Torque Enable") == 0
+        with pytest.raises(DeviceError, match="is closed"):
+            driver.read()
+        driver.close()
 
 
 def test_waiting_for_an_answer_does_not_trip_the_watchdog() -> None:

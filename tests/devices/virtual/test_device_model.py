@@ -1,11 +1,15 @@
 """The clock of a virtual camera that goes wrong: the same events at other times."""
 
+import itertools
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from evetac_cli.devices.dvxplorer import event_words
-from evetac_cli.devices.virtual.device_model import CameraClock
-from evetac_cli.devices.virtual.word_sources import random_event_words
+from evetac_cli.devices.dvxplorer import event_words, protocol
+from evetac_cli.devices.virtual import device_model
+from evetac_cli.devices.virtual.device_model import CameraClock, DeviceModel
+from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 from evetac_cli.events import Events, concatenate
 
 WORDS = random_event_words(50_000, 0.1, np.random.default_rng(0))
@@ -40,3 +44,16 @@ def test_a_clock_that_jumps() -> None:
     back = CameraClock().retimed(WORDS, (1, 1), -5_000_000)
     stamps = back[back >> 26 == 2] & ((1 << 22) - 1)
     assert int(stamps[0]) == (1 << 22) - 4999
+
+
+def test_a_computer_that_stands_still_finds_the_words_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a transfer whose time is over before it looks for words still brings those that there are."""
+    source = PreparedWords(WORDS, paced=False)
+    model = DeviceModel(source, 10, (), 1 << 20)
+    assert model.write(protocol.DVS, protocol.RUN, 1)
+    late_s = itertools.count(1000.0, 60.0)  # a minute from one look at the clock to the next
+    monkeypatch.setattr(device_model, "time", SimpleNamespace(monotonic=lambda: next(late_s), sleep=lambda s: None))
+    data = b""
+    while part := model.transfer(65536, 0.005):
+        data += part
+    assert [word for word in np.frombuffer(data, "<u4") if word] == WORDS.tolist()

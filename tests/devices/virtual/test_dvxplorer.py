@@ -17,6 +17,7 @@ from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.virtual.dvxplorer import STORE_TO_FLASH, VirtualDvxplorer
 from evetac_cli.devices.virtual.word_sources import PreparedWords, due_us, random_event_words
 from evetac_cli.events import Events, concatenate
+from tests.devices.stepped import SteppedWords
 
 WRITE, READ = 0x40, 0xC0
 SIZE = {9: 4, 10: 8}
@@ -128,7 +129,7 @@ def test_system_information_of_firmware_9() -> None:
 
 
 @pytest.mark.parametrize("firmware", SIZE)
-def test_the_stream_runs_only_while_told_to(firmware: int) -> None:
+def test_the_stream_runs_only_while_told_to(firmware: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that nothing comes before RUN nor after its end, and everything between, padded with zeros only."""
     words = prepared(0.1)
     device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False), firmware=firmware))
@@ -137,11 +138,16 @@ def test_the_stream_runs_only_while_told_to(firmware: int) -> None:
     data = b"".join(transfers(device))
     assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
     assert len(data) % 16 == 0
-    other = VirtualDvxplorer(PreparedWords(words), firmware=firmware)
-    device = plugged(other)
+    source = SteppedWords(words, monkeypatch)
+    device = plugged(VirtualDvxplorer(source, firmware=firmware))
     run(device, firmware)
+    source.clock.sleep(0.05)
+    before = bytes(device.read(0x82, 65536, 5))
     write(device, *((1, 3, 0) if firmware >= 10 else (5, 0x3000, 0)), SIZE[firmware])
-    assert len(b"".join(transfers(device, timeout_ms=5))) < 1000
+    source.clock.sleep(1.0)
+    after = b"".join(transfers(device, timeout_ms=5))
+    assert before
+    assert after == b""
 
 
 @given(st.lists(st.sampled_from([4, 16, 512, 1024, 4096, 65536]), min_size=1, max_size=10))
@@ -163,16 +169,16 @@ def test_no_word_is_lost_whatever_the_reads(sizes: list[int]) -> None:
     assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
 
 
-def test_flush_time() -> None:
-    """Assert that a shorter flush time makes more and shorter transfers of the same words."""
-    counts = []
-    for flush_us in (1000, 20_000):
-        device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.2))))
-        write(device, 1, 12, flush_us)
-        run(device)
-        counts.append(len(list(transfers(device, timeout_ms=50))))
-    assert counts[1] <= 11
-    assert counts[0] > 2 * counts[1]
+@pytest.mark.parametrize(("flush_us", "least", "most"), [(1000, 150, 201), (5000, 35, 41), (20_000, 9, 11)])
+def test_flush_time(flush_us: int, least: int, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a shorter flush time makes more and shorter transfers of the same words: one for each such time."""
+    words = prepared(0.2)
+    device = plugged(VirtualDvxplorer(SteppedWords(words, monkeypatch)))
+    write(device, 1, 12, flush_us)
+    run(device)
+    parts = list(transfers(device, timeout_ms=50))
+    assert least <= len(parts) <= most
+    assert [word for word in np.frombuffer(b"".join(parts), "<u4") if word] == words.tolist()
 
 
 def test_overflow_loses_the_oldest() -> None:
@@ -249,27 +255,28 @@ def test_stall_ends_by_clearing() -> None:
     assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
 
 
-def test_odd_transfers_cut_words_but_lose_none() -> None:
+def test_odd_transfers_cut_words_but_lose_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert odd lengths, and the same bytes in all."""
     words = prepared(0.1)
-    device = plugged(VirtualDvxplorer(PreparedWords(words), faults=("odd@0:0.2",)))
+    device = plugged(VirtualDvxplorer(SteppedWords(words, monkeypatch), faults=("odd@0:0.2",)))
     run(device)
     parts = list(transfers(device))
     assert sum(len(part) % 2 for part in parts) > 0.5 * len(parts)
     assert same(decoded(b"".join(parts))[0], decoded(words.tobytes())[0])
 
 
-def test_log_packet_and_silence() -> None:
+def test_log_packet_and_silence(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert the document's log packet on the debug endpoint, once, and a stream with a hole."""
     words = prepared(0.2)
-    device = plugged(VirtualDvxplorer(PreparedWords(words), faults=("log@0", "silence@0.05:0.05")))
+    device = plugged(VirtualDvxplorer(SteppedWords(words, monkeypatch), faults=("log@0", "silence@0.05:0.05")))
     run(device)
     packet = bytes(device.read(0x81, 64, 10))
     assert packet.startswith(bytes.fromhex("000740e20100")) and packet.endswith(b"sensor fault\0")
     with pytest.raises(usb.core.USBTimeoutError):
         device.read(0x81, 64, 1)
     events, _ = decoded(b"".join(transfers(device, timeout_ms=150)))
-    assert 0 < events.size < decoded(words.tobytes())[0].size
+    share = events.size / decoded(words.tobytes())[0].size
+    assert share == pytest.approx(0.75, abs=0.03)
 
 
 # The sources of words.

@@ -175,7 +175,7 @@ def test_unplugging_is_said_and_stops_the_gripper() -> None:
 def test_a_dead_gripper_is_a_timeout() -> None:
     """Assert that silence for good is a DeviceTimeout that says that torque may be on."""
     with VirtualGripper() as gripper:
-        driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=100, watchdog_ms=1000))
+        driver = RhP12Rn(gripper.port, settings=RhP12RnSettings(answer_ms=1000, watchdog_ms=2540))
         cycles(driver, 2)
         gripper.inject("lost-answer%100")
         with pytest.raises(
@@ -192,7 +192,7 @@ def test_a_dead_gripper_is_a_timeout() -> None:
 PROGRAM = """
 import sys, time
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
-driver = RhP12Rn(sys.argv[1], settings=RhP12RnSettings(answer_ms=200, watchdog_ms=500))
+driver = RhP12Rn(sys.argv[1], settings=RhP12RnSettings(answer_ms=2000, watchdog_ms=2540))
 driver.write_current(30)
 driver.write_current(30)
 print("ready", flush=True)
@@ -263,7 +263,7 @@ def run_program(gripper: VirtualGripper, ending: Any) -> int:
             assert gripper.read_register("Goal Current") == 30
             time.sleep(0.05)
             program.send_signal(ending)
-        said = program.communicate(timeout=30)[1].decode()
+        said = program.communicate(timeout=60)[1].decode()
         if ending != signal.SIGKILL:
             assert f"gripper at {gripper.port}: torque is off (read back)" in said
         return program.returncode
@@ -327,7 +327,7 @@ def test_nothing_is_reset_to_factory_values(gripper: VirtualGripper) -> None:
 BEFORE_A_COMMAND = """
 import sys, time
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
-settings = RhP12RnSettings(answer_ms=200, watchdog_ms=500, max_current_ma=100)
+settings = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540, max_current_ma=100)
 driver = RhP12Rn(sys.argv[1], 2_000_000, sys.argv[2], settings)
 print("ready", flush=True)
 time.sleep(600)
