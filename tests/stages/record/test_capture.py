@@ -123,13 +123,15 @@ def faults(path: Path) -> Any:
 def test_after_the_seconds(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     """Assert that it is as long as asked for, valid, not simulated, and carries rate, lateness and every loss."""
     rig = rig_is(Camera())
+    began_s = time.monotonic()
     path, made = recording(tmp_path, seconds=0.5)
+    took_s = time.monotonic() - began_s
     assert faults(path) is None
     with open_recording(path) as file:
         assert [events.size for events in file] == [10] * 500
         assert file.read("capture/ended") == "after the seconds asked for"
         assert int(file.read("capture/lost/camera.late_events")) == 3
-        assert float(file.read("capture/slices_per_s")) > 100
+        assert float(file.read("capture/slices_per_s")) >= 499 / took_s
         late_us = file.read("capture/slice_late_us")
         assert late_us[0] <= late_us[1] <= late_us[2] <= 40.0
         assert not file.has("gripper")
@@ -559,20 +561,22 @@ def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
     params = Record(camera=camera, expected_event_rate=1e4, seconds=0.4, count=2)
     jobs = record.jobs([], params, tmp_path)
     assert jobs[0].inputs == tuple(both)
+    began_s = time.monotonic()
     first = record.run(jobs[0], params)
     record.run(jobs[1], dataclasses.replace(params, resume=True))
+    took_us = 1e6 * (time.monotonic() - began_s)
     assert [row["output"] for row in first.rows] == [str(path) for path in jobs[0].outputs]
     ids = []
     for job in jobs:
         with open_recording(job.outputs[0]) as one, open_recording(job.outputs[1]) as other:
             assert len(one) == 400
-            assert abs(len(other) - 400) < 200
+            assert len(other) > 0  # as many as came meanwhile
             for recorded, path in ((one, both[0]), (other, both[1])):
                 with open_recording(path) as played:
-                    ours, theirs = recorded.between(0, 200), played.between(0, 200)
+                    ours, theirs = recorded.between(0, len(recorded)), played.between(0, len(recorded))
                     assert all((a == b).all() for a, b in zip(ours, theirs, strict=True))
             assert not one.has("capture/clock_offset_us")
-            assert abs(float(other.read("capture/clock_offset_us"))) < 1e6
+            assert abs(float(other.read("capture/clock_offset_us"))) < took_us
             headers = one.header["parameters"], other.header["parameters"]
             assert headers[0]["trajectory"] == headers[1]["trajectory"]
             ids.append(headers[0]["trajectory"])
