@@ -29,7 +29,7 @@ from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.trial_writer import TrialWriter
 
 OURS = "ours"
 REPEATS = 5
@@ -250,10 +250,10 @@ def storage(slices: list[Events]) -> list[Row]:
         paths = {name: Path(folder) / f"{number}.recording.h5" for number, name in enumerate((OURS, *PLAIN))}
 
         def write_ours() -> int:
-            writer = RecordingWriter(paths[OURS], static, discard_leftover=True)
-            for part in slices:
-                writer.append(part)
-            writer.finish(Recipe("recording", 1, {}, seed=0, simulated_source=True))
+            with TrialWriter(paths[OURS], static) as writer:
+                for part in slices:
+                    writer.append(part, {})
+                writer.finish(Recipe("recording", 1, {}, seed=0, simulated_source=True))
             return events.size
 
         def read_ours() -> int:

@@ -57,10 +57,9 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
             h5[name] = column
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segments, "SEGMENT_S", 1e9)
-        writer = RecordingWriter(folder / "b.recording.h5", STATIC, discard_leftover=False, recipe=recipe)
-        for _ in range(2):
-            for _ in range(3):
-                k = writer._slices + len(writer._counts)
+        writer = RecordingWriter(folder / "b.recording.h5", STATIC, recipe=recipe)
+        for segment in range(2):
+            for k in range(3 * segment, 3 * segment + 3):
                 events = Events(*arrays.values()).part(int(starts[k % 3]), int(starts[k % 3 + 1]))
                 writer.append(events._replace(t=events.t % 1000 + 1000 * k))
             writer.close_segment()

@@ -327,12 +327,8 @@ def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) ->
 
 
 def remove_unfinished(outputs: Sequence[Path]) -> None:
-    """Remove what dead processes of this computer left beside these outputs: temporary files, and segments.
-
-    Segments are those of simulated recordings: no device is used in a worker.
-    """
-    from evetac_cli.store import disk, segments
+    """Remove the temporary files that dead processes of this computer left beside these outputs."""
+    from evetac_cli.store import disk
 
     for output in outputs:
         disk.remove_unfinished(output)
-        segments.remove_unfinished(output)

@@ -74,7 +74,7 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
         late: dict[str, Any] = {"capture/ended": ENDED, **left.late}
         if left.lost:
             late["capture/lost_slices"] = np.array(left.lost, np.int64)
-        join(folder, output, left.recipe, late, left.parts, from_device=True)
+        join(folder, output, left.recipe, late, left.parts)
         try:
             _check(output)
         except InputError:

@@ -145,7 +145,7 @@ class Computer:
         times_s = []
         with tempfile.TemporaryDirectory(dir=folder, prefix=".speed-") as temporary:
             sensor = {"sensor/frame_px": np.array(FRAME_PX, np.int32), "t_offset": np.int64(0)}
-            writer = RecordingWriter(Path(temporary) / "a.recording.h5", sensor, discard_leftover=True)
+            writer = RecordingWriter(Path(temporary) / "a.recording.h5", sensor)
             try:
                 for segment in range(SEGMENTS):
                     for k in range(SEGMENT_SLICES * segment, SEGMENT_SLICES * (segment + 1)):

@@ -296,7 +296,7 @@ def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any],
         if ended == INTERRUPTED and size > JOINED_AT_ONCE_EVENTS:
             writer.leave_complete(datasets)
             return writer.folder
-        writer.finish(recipe, datasets, from_device=True)
+        writer.finish(recipe, datasets)
         return writer.path
     except BaseException as error:
         writer.leave()

@@ -189,7 +189,7 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
             raise InputError(
                 "it does not say what was recorded",
                 where=str(folder),
-                hint="it was a simulation: run it again",
+                hint=PLAIN,
             )
         known = schema.load("recording")
         unknown = [name for name in datasets if known.find(name) is None]

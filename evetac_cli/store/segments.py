@@ -1,9 +1,10 @@
-"""Recordings that grow: closed segments in NAME.part/, joined into one file at the end.
+"""Recordings of devices: closed segments in NAME.part/, joined into one file at the end.
 
 Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
 segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
-last quarter of a second is on disk. A folder NAME.part/ that is left over means that a recording broke off; it holds
-all that `evetac repair` needs (store/recovery.py). Segments are not compressed: that would cost a tenth of the time in
+last quarter of a second is on disk: of wall time, which is that of devices. Trials that can be simulated again are
+written once (trial_writer.py). A folder NAME.part/ that is left over means that a recording broke off; it holds all
+that `evetac repair` needs (store/recovery.py). Segments are not compressed: that would cost a tenth of the time in
 which they fill, at a million events a second, and the recorder must not leave its devices unread for so long. Each
 dataset carries its CRC-32 instead, so that damage is seen.
 """
@@ -28,8 +29,8 @@ from evetac_cli.store.chunks import RowWriter, put
 from evetac_cli.store.disk import missing_folders, new_file, open_lock, remove_empty
 from evetac_cli.store.files import put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
-from evetac_cli.store.new_contents import NewContents
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
+from evetac_cli.store.trial_writer import TrialBuffer
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
@@ -51,29 +52,20 @@ class RecordingWriter:
     Rows are named by their schema path, such as `gripper/t_us`, and may come at any rate of their own.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        static: Mapping[str, Any],
-        *,
-        discard_leftover: bool,
-        recipe: Recipe | None = None,
-    ) -> None:
+    def __init__(self, path: Path, static: Mapping[str, Any], *, recipe: Recipe | None = None) -> None:
         """Make NAME.part/; `static` holds what is known beforehand (sensor/..., t_offset).
 
-        A left-over NAME.part/ is thrown away only if `discard_leftover` (a simulation can be made again), else refused.
-        With a `recipe` what is left by a recording that breaks off can be repaired, and is never thrown away.
+        A left-over NAME.part/ that holds segments is refused. With a `recipe` what is left by a recording that breaks
+        off can be repaired.
         """
         self.path = path
         self.folder = _part_folder(path)
         self._made = missing_folders(path.parent)
         self._lock: BinaryIO | None = None
         try:
-            self._claim(discard_leftover)
+            self._claim()
         except KeyboardInterrupt:
-            self._unlock()
-            remove_unfinished(path)  # unless it is somebody else's, whose lock it was about to find
-            remove_empty(self._made)
+            self._remove_if_only_begun()
             raise
         try:
             about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
@@ -81,16 +73,13 @@ class RecordingWriter:
         except BaseException:
             self.discard()
             raise
-        self._events: list[Events] = []
-        self._counts: list[int] = []
-        self._rows: dict[str, list[Any]] = {}
-        self._waiting = 0
+        self._waiting = TrialBuffer()
         self._segments = 0
         self._slices = 0
         self.events = 0
         self._closed_at = time.monotonic()
 
-    def _claim(self, discard_leftover: bool) -> None:
+    def _claim(self) -> None:
         """Make the folder ours; a lock tells a recording in progress from one that broke off."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -104,12 +93,11 @@ class RecordingWriter:
         except OSError:
             self._unlock()
             raise InputError("another process is recording here", where=str(self.folder)) from None
-        if not discard_leftover or _repairable(self.folder):
-            try:
-                refuse_leftover(self.path)
-            except InputError:
-                self._unlock()
-                raise
+        try:
+            refuse_leftover(self.path)
+        except InputError:
+            self._unlock()
+            raise
         for file in self.folder.iterdir():
             if file.name == "lock":
                 continue
@@ -120,40 +108,31 @@ class RecordingWriter:
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
         """Add one slice (its events may be none) and one row to each of the named datasets; arrays are not copied."""
-        self._events.append(events)
-        self._counts.append(events.size)
-        self._waiting += events.size
+        self._waiting.append(events, rows or {})
         self.events += events.size
-        self.append_rows(rows or {})
-        if self._waiting >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
+        if self._waiting.event_count >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
             self.close_segment()
 
     def append_rows(self, rows: Mapping[str, Any]) -> None:
         """Add one row to each of the named datasets, beside the slices."""
-        for name, row in rows.items():
-            self._rows.setdefault(name, []).append(row)
+        self._waiting.append_rows(rows)
 
     def close_segment(self) -> None:
         """Write everything that waits as the next segment."""
-        if self._counts:
-            arrays: dict[str, Any] = {COUNTS: np.array(self._counts, np.int64)}
-            for column in Events._fields:
-                arrays[f"events/{column}"] = np.concatenate([getattr(part, column) for part in self._events])
-            arrays |= schema.typed_rows("recording", self._rows)
+        if self._waiting.events:
+            counts = self._waiting.counts()
+            arrays = {COUNTS: counts, **self._waiting.columns()}
             self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})
             self._segments += 1
-            self._slices += len(self._counts)
-            self._events, self._counts, self._rows, self._waiting = [], [], {}, 0
+            self._slices += len(counts)
+            self._waiting = TrialBuffer()
         self._closed_at = time.monotonic()
 
-    def finish(self, recipe: Recipe, late: Mapping[str, Any] | None = None, *, from_device: bool = False) -> Header:
-        """Close, join all segments into `path` and remove the folder; `late` adds what is only known at the end.
-
-        With `from_device`, the digest of the stored arrays enters the recipe: such a recording cannot be made again.
-        """
+    def finish(self, recipe: Recipe, late: Mapping[str, Any] | None = None) -> Header:
+        """Close, join all segments into `path` and remove the folder; `late` adds what is only known at the end."""
         self.close_segment()
         parts = [self.folder / f"{number:06d}.h5" for number in range(self._segments)]
-        header = join(self.folder, self.path, recipe, late or {}, parts, from_device=from_device)
+        header = join(self.folder, self.path, recipe, late or {}, parts)
         with suppress(OSError):  # on a full disk; then the next lines have not much to do
             (self.folder / JOINED).touch()
         self.discard()
@@ -177,10 +156,23 @@ class RecordingWriter:
         self.leave()
 
     def discard(self) -> None:
-        """Throw the folder away: for a trial that can be made again, or is joined."""
+        """Throw the folder away: of a recording that is joined, or that nobody wants."""
         shutil.rmtree(self.folder, ignore_errors=True)  # before the lock is let go: the next may be waiting for it
         remove_empty(self._made)
         self._unlock()
+
+    def _remove_if_only_begun(self) -> None:
+        """Remove the folder where it holds nothing but the lock, and that is ours."""
+        with suppress(OSError):
+            if self._lock is None:
+                self.folder.rmdir()
+            else:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if [file.name for file in self.folder.iterdir()] == ["lock"]:
+                    (self.folder / "lock").unlink()
+                    self.folder.rmdir()
+        self._unlock()
+        remove_empty(self._made)
 
     def _unlock(self) -> None:
         if self._lock is not None:
@@ -223,22 +215,6 @@ def refuse_leftover(path: Path) -> None:
         )
 
 
-def remove_unfinished(path: Path) -> None:
-    """Remove the folder that a dead process left of a simulated recording, which can be made again.
-
-    One in which somebody records, one that waits for repair, and what no recording makes stay.
-    """
-    folder = _part_folder(path)
-    with suppress(OSError):
-        folder.rmdir()  # one that was only just made
-    if not (folder / "lock").is_file() or any(file.is_dir() for file in folder.iterdir()):
-        return
-    with suppress(OSError), open_lock(folder / "lock") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if (folder / JOINED).exists() or not _repairable(folder):
-            shutil.rmtree(folder, ignore_errors=True)
-
-
 def _part_folder(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(".h5") + ".part")
 
@@ -248,35 +224,18 @@ def checksum(value: Any) -> int:
     return zlib.crc32(np.ascontiguousarray(value).tobytes())
 
 
-def _repairable(folder: Path) -> bool:
-    """Whether a left-over folder says what was recorded in it."""
-    try:
-        with CheckedHdf5(folder / STATIC) as static:
-            return static.text_attribute(RECIPE) is not None
-    except InputError:
-        return False
-
-
-def join(
-    folder: Path,
-    path: Path,
-    recipe: Recipe,
-    late: Mapping[str, Any],
-    parts: Sequence[Path | int],
-    *,
-    from_device: bool,
-) -> Header:
+def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], parts: Sequence[Path | int]) -> Header:
     """Join segments of NAME.part/ into one recording, block by block: memory does not grow with its length.
 
     parts: the segments in their order; a number stands for so many slices that were lost: they are empty, and what is
-    stored of every slice is NaN there. SchemaError for values that make no sense, but only in what can be made again:
-    what devices gave is kept as it is.
+    stored of every slice is NaN there. Values are not looked at: what devices gave is kept as it is. The digest of the
+    stored arrays enters the recipe, because such a recording cannot be made again.
     """
     per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
     events = 0
     whole = {**_static(folder), **late}
-    new = NewContents(path, "recording", whole)
+    shapes = {name: schema.describe(value) for name, value in whole.items()}
     with replacing(path) as h5:
         for name, value in whole.items():
             put(h5, name, value)
@@ -289,11 +248,9 @@ def join(
             if name not in writers:
                 writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:])
             writer = writers[name]
-            if not from_device:
-                new.check_block(name, rows, writer.rows)
             writer.append(rows)
             digest.update(name, rows)
-            new.shapes[name] = (rows.dtype.name, (writer.rows, *rows.shape[1:]))
+            shapes[name] = (rows.dtype.name, (writer.rows, *rows.shape[1:]))
 
         put_more(STARTS, np.zeros(1, np.int64))
         for part in parts:
@@ -320,12 +277,8 @@ def join(
                 put_more(name, np.empty(0, described.dtype))
         for writer in writers.values():
             writer.close()
-        schema.refuse("recording", schema.problems(table, new.shapes), str(folder))
-        if not from_device:
-            new.check_rest(h5)
-        if from_device:
-            recipe = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()})
-        header = recipe.header()
+        schema.refuse("recording", schema.problems(table, shapes), str(folder))
+        header = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()}).header()
         put_header(h5, header)
     return header
 

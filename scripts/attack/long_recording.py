@@ -116,7 +116,7 @@ class Repeated:
     def leave_segments(self, path: Path, slices: int) -> None:
         """Leave the folder NAME.part of a recording that broke off, without what only a simulation knows."""
         static = {name: value for name, value in self.whole.items() if name.startswith("sensor/") or name == "t_offset"}
-        writer = RecordingWriter(path, static, discard_leftover=True, recipe=self.recipe(slices))
+        writer = RecordingWriter(path, static, recipe=self.recipe(slices))
         starts = self.starts
         for first in range(0, slices, self.slices):
             t = self.rows["events/t"] + first * SLICE_US

@@ -135,7 +135,7 @@ def test_kill_while_joining(tmp_path: Path) -> None:
 
 def test_nothing_to_repair(tmp_path: Path) -> None:
     """Assert that a folder without a segment, and what is no folder, are refused in words; an empty search is none."""
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, recipe=RECIPE)
     writer._lock.close()  # as if it had been killed
     assert "no slice of it can be read" in str(repair.run([writer.folder]).rows[0]["fault"])
     with pytest.raises(InputError, match="no such file"):
@@ -323,7 +323,7 @@ def test_odd_locks_do_not_hold_a_recording_up(tmp_path: Path, odd: Callable[[Pat
     (folder / "lock").touch()
     odd(folder / "lock")
     with pytest.raises(InputError, match="cannot be made"):
-        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC)
 
 
 def test_odd_names_in_a_leftover_are_named(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ from evetac_cli.store.segments import RecordingWriter
 
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
 recipe = Recipe("recording", 1, {})
-writer = RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False, recipe=recipe)
+writer = RecordingWriter(Path(sys.argv[1]), static, recipe=recipe)
 count = 100000
 t = np.sort(np.random.default_rng(0).integers(0, 1000, count))
 writer.append(Events(t, *(np.ones(count, kind) for kind in ("u2", "u2", "u1"))))

@@ -35,7 +35,7 @@ def piece(path: Path, out: Path, **flags: Any) -> Path:
 
 def rich_recording(path: Path, slices: int = 12) -> Path:
     """A recording with gripper, controller and lost slices."""
-    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer = RecordingWriter(path, STATIC)
     names = ("current_target_ma", "current_written_ma", "current_ma", "position_ticks")
     for k in range(slices):
         rows = {"gripper/t_us": 1000 * k + 500, **{f"gripper/{name}": k for name in names}} if k % 2 else {}
@@ -43,7 +43,7 @@ def rich_recording(path: Path, slices: int = 12) -> Path:
         writer.append(events_of(k, 0 if 3 <= k < 6 else 2), {"control/probability": k / 20} | control(k) | rows | times)
     lost = {"capture/ended": "after the seconds asked for", "capture/lost_slices": np.array([[3, 6]], np.int64)}
     lost["capture/lost/camera.late_events"] = np.int64(4)
-    writer.finish(Recipe("recording", 1, {}), lost, from_device=True)
+    writer.finish(Recipe("recording", 1, {}), lost)
     return path
 
 

@@ -328,7 +328,7 @@ def test_dimensions_are_as_long_as_their_datasets(labels_file: Path, length: int
 def test_segments_say_what_they_hold(tmp_path: Path) -> None:
     """Assert that what is rescued of a recording with plain tools has its units, and the joined file everything."""
     static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "unknown", "t_offset": np.int64(0)}
-    writer = RecordingWriter(tmp_path / "a.recording.h5", static, discard_leftover=False)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", static)
     rows = {row.path: 0 for row in schema.load("recording").datasets if row.path.startswith("gripper/")}
     none: NDArray[Any] = np.empty(0, np.int64)
     for _ in range(3):

@@ -32,7 +32,7 @@ def events_of(k: int, count: int = 3) -> Events:
 
 def broken_off(folder: Path, slices_per_segment: list[int], rows: Any = None, recipe: Recipe | None = RECIPE) -> Path:
     """Segments of so many slices each, left behind; returns NAME.part."""
-    writer = RecordingWriter(folder / "a.recording.h5", STATIC, discard_leftover=False, recipe=recipe)
+    writer = RecordingWriter(folder / "a.recording.h5", STATIC, recipe=recipe)
     k = 0
     for count in slices_per_segment:
         for _ in range(count):
@@ -157,15 +157,15 @@ def test_start_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_recording_without_a_recipe(tmp_path: Path) -> None:
-    """Assert that what a simulation left, which did not write down its recipe, is refused with advice."""
+    """Assert that segments of which nobody knows what was recorded are refused, with how to read them."""
     folder = broken_off(tmp_path, [2], recipe=None)
-    with pytest.raises(InputError, match="run it again"):
+    with pytest.raises(InputError, match="does not say what was recorded(.|\n)*plain HDF5 files"):
         recovery.read_leftover(folder)
 
 
 def test_recording_in_progress_is_left_alone(tmp_path: Path) -> None:
     """Assert that a folder that a recorder holds is not touched, nor one that does not exist made."""
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False, recipe=RECIPE)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, recipe=RECIPE)
     with pytest.raises(InputError, match="in progress"), recovery.held(writer.folder):
         pass
     writer._lock.close()  # as if it had been killed
@@ -177,13 +177,13 @@ def test_recording_in_progress_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_device_leftover_is_never_thrown_away(tmp_path: Path) -> None:
-    """Assert that a simulation of the same name does not take the place of what cannot be made again."""
+    """Assert that a recording of the same name does not take the place of what cannot be made again."""
     folder = broken_off(tmp_path, [2])
     with pytest.raises(InputError, match="evetac repair"):
-        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert recovery.read_leftover(folder).slices == 2
     (folder / segments.JOINED).touch()  # as if only removing it had failed
-    RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False).discard()
+    RecordingWriter(tmp_path / "a.recording.h5", STATIC).discard()
     assert not folder.exists()
 
 
@@ -220,7 +220,7 @@ def test_m11_repair_takes_no_memory_for_the_length(tmp_path: Path, events: int, 
     try:
         leftover = recovery.read_leftover(folder)
         output = tmp_path / "a.recording.h5"
-        segments.join(folder, output, leftover.recipe, {"capture/ended": "x"}, parts=leftover.parts, from_device=True)
+        segments.join(folder, output, leftover.recipe, {"capture/ended": "x"}, parts=leftover.parts)
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -80,14 +80,14 @@ def expected(counts: list[int], every: int) -> dict[str, Any]:
     return arrays
 
 
-def write(path: Path, counts: list[int], cuts: set[int], every: int, **finish: Any) -> dict[str, Any]:
+def write(path: Path, counts: list[int], cuts: set[int], every: int) -> dict[str, Any]:
     """Append slices with `counts` events, closing a segment before each slice in `cuts`; returns the header."""
-    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer = RecordingWriter(path, STATIC)
     for k, count in enumerate(counts):
         if k in cuts:
             writer.close_segment()
         writer.append(some_events(k, count), slice_rows(k, every))
-    return writer.finish(RECIPE, {"truth/sampled_parameters": "{}"}, **finish)
+    return writer.finish(RECIPE, {"truth/sampled_parameters": "{}"})
 
 
 def everything(folder: Path) -> list[str]:
@@ -114,7 +114,6 @@ def test_joined_is_what_was_appended(counts: list[int], cuts: set[int], every: i
             for path, value in wanted.items():
                 np.testing.assert_array_equal(file.read(path), value, strict=not isinstance(value, str))
             assert file.header == header
-            assert header["id"] == RECIPE.id
 
 
 @given(st.lists(st.integers(0, 3), min_size=1, max_size=8), st.sets(st.integers(0, 7)), st.sets(st.integers(0, 7)))
@@ -124,9 +123,9 @@ def test_digest_of_a_device_recording(counts: list[int], cuts: set[int], other_c
     """Assert that what stands for a recording that cannot be made again does not depend on where it was cut."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        first = write(folder / "a.recording.h5", counts, cuts, 2, from_device=True)
-        again = write(folder / "b.recording.h5", counts, other_cuts, 2, from_device=True)
-        more = write(folder / "c.recording.h5", [*counts, 0], cuts, 2, from_device=True)
+        first = write(folder / "a.recording.h5", counts, cuts, 2)
+        again = write(folder / "b.recording.h5", counts, other_cuts, 2)
+        more = write(folder / "c.recording.h5", [*counts, 0], cuts, 2)
         with StageFile(folder / "a.recording.h5") as file:
             stored = {path: file.read(path) for path in file.contents()}
     assert first["seed"] is None
@@ -136,7 +135,7 @@ def test_digest_of_a_device_recording(counts: list[int], cuts: set[int], other_c
 
 def test_segments_close_by_themselves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a segment is written when enough events wait or enough time has passed, and not before."""
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     monkeypatch.setattr(segments, "SEGMENT_EVENTS", 10)
     for k in range(5):
         writer.append(some_events(k, 4))
@@ -156,7 +155,7 @@ def test_empty_recording(tmp_path: Path) -> None:
     """Assert that a recording without a slice, and one of slices without events, are valid files."""
     for slices in (0, 3):
         path = tmp_path / f"{slices}.recording.h5"
-        writer = RecordingWriter(path, STATIC, discard_leftover=False)
+        writer = RecordingWriter(path, STATIC)
         for _ in range(slices):
             writer.append(empty())
         writer.finish(RECIPE)
@@ -170,7 +169,7 @@ def test_empty_recording(tmp_path: Path) -> None:
 def test_discard_leaves_nothing(tmp_path: Path) -> None:
     """Assert that a discarded recording leaves no file, however far it had come, and the name is free again."""
     path = tmp_path / "a.recording.h5"
-    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer = RecordingWriter(path, STATIC)
     writer.append(some_events(0, 4))
     writer.close_segment()
     writer.append(some_events(1, 4))
@@ -185,7 +184,7 @@ def test_finishing_replaces_an_older_file(tmp_path: Path) -> None:
     """Assert that an older file stays until the new one is complete."""
     path = tmp_path / "a.recording.h5"
     write(path, [1, 2], set(), 1)
-    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer = RecordingWriter(path, STATIC)
     writer.append(some_events(0, 9))
     with open_recording(path) as recording:
         assert recording.event_count == 3
@@ -202,7 +201,7 @@ from evetac_cli.events import Events
 from evetac_cli.store import schema, segments
 segments.SEGMENT_S = 1e9
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
-writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
+writer = segments.RecordingWriter(Path(sys.argv[1]), static)
 for k in range(5):
     one = np.ones(1)
     writer.append(Events((1000 * k * one).astype(np.int64), one.astype("u2"), one.astype("u2"), one.astype("u1")))
@@ -227,7 +226,7 @@ def test_killed_recorder_leaves_closed_segments(broken_off: Path) -> None:
         "a.recording.part",
         *(f"a.recording.part/{name}" for name in ("000000.h5", "000001.h5", "lock", "static.h5")),
     ]
-    segments.join(folder, broken_off, RECIPE, {}, sorted(folder.glob("[0-9]*.h5")), from_device=True)
+    segments.join(folder, broken_off, RECIPE, {}, sorted(folder.glob("[0-9]*.h5")))
     with open_recording(broken_off) as recording:
         assert recording.between(0, len(recording)).t.tolist() == [0, 1000, 2000, 3000]
 
@@ -237,19 +236,9 @@ def test_leftover_is_refused(broken_off: Path) -> None:
     before = {path: path.read_bytes() for path in broken_off.parent.rglob("*.h5")}
     for _ in range(2):
         with pytest.raises(InputError, match="a recording broke off here") as refused:
-            RecordingWriter(broken_off, STATIC, discard_leftover=False)
+            RecordingWriter(broken_off, STATIC)
         assert "a.recording.part" in str(refused.value)
     assert {path: path.read_bytes() for path in broken_off.parent.rglob("*.h5")} == before
-
-
-def test_leftover_is_discarded_if_it_can_be_made_again(broken_off: Path) -> None:
-    """Assert that nothing of a discarded leftover gets into the new recording."""
-    writer = RecordingWriter(broken_off, STATIC, discard_leftover=True)
-    writer.append(some_events(0, 3))
-    writer.finish(RECIPE)
-    with open_recording(broken_off) as recording:
-        assert [events.size for events in recording] == [3]
-    assert everything(broken_off.parent) == ["a.recording.h5"]
 
 
 def test_folders_of_others_are_not_deleted(tmp_path: Path) -> None:
@@ -257,24 +246,23 @@ def test_folders_of_others_are_not_deleted(tmp_path: Path) -> None:
     precious = tmp_path / "a.recording.part" / "precious"
     precious.mkdir(parents=True)
     with pytest.raises(InputError, match="not from a recording"):
-        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert precious.is_dir()
 
 
 def test_second_writer_is_refused(tmp_path: Path) -> None:
     """Assert that two recordings into one file are refused at the same time, and the first is not disturbed."""
     path = tmp_path / "a.recording.h5"
-    first = RecordingWriter(path, STATIC, discard_leftover=False)
+    first = RecordingWriter(path, STATIC)
     first.append(some_events(0, 5))
     first.close_segment()
-    for discard_leftover in (False, True):
-        with pytest.raises(InputError, match="another process is recording here"):
-            RecordingWriter(path, STATIC, discard_leftover=discard_leftover)
+    with pytest.raises(InputError, match="another process is recording here"):
+        RecordingWriter(path, STATIC)
     first.append(some_events(1, 6))
     first.finish(RECIPE)
     with open_recording(path) as recording:
         assert [events.size for events in recording] == [5, 6]
-    RecordingWriter(path, STATIC, discard_leftover=False).discard()
+    RecordingWriter(path, STATIC).discard()
 
 
 def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
@@ -283,9 +271,9 @@ def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "a.recording.part").write_text("x")
     for path in (tmp_path / "file" / "a.recording.h5", tmp_path / "a.recording.h5"):
         with pytest.raises(InputError, match="the output folder is a file"):
-            RecordingWriter(path, STATIC, discard_leftover=True)
+            RecordingWriter(path, STATIC)
     with pytest.raises(InputError, match="cannot be made"):
-        RecordingWriter(Path("/proc/nowhere/a.recording.h5"), STATIC, discard_leftover=True)
+        RecordingWriter(Path("/proc/nowhere/a.recording.h5"), STATIC)
     assert everything(tmp_path) == ["a.recording.part", "file"]
 
 
@@ -293,7 +281,7 @@ def test_failing_start_leaves_nothing(tmp_path: Path) -> None:
     """Assert that a writer that cannot store what is known beforehand leaves no folder, so that the next can start."""
     path = tmp_path / "a.recording.h5"
     with pytest.raises(TypeError):
-        RecordingWriter(path, {**STATIC, "t_offset": object()}, discard_leftover=False)
+        RecordingWriter(path, {**STATIC, "t_offset": object()})
     assert everything(tmp_path) == []
     write(path, [1], set(), 1)
 
@@ -317,7 +305,7 @@ def test_what_is_not_a_recording_is_refused_and_kept(tmp_path: Path) -> None:
     """Assert that a recording against the schema is refused in words, and what was recorded stays in its folder."""
     for number, spoil in enumerate((incomplete, a_row_too_few, wrong_dtype)):
         path = tmp_path / f"{number}.recording.h5"
-        writer = RecordingWriter(path, STATIC, discard_leftover=False)
+        writer = RecordingWriter(path, STATIC)
         spoil(writer)
         with pytest.raises(SchemaError, match="not a valid recording"):
             writer.finish(RECIPE)
@@ -330,7 +318,7 @@ def test_what_is_not_a_recording_is_refused_and_kept(tmp_path: Path) -> None:
 def test_finish_can_be_tried_again(tmp_path: Path) -> None:
     """Assert that a target that cannot be written costs nothing: all is in the folder, and a second try succeeds."""
     path = tmp_path / "a.recording.h5"
-    writer = RecordingWriter(path, STATIC, discard_leftover=False)
+    writer = RecordingWriter(path, STATIC)
     writer.append(some_events(0, 3))
     path.mkdir()
     with pytest.raises(InputError, match="cannot be written"):
@@ -352,7 +340,7 @@ from evetac_cli.store import schema, segments
 from evetac_cli.store.provenance import Recipe
 segments.SEGMENT_S = 1e9
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
-writer = segments.RecordingWriter(Path(sys.argv[1]), static, discard_leftover=False)
+writer = segments.RecordingWriter(Path(sys.argv[1]), static)
 rng = np.random.default_rng(0)
 def piece(k, count):
     t = np.sort(rng.integers(1000 * k, 1000 * k + 1000, count))
@@ -402,7 +390,7 @@ def test_full_disk(tmp_path: Path) -> None:
 
 def test_segments_are_plain_hdf5(tmp_path: Path) -> None:
     """Assert that a segment holds its own events with the number of each slice: any HDF5 tool can rescue it."""
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     for k in range(3):
         writer.append(some_events(k, k), {"gripper/t_us": k})
     writer.close_segment()
@@ -415,7 +403,7 @@ def test_segments_are_plain_hdf5(tmp_path: Path) -> None:
 
 def test_segments_tell_their_place_and_their_bytes(tmp_path: Path) -> None:
     """Assert that a segment says with which slice it begins, and carries a checksum of every dataset."""
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     for k in range(5):
         writer.append(some_events(k, 2), {"gripper/t_us": k})
         if k in (1, 3):
@@ -435,7 +423,7 @@ def test_segments_tell_their_place_and_their_bytes(tmp_path: Path) -> None:
 def test_folder_without_a_segment_is_no_loss(tmp_path: Path) -> None:
     """Assert that a recording that broke off before its first segment does not stand in the way of the next."""
     path = tmp_path / "a.recording.h5"
-    RecordingWriter(path, STATIC, discard_leftover=False, recipe=RECIPE)._lock.close()  # as if it had been killed
+    RecordingWriter(path, STATIC, recipe=RECIPE)._lock.close()  # as if it had been killed
     assert (tmp_path / "a.recording.part" / "static.h5").exists()
     write(path, [1, 2], set(), 1)
     assert everything(tmp_path) == ["a.recording.h5"]
@@ -443,11 +431,11 @@ def test_folder_without_a_segment_is_no_loss(tmp_path: Path) -> None:
 
 def test_lost_slices_are_empty(tmp_path: Path) -> None:
     """Assert that joining with a number in place of a segment makes so many slices without an event."""
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=False)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     for k in (0, 1):
         writer.append(some_events(k, 3))
     writer.close_segment()
-    segments.join(writer.folder, writer.path, RECIPE, {}, [writer.folder / "000000.h5", 4], from_device=True)
+    segments.join(writer.folder, writer.path, RECIPE, {}, [writer.folder / "000000.h5", 4])
     with open_recording(writer.path) as recording:
         assert [events.size for events in recording] == [3, 3, 0, 0, 0, 0]
     writer.discard()
@@ -455,69 +443,24 @@ def test_lost_slices_are_empty(tmp_path: Path) -> None:
 
 def test_a_recording_thrown_away_leaves_no_folder_that_was_made_for_it(tmp_path: Path) -> None:
     """Assert that folders made for a recording go with it, but not one that was there, nor one that holds a file."""
-    RecordingWriter(tmp_path / "new" / "inner" / "a.recording.h5", STATIC, discard_leftover=True).discard()
+    RecordingWriter(tmp_path / "new" / "inner" / "a.recording.h5", STATIC).discard()
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "old").mkdir()
-    RecordingWriter(tmp_path / "old" / "a.recording.h5", STATIC, discard_leftover=True).discard()
+    RecordingWriter(tmp_path / "old" / "a.recording.h5", STATIC).discard()
     assert [path.name for path in tmp_path.iterdir()] == ["old"]
 
 
-@pytest.mark.parametrize("from_device", [False, True])
-def test_only_what_can_be_made_again_is_refused(tmp_path: Path, from_device: bool) -> None:
-    """Assert that impossible events of a simulation make no file, and those of a device are kept, and found later."""
+def test_what_a_device_gave_is_kept(tmp_path: Path) -> None:
+    """Assert that impossible events of a device, which cannot be made again, are in the file, and found later."""
     path = tmp_path / "a.recording.h5"
-    writer = RecordingWriter(path, STATIC, discard_leftover=True)
+    writer = RecordingWriter(path, STATIC)
     writer.append(some_events(0, 9))
     writer.close_segment()
     events = some_events(1, 9)
     events.x[4] = 640
     writer.append(events)
-    if from_device:
-        writer.finish(RECIPE, from_device=True)
-        assert "events/x is impossible" in validate.run([path]).rows[0]["faults"]
-        return
-    with pytest.raises(SchemaError, match=r"events/x is impossible(.|\n)*640 in row 13"):
-        writer.finish(RECIPE)
-    writer.discard()
-    assert everything(tmp_path) == []
-
-
-def test_what_a_dead_process_left_of_a_simulation_is_removed(broken_off: Path) -> None:
-    """Assert that the segments of a process that was killed go, and files beside them stay."""
-    beside = broken_off.with_name("b.recording.h5")
-    beside.write_text("x")
-    segments.remove_unfinished(broken_off)
-    segments.remove_unfinished(broken_off)  # there is none any more
-    assert everything(broken_off.parent) == ["b.recording.h5"]
-
-
-def test_what_waits_for_repair_or_is_at_work_is_not_removed(tmp_path: Path) -> None:
-    """Assert that a folder with a recipe, one that is being written, and one with a folder in it are left alone."""
-    waits, at_work, other = (tmp_path / f"{name}.recording.h5" for name in ("waits", "work", "other"))
-    writer = RecordingWriter(waits, STATIC, discard_leftover=False, recipe=RECIPE)
-    writer.append(some_events(0, 3))
-    writer.close_segment()
-    writer.leave()
-    working = RecordingWriter(at_work, STATIC, discard_leftover=True)
-    (tmp_path / "other.recording.part" / "precious").mkdir(parents=True)
-    (tmp_path / "other.recording.part" / "lock").write_text("")
-    before = everything(tmp_path)
-    for path in (waits, at_work, other, tmp_path / "none.recording.h5", tmp_path / "none.tracks.h5"):
-        segments.remove_unfinished(path)
-    assert everything(tmp_path) == before
-    working.discard()
-
-
-def test_what_was_joined_and_not_removed_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that of a process that ended between joining and removing, the folder goes and the recording stays."""
-    path = tmp_path / "a.recording.h5"
-    writer = RecordingWriter(path, STATIC, discard_leftover=True)
-    writer.append(some_events(0, 3))
-    monkeypatch.setattr(RecordingWriter, "discard", RecordingWriter.leave)
     writer.finish(RECIPE)
-    assert (tmp_path / "a.recording.part" / segments.JOINED).exists()
-    segments.remove_unfinished(path)
-    assert everything(tmp_path) == ["a.recording.h5"]
+    assert "events/x is impossible" in validate.run([path]).rows[0]["faults"]
 
 
 @pytest.mark.parametrize("at", ["open_lock", "flock", "_write"])
@@ -531,14 +474,14 @@ def test_ctrl_c_while_it_is_begun_leaves_nothing(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(owners[at], at, interrupts)
     with pytest.raises(KeyboardInterrupt):
-        RecordingWriter(tmp_path / "new" / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "new" / "a.recording.h5", STATIC)
     assert everything(tmp_path) == []
 
 
 def test_ctrl_c_beside_another_recorder_leaves_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that what another process writes stays, if Ctrl-C comes before it is known that it does."""
     path = tmp_path / "a.recording.h5"
-    first = RecordingWriter(path, STATIC, discard_leftover=True)
+    first = RecordingWriter(path, STATIC)
     first.append(some_events(0, 3))
     first.close_segment()
     before = everything(tmp_path)
@@ -550,6 +493,6 @@ def test_ctrl_c_beside_another_recorder_leaves_its_folder(tmp_path: Path, monkey
 
     monkeypatch.setattr(segments, "open_lock", interrupts)
     with pytest.raises(KeyboardInterrupt):
-        RecordingWriter(path, STATIC, discard_leftover=True)
+        RecordingWriter(path, STATIC)
     assert everything(tmp_path) == before
     first.finish(RECIPE)

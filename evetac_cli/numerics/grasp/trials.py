@@ -20,9 +20,10 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome, scene
-from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, run_grasp
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.trial_writer import TrialBuffer
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
 LOST_MM = 25.0  # an object that moved so far in the gripper is lost

@@ -1,22 +1,18 @@
 """The loop of a grasp: read a slice, detect slip, and at the controller's rate read the gripper and command it.
 
-What happens goes into a `TrialBuffer`: in memory, because a simulated grasp can be made again, and writing it once
-costs a third of writing it in segments.
+What happens goes into a `TrialBuffer`: in memory, because a simulated grasp can be made again.
 """
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
-
-import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig, gripper_row
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.store import schema
 
 SLICES_S = 1_000_000 // SLICE_US
 
@@ -67,44 +63,6 @@ class Timing:
         if slice_ < self.touch_ms:
             return Phase.CONTACT
         return Phase.LIFT if slice_ < self.touch_ms + self.lift_ms else Phase.BALANCE
-
-
-@dataclass
-class TrialBuffer:
-    """Slices and rows of a grasp, by their paths in a recording."""
-
-    events: list[Events] = field(default_factory=list)
-    rows: dict[str, list[Any]] = field(default_factory=dict)
-
-    def append(self, events: Events, rows: dict[str, Any]) -> None:
-        """Add one slice, and one row to each of the named datasets."""
-        self.events.append(events)
-        self.append_rows(rows)
-
-    def append_rows(self, rows: dict[str, Any]) -> None:
-        """Add one row to each of the named datasets, and no events."""
-        for name, row in rows.items():
-            self.rows.setdefault(name, []).append(row)
-
-    def row_arrays(self) -> dict[str, Any]:
-        """Rows as arrays, with the types of the recording's schema."""
-        table = schema.load("recording")
-        arrays = {}
-        for name, rows in self.rows.items():
-            described = table.find(name)
-            assert described is not None, name
-            arrays[name] = np.asarray(rows, dtype=described.dtype)
-        return arrays
-
-    def columns(self) -> dict[str, Any]:
-        """Events and rows as datasets, or as the next rows of these."""
-        events = concatenate(self.events)
-        return {**{f"events/{name}": getattr(events, name) for name in Events._fields}, **self.row_arrays()}
-
-    def arrays(self) -> dict[str, Any]:
-        """All that was added as the datasets of a recording."""
-        starts = np.concatenate([[0], np.cumsum([piece.size for piece in self.events])])
-        return {**self.columns(), "ms_to_idx": starts.astype(np.int64)}
 
 
 def control_row(

@@ -184,7 +184,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         if view is not None:
             view.begin(sensor)
         recipe = _recipe(trial, params, described, sensor, parents)
-        writer = RecordingWriter(trial.output, sensor, discard_leftover=False, recipe=recipe)
+        writer = RecordingWriter(trial.output, sensor, recipe=recipe)
         if gripper.is_hardware and not signals:
             console.say(f"{gripper} moves now; {FALLS}")
         key = opened.enter_context(session.gripper_key(moves=not signals))

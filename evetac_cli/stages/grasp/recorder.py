@@ -31,10 +31,10 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.stages.grasp import controller_process, detector_process
 from evetac_cli.stages.grasp.controller_process import DETECTOR, OVER, ControllerEnded, ControllerSettings, GripperReady
 from evetac_cli.stages.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings, SliceBatch
-from evetac_cli.stages.grasp.loop import TrialBuffer
 from evetac_cli.stages.live_view import LiveView
 from evetac_cli.stages.session import INTERRUPTED, LET_GO, OPENED, LateSlices, lost_datasets, signals_held, spread
 from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.trial_writer import TrialBuffer
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld

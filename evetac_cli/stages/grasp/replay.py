@@ -20,12 +20,13 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.grasp import setup
-from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, grasp_slices
+from evetac_cli.stages.grasp.loop import Timing, grasp_slices
 from evetac_cli.stages.grasp.online_detector import dots_for
 from evetac_cli.stages.trials import OUTPUT, ReplayTrial
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.trial_writer import TrialBuffer
 
 METHOD = 2
 

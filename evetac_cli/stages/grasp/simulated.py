@@ -15,7 +15,7 @@ from evetac_cli.jobs import Outcome, Progress, outcome, silent
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.stages.grasp.loop import TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.loop import run_grasp
 from evetac_cli.stages.grasp.setup import (
     grasp_parameters,
     make_law,
@@ -29,6 +29,7 @@ from evetac_cli.stages.live_view import LiveView, shown_in_real_time
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.trial_writer import TrialBuffer
 
 METHOD = 8
 

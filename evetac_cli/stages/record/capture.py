@@ -243,7 +243,7 @@ def _begin(
     )
     if params.resume:
         check_series((outputs[place] for outputs in trial.series), recipe)
-    return CameraRecording(output, rig, recipe, RecordingWriter(output, sensor, discard_leftover=False, recipe=recipe))
+    return CameraRecording(output, rig, recipe, RecordingWriter(output, sensor, recipe=recipe))
 
 
 def _set_up(hold: Hold, asked_ma: float | None) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from evetac_cli.stages.record.preview import view_of
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import up_to_date
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.segments import refuse_leftover
+from evetac_cli.store.trial_writer import TrialWriter
 
 METHOD = 5
 GONE_MS = 250  # from slip to the end of a trial
@@ -39,6 +40,7 @@ def run(trial: SimulatedTrial, params: Record, *, force: bool, progress: Progres
     recipe = make_recipe(trial)
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
+    refuse_leftover(trial.output)
     with view_of(trial, params) as view:
         return _record(trial, recipe, view, progress)
 
@@ -47,25 +49,22 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
     devices, slices = play(trial)
     expected = _expected_slices(devices, GripperSchedule.read(trial.plan["scene"]))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
-    writer = RecordingWriter(trial.output, known, discard_leftover=True)
+    if view is not None:
+        view.begin(devices.camera.sensor)
+    written = event_count = 0
+    solver = SolverFigures()
     try:
-        if view is not None:
-            view.begin(devices.camera.sensor)
-        append = shown_in_real_time(view, writer.append)
-        written = event_count = 0
-        solver = SolverFigures()
-        for events, rows in slices:
-            append(events, rows)
-            written += 1
-            event_count += events.size
-            solver.add(rows)
-            if written % 100 == 0:
-                progress(written, max(written, expected))
-        progress(written, written)
-        writer.finish(recipe)
-    except BaseException:
-        writer.discard()  # a simulation can be made again
-        raise
+        with TrialWriter(trial.output, known) as writer:
+            append = shown_in_real_time(view, writer.append)
+            for events, rows in slices:
+                append(events, rows)
+                written += 1
+                event_count += events.size
+                solver.add(rows)
+                if written % 100 == 0:
+                    progress(written, max(written, expected))
+            progress(written, written)
+            writer.finish(recipe)
     finally:
         devices.close()
     figures = solver.figures(trial.plan["scene"]["solver"])

@@ -300,7 +300,7 @@ def _break_off(source: Path, target: Path) -> None:
     recipe = Recipe("recording", 1, {"setup": {"camera": "replay"}}, parents=())
     with open_recording(source) as recording:
         static = {**recording.sensor_datasets(), "t_offset": np.int64(0)}
-        writer = RecordingWriter(target, static, discard_leftover=False, recipe=recipe)
+        writer = RecordingWriter(target, static, recipe=recipe)
         for number, events in enumerate(recording):
             writer.append(events)
             if number % 20 == 19:

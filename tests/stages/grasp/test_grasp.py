@@ -18,10 +18,11 @@ from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
 from evetac_cli.stages import grasp
 from evetac_cli.stages.grasp import setup
-from evetac_cli.stages.grasp.loop import Timing, TrialBuffer, run_grasp
+from evetac_cli.stages.grasp.loop import Timing, run_grasp
 from evetac_cli.stages.grasp.online_detector import known_dots
 from evetac_cli.stages.slip_detectors import load_detector, read_horizon_ms
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.trial_writer import TrialBuffer
 
 SHORT = {"lift_s": 1.0, "balance_s": 0.1}
 

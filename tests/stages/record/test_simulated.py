@@ -1,11 +1,15 @@
-"""Recordings of simulated scenes: the progress that is reported while they are made."""
+"""Recordings of simulated scenes: the progress that is reported while they are made, and what is written when."""
 
+import time
 from pathlib import Path
 
 import pytest
 
+from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
-from evetac_cli.stages import record
+from evetac_cli.stages import grasp, record
+from evetac_cli.store import disk
+from tests.conftest import Made
 
 SLOW = pytest.mark.slow
 
@@ -32,3 +36,45 @@ def test_progress_ends_at_its_total(scene: str, most_off: float, tmp_path: Path)
     assert [done for done, _ in reports[:-1]] == list(range(100, slices + 1, 100))
     assert all(done <= total for done, total in reports)
     assert reports[0][1] == pytest.approx(slices, rel=most_off, abs=0)
+
+
+def standing_still() -> float:
+    return 1.0
+
+
+def racing() -> float:
+    """A clock of which a long time passes whenever somebody looks, as on a busy computer."""
+    racing.passed_s += 3600.0  # type: ignore[attr-defined]
+    return racing.passed_s  # type: ignore[attr-defined,no-any-return]
+
+
+racing.passed_s = 0.0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("what", ["slip", "rest", "blocks", "grasp"])
+def test_what_is_written_depends_on_no_clock(
+    what: str, made: Made, short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that as much is written of a trial, in as many pieces, whether time passes in it, none, or hours."""
+    stage, params = {
+        "slip": (record, Record(scene=str(short_scene))),
+        "rest": (record, Record(scene="rest")),
+        "blocks": (record, Record(scene=str(short_scene), seed=1)),
+        "grasp": (grasp, Grasp(model=made.model, lift_s=1.0, balance_s=0.2)),
+    }[what]
+    writes: list[int] = []
+    write = disk._Disk.write
+    monkeypatch.setattr(disk._Disk, "write", lambda file, data: writes.append(write(file, data)) or writes[-1])
+    if what == "blocks":
+        monkeypatch.setattr("evetac_cli.store.trial_writer.BLOCK_SLICES", 100)
+    seen = []
+    for clock in (None, standing_still, racing):
+        with monkeypatch.context() as patch:
+            for name in ("monotonic", "perf_counter", "time") if clock else ():
+                patch.setattr(time, name, clock)
+            writes.clear()
+            (job,) = stage.jobs([], params, tmp_path / f"{len(seen)}")
+            stage.run(job, params)
+        seen.append((len(writes), sum(writes)))
+        assert [path.name for path in job.output.parent.iterdir()] == [job.output.name]
+    assert len(set(seen)) == 1

@@ -1,0 +1,129 @@
+"""What writing costs a simulated recording, alone and beside other programs, and in how many blocks it is written.
+
+    python scripts/recording_cost.py                     # 12 trials of the scene slip, quiet and beside four busy loops
+    python scripts/recording_cost.py --trials 4 --busy 8
+
+Each column is a run of `evetac record --scene slip --jobs 2`: in how many blocks its trials were written, and which
+share of a trial's processor time that took, in the median and at most: from the first block to the closed file. When a
+block is full depends on no clock, so neither figure may depend on what else the computer does. The exit status is 1
+where the numbers of blocks do, or where writing takes a tenth of a trial or more.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from evetac_cli.cli.main import main as evetac
+from evetac_cli.console import print_table
+from evetac_cli.stages.record import simulated
+from evetac_cli.store.trial_writer import TrialWriter
+
+MEASURED = "EVETAC_RECORDING_COST"  # names the file to which a worker adds a line for each trial
+MOST_SHARE = 0.1
+
+
+class TimedWriter(TrialWriter):
+    """A writer that knows how much processor time it took."""
+
+    last: "TimedWriter"
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.seconds, self._is_timed = 0.0, False
+        TimedWriter.last = self
+
+    def _write_block(self, **named: Any) -> Any:
+        return self._timed(super()._write_block, **named)
+
+    def finish(self, *arguments: Any) -> Any:
+        """As that of a TrialWriter."""
+        return self._timed(super().finish, *arguments)
+
+    def _timed(self, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        if self._is_timed:  # the last block is part of finish
+            return call(*arguments, **named)
+        self._is_timed, began_s = True, time.thread_time()
+        result = call(*arguments, **named)
+        self._is_timed = False
+        self.seconds += time.thread_time() - began_s
+        return result
+
+
+def measure(results: Path) -> None:
+    """From now on, every simulated trial of this process adds a line to the file of results."""
+    run = simulated.run
+
+    def measured(*arguments: Any, **named: Any) -> Any:
+        began_s = time.process_time()
+        outcome = run(*arguments, **named)
+        took_s, writer = time.process_time() - began_s, TimedWriter.last
+        with results.open("a") as file:
+            file.write(json.dumps({"blocks": writer.blocks, "cpu_s": took_s, "writing_s": writer.seconds}) + "\n")
+        return outcome
+
+    simulated.run = measured
+    simulated.TrialWriter = TimedWriter  # type: ignore[misc]
+
+
+@contextmanager
+def busy_loops(count: int) -> Iterator[None]:
+    """So many programs beside us that always want a core."""
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+def recorded(trials: int, busy: int) -> dict[str, Any]:
+    """What one run of the command took."""
+    with tempfile.TemporaryDirectory(prefix="evetac-cost-") as folder, busy_loops(busy):
+        results = Path(folder) / "trials.jsonl"
+        command = ["record", "--scene", "slip", "--count", str(trials), "--jobs", "2", "-q", "-o", folder]
+        began_s = time.monotonic()
+        subprocess.run([sys.executable, __file__, *command], env={**os.environ, MEASURED: str(results)}, check=True)
+        seconds = time.monotonic() - began_s
+        rows = [json.loads(line) for line in results.read_text().splitlines()]
+    shares = [row["writing_s"] / row["cpu_s"] for row in rows]
+    return {
+        "busy_loops": busy,
+        "trials": len(rows),
+        "time_s": seconds,
+        "cpu_a_trial_s": median(row["cpu_s"] for row in rows),
+        "blocks_a_trial": " ".join(map(str, sorted({row["blocks"] for row in rows}))),
+        "writing_share_median": median(shares),
+        "writing_share_most": max(shares),
+    }
+
+
+def main() -> int:
+    """Both runs, and whether they are as they should be."""
+    about = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    about.add_argument("--trials", type=int, default=12)
+    about.add_argument("--busy", type=int, default=4, help="busy loops of the second run")
+    chosen = about.parse_args()
+    rows = [recorded(chosen.trials, busy) for busy in (0, chosen.busy)]
+    print_table("recording cost", rows, {}, simulated=True)
+    same = rows[0]["blocks_a_trial"] == rows[1]["blocks_a_trial"]
+    return 0 if same and all(row["writing_share_most"] < MOST_SHARE for row in rows) else 1
+
+
+# Workers of `--jobs 2` load this script too, under another name than __main__.
+if MEASURED in os.environ:
+    measure(Path(os.environ[MEASURED]))
+if __name__ == "__main__":
+    if MEASURED in os.environ:
+        evetac()
+    else:
+        sys.exit(main())
