@@ -9,6 +9,8 @@ from base64 import b64decode
 from pathlib import Path
 from typing import Any
 
+from tests.patience import PATIENCE_S
+
 
 class Browser:
     """A headless Chromium, told what to do through a pipe (Chrome DevTools Protocol)."""
@@ -56,7 +58,7 @@ class Browser:
 
     def _read(self) -> dict[str, Any]:
         while b"\0" not in self._buffer:
-            assert select.select([self._from], [], [], 60)[0], "the browser does not answer"
+            assert select.select([self._from], [], [], PATIENCE_S)[0], "the browser does not answer"
             piece = os.read(self._from, 1 << 20)
             assert piece, "the browser has ended"
             self._buffer += piece
@@ -71,7 +73,7 @@ class Browser:
 
     def until(self, code: str) -> Any:
         """Wait until an expression is true."""
-        ends = time.monotonic() + 60
+        ends = time.monotonic() + PATIENCE_S
         while not (value := self.run(code)):
             assert time.monotonic() < ends, (code, self.complaints())
             time.sleep(0.02)
@@ -127,6 +129,6 @@ class Browser:
 
     def close(self) -> None:
         self.call("Browser.close")
-        self._process.wait(30)
+        self._process.wait(PATIENCE_S)
         os.close(self._to)
         os.close(self._from)

@@ -22,6 +22,7 @@ from evetac_cli.stages import featurize, grasp, label, record, track, train
 from evetac_cli.stages.force import train_force
 from evetac_cli.text_files import as_toml
 from tests.browser import Browser
+from tests.small_files import recording_of
 
 settings.register_profile("patient", deadline=None)  # no test depends on how fast the machine is
 settings.load_profile("patient")
@@ -122,6 +123,12 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
     return made
+
+
+@pytest.fixture(scope="session")
+def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten minutes of a few events, which are still being played whenever a test does something about it."""
+    return recording_of(tmp_path_factory.mktemp("long") / "long.recording.h5", [2] * 600_000)
 
 
 @pytest.fixture(scope="module")

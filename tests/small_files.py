@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from evetac_cli import resources
-from evetac_cli.events import Events, slice_starts
+from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.new_contents import NewContents
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.provenance import Header, Recipe, content_digest
 
 SLICES = 24
 ROWS, COLUMNS = 3, 4
@@ -47,6 +47,24 @@ def events() -> Events:
     t = np.arange(count, dtype=np.int64) * (1000 // EVENTS_A_SLICE)
     x, y = (rng.integers(0, size, count).astype(np.uint16) for size in FRAME_PX)
     return Events(t, x, y, rng.integers(0, 2, count).astype(np.uint8))
+
+
+def recording_of(path: Path, counts: list[int]) -> Path:
+    """A recording with so many events in each slice, and nothing else."""
+    of_slice = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
+    t = of_slice * SLICE_US
+    arrays: dict[str, Any] = {
+        "events/t": t,
+        "events/x": (of_slice % FRAME_PX[0]).astype(np.uint16),
+        "events/y": (of_slice % FRAME_PX[1]).astype(np.uint16),
+        "events/p": (of_slice % 2).astype(np.uint8),
+        "ms_to_idx": slice_starts(t, len(counts)),
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array(FRAME_PX, np.int32),
+        "sensor/name": "unknown",
+    }
+    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
+    return path
 
 
 def recording(path: Path, *, lost_slices: bool = True) -> Header:

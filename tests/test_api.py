@@ -24,6 +24,7 @@ from evetac_cli.stages.evaluate import labels
 from evetac_cli.stages.force import predict_force
 from evetac_cli.stages.record import jobs, run
 from tests.conftest import Made
+from tests.patience import PATIENCE_S
 
 NAMES = [name for name in evetac.__all__ if name not in ("EvetacError", "InputError")]
 
@@ -110,7 +111,12 @@ assert dict(os.environ) == before
 def test_an_import_loads_and_changes_nothing() -> None:
     """Assert that the import brings no heavy library, and neither it nor a name changes the environment."""
     done = subprocess.run(
-        [sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True, cwd=PACKAGE.parent, timeout=300
+        [sys.executable, "-c", IMPORT],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=PACKAGE.parent,
+        timeout=PATIENCE_S,
     )
     assert not {"numpy", "h5py", "torch", "cv2", "scipy", "numba"} & set(done.stdout.split())
 
@@ -129,7 +135,7 @@ def test_a_users_script_type_checks_against_the_wheel(tmp_path: Path) -> None:
     """Assert that mypy --strict is content with a script beside the installed wheel (slow: it builds one)."""
     site = tmp_path / "site"
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    subprocess.run([*pip, "--target", str(site), str(PACKAGE.parent)], check=True, timeout=600)
+    subprocess.run([*pip, "--target", str(site), str(PACKAGE.parent)], check=True, timeout=PATIENCE_S)
     assert (site / "evetac_cli" / "py.typed").is_file()
     (tmp_path / "script.py").write_text(SCRIPT)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
@@ -140,7 +146,7 @@ def test_a_users_script_type_checks_against_the_wheel(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=600,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stdout
 

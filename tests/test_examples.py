@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from tests.patience import PATIENCE_S
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import results
 
@@ -51,7 +53,7 @@ def test_an_example_of_the_page_runs(command: str, tmp_path: Path) -> None:
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]

@@ -23,6 +23,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 from tests.hostile_hdf5 import ANYWHERE, IN_HEADERS, IN_OUR_OWN, Change, X, rows_of
+from tests.patience import PATIENCE_S
 from tests.small_files import every_kind
 
 EVENTS = 200
@@ -262,7 +263,7 @@ def test_refusing_takes_little_memory(originals: Path, tmp_path: Path) -> None:
         folder.mkdir()
         paths.append(str(hostile(originals / "a.recording.h5", folder, change)))
     run = [sys.executable, "-c", IN_LITTLE_MEMORY, *paths]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=120, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 

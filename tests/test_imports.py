@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.resources import PACKAGE
+from tests.patience import PATIENCE_S
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
@@ -158,7 +159,7 @@ print(*sorted({name.split(".")[0] for name in sys.modules}), file=sys.stderr)
 def test_start_is_light(arguments: list[str]) -> None:
     """Assert that help and version load none of the heavy libraries."""
     run = [sys.executable, "-c", START, *arguments]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=True, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=True, cwd=PACKAGE.parent)
     end, loaded = done.stderr.splitlines()[-2:]
     assert end == "exit 0"
     assert done.stdout

@@ -24,9 +24,9 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.read import open_recording
+from tests.patience import PATIENCE_S
 
 BOUND_S = 20.0  # on a machine that is not busy it is 1 s
-GIVE_UP_S = 60.0
 MOMENTS_S = (0.3, 0.8, 1.6, 3.0)  # after the start of the program: while it loads modules, and at work
 SLICES, EVENTS_A_SLICE = 200_000, 10
 ROWS, COLUMNS = 7, 8
@@ -174,7 +174,7 @@ def test_ctrl_c_ends_the_program(command: str, moment_s: float, made: Callable[[
         pressed_s = time.monotonic()
         if ended is None:
             os.kill(run.pid, signal.SIGINT)
-        _, said = run.communicate(timeout=GIVE_UP_S)
+        _, said = run.communicate(timeout=PATIENCE_S)
         passed_s = time.monotonic() - pressed_s
     finally:
         run.kill()

@@ -20,8 +20,9 @@ from evetac_cli.cli.engines import Engine, Refused
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
 from evetac_cli.resources import PACKAGE
-from tests.cli.test_jobs import PATIENCE_S, lives, until
+from tests.cli.test_jobs import lives
 from tests.conftest import Made
+from tests.patience import PATIENCE_S, until
 
 MADE = Outcome([{"output": "a"}], True)
 # A stage whose jobs do what their names say; the program below loads it, and so does every worker.
@@ -200,7 +201,7 @@ class Program:
 
     def ended(self) -> dict[str, Any]:
         """What the program reported at its end, and what it said."""
-        output, said = self.process.communicate(timeout=2 * PATIENCE_S)
+        output, said = self.process.communicate(timeout=PATIENCE_S)
         reported: dict[str, Any] = json.loads(output)
         return reported | {"said": said}
 

@@ -41,6 +41,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.patience import PATIENCE_S
 
 COMMANDS = [([command.name], command) for command in PIPELINE]
 COMMANDS += [(["evaluate", command.name], command) for command in EVALUATE]
@@ -721,7 +722,9 @@ def test_several_jobs_at_a_time(files: list[str]) -> None:
     paths = [str(Path(name).resolve()) for name in files[:2]]
     run = [sys.executable, "-m", "evetac_cli", "track", *paths, "--json", "--jobs"]
     done = [
-        subprocess.run([*run, number], capture_output=True, text=True, timeout=100, check=False, cwd=PACKAGE.parent)
+        subprocess.run(
+            [*run, number], capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent
+        )
         for number in ("2", "1")
     ]
     for result in done:

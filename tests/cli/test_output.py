@@ -15,6 +15,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.patience import PATIENCE_S
 
 NASTY = "\x1b[31mred\x1b]0;title\x07\x9b2J\u202egnp.exe\r[bold]b[/bold]\x00"
 RAW = ("\x1b", "\x07", "\x9b", "\u202e", "\r", "\x00")
@@ -23,7 +24,9 @@ RAW = ("\x1b", "\x07", "\x9b", "\u202e", "\r", "\x00")
 def evetac(*arguments: str | Path, **how: Any) -> subprocess.CompletedProcess[str]:
     """Run the program; its error output is read, its output goes where `how` says."""
     run = [sys.executable, "-m", "evetac_cli", *map(str, arguments)]
-    return subprocess.run(run, stderr=subprocess.PIPE, text=True, timeout=100, check=False, cwd=PACKAGE.parent, **how)
+    return subprocess.run(
+        run, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent, **how
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +72,7 @@ def test_without_any_output_it_is_said(report: Path) -> None:
     """Assert that `>&-` is an error in words too, and that no file is opened in its place."""
     run = f"exec {sys.executable} -m evetac_cli info {report} >&-"
     done = subprocess.run(
-        ["bash", "-c", run], stderr=subprocess.PIPE, text=True, timeout=100, check=False, cwd=PACKAGE.parent
+        ["bash", "-c", run], stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent
     )
     assert (done.returncode, done.stderr) == (1, "error: the output: cannot be written: Bad file descriptor\n")
 
@@ -83,7 +86,13 @@ def test_messages_that_nobody_reads_change_nothing(report: Path) -> None:
         for arguments, code in ((["info", str(report), "--json"], 0), (["info", "none.h5", "--json"], 2)):
             run = [sys.executable, "-m", "evetac_cli", *arguments]
             done = subprocess.run(
-                run, stdout=subprocess.PIPE, stderr=messages, text=True, timeout=100, check=False, cwd=PACKAGE.parent
+                run,
+                stdout=subprocess.PIPE,
+                stderr=messages,
+                text=True,
+                timeout=PATIENCE_S,
+                check=False,
+                cwd=PACKAGE.parent,
             )
             assert done.returncode == code
             assert json.loads(done.stdout)["command"] == "info"
@@ -124,7 +133,7 @@ atexit.register(lambda: os.kill(os.getpid(), signal.{signal}))
 def patched(patch: str, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """Run the program after some other code."""
     run = [sys.executable, "-c", PATCHED, patch, *map(str, arguments)]
-    return subprocess.run(run, capture_output=True, text=True, timeout=100, check=False, cwd=PACKAGE.parent)
+    return subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
 
 
 def test_m4_a_defect_is_said_as_one(report: Path) -> None:
@@ -224,4 +233,6 @@ def test_low_ctrl_c_inside_made_code_exits_130(tmp_path: Path) -> None:
     (tmp_path / "interrupted.py").write_text(INTERRUPTED_WHILE_A_CLASS_IS_MADE)
     paths = os.pathsep.join([str(tmp_path), os.getcwd()])
     run = [sys.executable, "-m", "interrupted"]
-    assert subprocess.run(run, env={**os.environ, "PYTHONPATH": paths}, timeout=60, check=False).returncode == 130
+    assert (
+        subprocess.run(run, env={**os.environ, "PYTHONPATH": paths}, timeout=PATIENCE_S, check=False).returncode == 130
+    )

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import pytest
 
 from evetac_cli.resources import PACKAGE
+from tests.patience import PATIENCE_S
 
 COLUMNS = 80
-GIVE_UP_S = 300.0
 CTRL_C = b"\x03"
 
 
@@ -77,7 +77,7 @@ def session(folder: Path, *words: str | Path, press_at: str = "") -> Session:
     pieces: list[tuple[float, str]] = []
     pressed = not press_at
     try:
-        while time.monotonic() - started_s < GIVE_UP_S:
+        while time.monotonic() - started_s < PATIENCE_S:
             if select.select([leader], [], [], 0.1)[0]:
                 try:
                     read = os.read(leader, 1 << 16)
@@ -87,7 +87,7 @@ def session(folder: Path, *words: str | Path, press_at: str = "") -> Session:
             if not pressed and re.search(press_at, "".join(piece for _, piece in pieces)):
                 os.write(leader, CTRL_C)
                 pressed, from_s = True, time.monotonic()
-        code = run.wait(timeout=10.0)
+        code = run.wait(timeout=PATIENCE_S)
     finally:
         run.kill()
         os.close(leader)

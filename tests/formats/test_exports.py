@@ -32,6 +32,7 @@ from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from tests.importing import FRAME, same
+from tests.patience import PATIENCE_S
 
 ROUND_TRIPS = ("aedat4", "dsec", "text", "raw", "raw-evt2", "dat", "mcap")
 # To write or to read a format.
@@ -294,7 +295,9 @@ def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, fo
     needs(format_)
     target = tmp_path / "out" / target_path(source, format_, None).name
     call = [sys.executable, "-c", FULL, str(source), format_, str(target)]
-    done = subprocess.run(call, capture_output=True, text=True, timeout=60, preexec_fn=_little_room, check=False)
+    done = subprocess.run(
+        call, capture_output=True, text=True, timeout=PATIENCE_S, preexec_fn=_little_room, check=False
+    )
     assert "File too large" in done.stdout, done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     assert list(target.parent.iterdir()) == []

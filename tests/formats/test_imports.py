@@ -31,6 +31,7 @@ from evetac_cli.stages import record
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from tests.importing import FRAME, event_rows, real, refusal, same
+from tests.patience import PATIENCE_S
 
 
 def columns(t: Any, x: Any = None, y: Any = None, p: Any = None, first: int = 0) -> Columns:
@@ -671,7 +672,9 @@ def test_compressed_with_a_plugin(tmp_path: Path) -> None:
     reading = f"from evetac_cli.formats.imports import read_events; e = read_events({str(path)!r}, frame_px=(640, 480))"
     for code in (writing, f"{reading}.events; assert e.size == 5000 and e.x.sum() == 2500"):
         # in processes of their own: a plugin that was loaded once stays, and another test needs it not to be there
-        subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2], timeout=60)
+        subprocess.run(
+            [sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2], timeout=PATIENCE_S
+        )
 
 
 def test_broken_hdf5_is_refused(dsec: Callable[..., Path], tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from evetac_cli.store import segments
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
-from tests.conftest import Made
+from tests.patience import PATIENCE_S, until
 from tests.store.test_recovery import RECIPE, STATIC, broken_off, events_of
 
 
@@ -166,7 +166,7 @@ def test_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("after_s", [0.05, pytest.param(0.35, marks=pytest.mark.slow)])
-def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path) -> None:
+def test_killed_recording_is_repaired(after_s: float, long_recording: Path, tmp_path: Path) -> None:
     """Assert that a device-like recording that was killed is repaired, and holds the first slices of what was played.
 
     scripts/attack/kill_recordings.py does this many times and measures the loss.
@@ -175,26 +175,24 @@ def test_killed_recording_is_repaired(after_s: float, made: Made, tmp_path: Path
     arguments = [
         "record",
         "--camera",
-        f"replay:{made.recordings[0]}",
+        f"replay:{long_recording}",
         "--expected-event-rate",
         "1e5",
         "-o",
         str(output),
     ]
     run = subprocess.Popen([sys.executable, "-m", "evetac_cli", *arguments], cwd=PACKAGE.parent)
-    while not (output.with_suffix(".part") / "000000.h5").exists():
-        assert run.poll() is None
-        time.sleep(0.01)
+    assert until(lambda: (output.with_suffix(".part") / "000000.h5").exists() or run.poll() is not None)
     time.sleep(after_s)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
     (row,) = repair.run([tmp_path]).rows
     assert row["status"] == "repaired"
-    with open_recording(output) as repaired, open_recording(made.recordings[0]) as played:
+    with open_recording(output) as repaired, open_recording(long_recording) as played:
         assert 0 < len(repaired) <= len(played)
         whole, part = played.between(0, len(repaired)), repaired.between(0, len(repaired))
         assert all((one == other).all() for one, other in zip(whole, part, strict=True))
-    with StageFile(output) as file, StageFile(made.recordings[0]) as parent:
+    with StageFile(output) as file, StageFile(long_recording) as parent:
         assert file.header["parents"] == [parent.header["id"]]
 
 
@@ -203,7 +201,7 @@ def test_m5_a_segment_with_a_huge_number_ends_in_words(tmp_path: Path) -> None:
     folder = broken_off(tmp_path, [2, 3])
     (folder / "99999999999.h5").touch()
     run = [sys.executable, "-m", "evetac_cli", "repair", str(folder), "--json"]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     (row,) = json.loads(done.stdout)["rows"]
     assert (done.returncode, row["status"], row["slices_kept"], row["slices_lost"]) == (0, "repaired", 5, 0)
     assert "99999999999" in row["unreadable"]

@@ -14,8 +14,8 @@ import pytest
 
 from evetac_cli.realtime.emergency_key import emergency_key
 from evetac_cli.resources import PACKAGE
+from tests.patience import PATIENCE_S
 
-PATIENCE_S = 60.0
 PROGRAM = """
 import sys, time
 from evetac_cli.realtime.emergency_key import emergency_key

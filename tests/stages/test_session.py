@@ -17,6 +17,7 @@ from evetac_cli.errors import DeviceError, attached_outcome
 from evetac_cli.jobs import Outcome
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import session
+from tests.patience import PATIENCE_S
 
 RESULT = Outcome([{"slices": 3}], simulated=False)
 
@@ -116,7 +117,7 @@ except InputError as error:
 def test_low_a_full_disk_before_the_first_segment_advises_no_repair(tmp_path: Path) -> None:
     """Assert that where nothing of a recording is on disk, no folder stays and nobody is sent to repair it."""
     run = [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.recording.h5")]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.stdout, done.stderr) == ("True False False\n", "")
 
 

@@ -15,6 +15,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store.checked_hdf5 import CheckedHdf5
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.patience import PATIENCE_S
 from tests.store.test_files import RECIPE, SLICES, labels
 
 
@@ -94,7 +95,7 @@ def test_m6_announced_text_is_refused_before_it_is_read(tmp_path: Path) -> None:
     content[where : where + 4] = (2**32 - 1).to_bytes(4, "little")
     path.write_bytes(bytes(content))
     run = [sys.executable, "-c", TEXT, str(path)]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.stdout, done.stderr) == ("True True\n", "")
 
 
@@ -130,7 +131,7 @@ def test_damage_among_texts_never_holds_the_reader_up(tmp_path: Path) -> None:
         at += 16 + -(-size // 8) * 8
     assert len(damaged) > 12  # three texts and the header; units and long names, which are not read
     run = [sys.executable, "-c", HEAP, *map(str, damaged)]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=30, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 

@@ -23,6 +23,7 @@ from evetac_cli.store.chunks import RowWriter, put
 from evetac_cli.store.files import StageFile, output_path, put_header, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.schema import KINDS
+from tests.patience import PATIENCE_S
 
 RECIPE = Recipe("labels", 1, {"threshold_px": 0.5}, parents=(Recipe("recording", 1, {}, seed=1).header(),))
 SLICES = 5000
@@ -579,7 +580,7 @@ def test_full_disk(tmp_path: Path) -> None:
     A limit on the size of files stands in for the full disk: the system refuses to write in the same way.
     """
     run = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stdout, done.stderr) == (0, "10 True\n", "")
     assert everything(tmp_path) == ["after.labels.h5"]
     with StageFile(tmp_path / "after.labels.h5") as file:

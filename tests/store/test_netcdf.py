@@ -23,6 +23,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.schema import KINDS, Dataset
 from evetac_cli.store.segments import RecordingWriter
 from tests.conftest import Made
+from tests.patience import PATIENCE_S
 
 WEIGHTS = {"conv.weight": (8, 8, 3), "out.weight": (1, 8), "out.bias": (1,)}
 SHARED = {"slices": 90, "dots": 56, "rows": 7, "columns": 8, "events": 300}  # other dimensions have 11 rows
@@ -351,7 +352,7 @@ def test_segments_say_what_they_hold(tmp_path: Path) -> None:
 def test_h5glance_shows_dimensions_and_units(labels_file: Path) -> None:
     """Assert that the HDF5 viewer of the command line lists what is there."""
     glance = [sys.executable, "-m", "h5glance", "--attrs", str(labels_file)]
-    done = subprocess.run(glance, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(glance, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     assert "relative_flow_px" in done.stdout
     assert "slices" in done.stdout
     assert "long_name" in done.stdout
@@ -361,6 +362,8 @@ def test_h5dump_shows_dimensions_and_units(labels_file: Path) -> None:
     """Assert that HDF5's own tool, of whatever version is installed, reads attributes and dimensions."""
     if shutil.which("h5dump") is None:
         pytest.skip("h5dump is not installed")
-    done = subprocess.run(["h5dump", "-A", str(labels_file)], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        ["h5dump", "-A", str(labels_file)], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+    )
     assert '"px"' in done.stdout
     assert "DIMENSION_SCALE" in done.stdout

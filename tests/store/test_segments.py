@@ -22,6 +22,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
+from tests.patience import PATIENCE_S
 
 STATIC: dict[str, Any] = {
     "sensor/frame_px": np.array([640, 480], np.int32),
@@ -215,7 +216,7 @@ os.kill(os.getpid(), 9)
 def broken_off(tmp_path: Path) -> Path:
     """The path of a recording whose process was killed after two segments."""
     path = tmp_path / "a.recording.h5"
-    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, timeout=60, cwd=PACKAGE.parent)
+    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False, timeout=PATIENCE_S, cwd=PACKAGE.parent)
     return path
 
 
@@ -375,7 +376,7 @@ def test_full_disk(tmp_path: Path) -> None:
     """
     path = tmp_path / "a.recording.h5"
     run = [sys.executable, "-c", FULL_DISK, str(path)]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False, cwd=PACKAGE.parent)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines() == [
         "segment True True",

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
+from tests.patience import PATIENCE_S
+
 pytest.importorskip("tornado")
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from evetac_cli.realtime.live_page.server import CONTENT, MOST_CLIENTS, PageServer
-
-PATIENCE_S = 30.0
 
 
 class Served:

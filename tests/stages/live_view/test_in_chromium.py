@@ -42,8 +42,8 @@ def use(browser: Browser, end_by: str) -> None:
     browser.until("document.querySelectorAll('.chart:not([hidden])').length >= 5")
     for width in WIDTHS:
         browser.resize(width)
-        time.sleep(1.0)
-        assert browser.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth"), width
+        time.sleep(1.0)  # in which charts take their new size
+        browser.until("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
         keep(browser, f"live-{width}")
     browser.resize(1280)
     force = "[...document.querySelectorAll('.chart')].find((one) => one.textContent.startsWith('Force on the gel'))"

@@ -24,12 +24,13 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import grasp, live_view, record
 from evetac_cli.stages.live_view.messages import Title
 from evetac_cli.store.files import StageFile
+from tests.cli.test_jobs import lives
+from tests.patience import PATIENCE_S, until
 
 pytest.importorskip("tornado")
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
-PATIENCE_S = 120.0
 FAST = ["--seconds", "4", "--expected-event-rate", "1e5"]
 
 
@@ -252,10 +253,7 @@ def test_a_view_ends_with_whoever_records(tmp_path: Path) -> None:
         view = page.view
         news = page.watch(page.run.kill)
         assert news[-1] == {"ended": "the program that records has gone"}
-        end_s = time.monotonic() + PATIENCE_S
-        while Path(f"/proc/{view}").exists() and "Z" not in Path(f"/proc/{view}/stat").read_text().split(")")[1][:3]:
-            assert time.monotonic() < end_s
-            time.sleep(0.05)
+        assert until(lambda: not lives(view))
 
 
 @pytest.mark.slow

@@ -3,10 +3,10 @@
 import dataclasses
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,18 +20,20 @@ from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
+from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import DeviceError, InputError
-from evetac_cli.events import SLICE_US, Events, slice_starts
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import repair, validate
 from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import record, session
 from evetac_cli.stages.record import capture
 from evetac_cli.store import disk, segments
-from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
+from tests.patience import PATIENCE_S, until
+from tests.small_files import recording_of
 from tests.stages.live_view.fake_view import FakeView
 
 ARMED = {"gripper": "/dev/ttyUSB0", "arm": True}
@@ -39,6 +41,8 @@ ARMED = {"gripper": "/dev/ttyUSB0", "arm": True}
 
 class Camera:
     """A camera that makes ten events in every slice, and fails or ends after a number of slices."""
+
+    SLICE_S = 2e-4  # that it takes at least
 
     def __init__(self, slices: int = 10**9, fails_at: int = 10**9) -> None:
         self.sensor: Mapping[str, Any] = {
@@ -55,7 +59,7 @@ class Camera:
             raise DeviceError("is no longer on the bus", where="camera T1")
         if self.k >= self._slices:
             return None
-        time.sleep(2e-4)
+        time.sleep(self.SLICE_S)
         self.k += 1
         t = (self.k - 1) * SLICE_US + np.arange(10, dtype=np.int64)
         return Events(t, np.arange(10, dtype=np.uint16), np.arange(10, dtype=np.uint16), np.ones(10, np.uint8))
@@ -71,16 +75,17 @@ class Camera:
 
 
 class Hand:
-    """A gripper that stands still, and fails after a number of commands."""
+    """A gripper that stands still, and fails after a number of commands, and once a camera has made some slices."""
 
-    def __init__(self, fails_at: int = 10**9) -> None:
+    def __init__(self, fails_at: int = 10**9, beside: Camera | None = None, slices: int = 0) -> None:
         self.counted = {"answers_lost": 2}
         self.written: list[int] = []
-        self._fails_at = fails_at
+        self._fails_at, self._beside, self._slices = fails_at, beside, slices
         self.closed = False
 
     def read(self) -> GripperReading:
         if len(self.written) >= self._fails_at:
+            assert until(lambda: self._beside is None or self._beside.k >= self._slices, every_s=1e-4)
             raise DeviceError("no answer", where="gripper")
         return GripperReading(5.0, 400)
 
@@ -167,14 +172,15 @@ def test_every_command_is_in_the_file(rig_is: Callable[..., Rig], tmp_path: Path
 @pytest.mark.parametrize("part", ["camera", "gripper"])
 def test_failing_device_leaves_a_valid_file(part: str, rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     """Assert that an unplugged device ends with its error, which names the file with all that came before."""
-    rig = rig_is(Camera(fails_at=300), Hand()) if part == "camera" else rig_is(Camera(), Hand(fails_at=20))
+    camera = Camera(fails_at=300 if part == "camera" else 10**9)
+    rig = rig_is(camera, Hand() if part == "camera" else Hand(20, camera, slices=30))
     with pytest.raises(DeviceError, match="no longer on the bus" if part == "camera" else "no answer") as failed:
         recording(tmp_path)
     (path,) = tmp_path.iterdir()
     assert str(path) in str(failed.value)
     assert faults(path) is None
     with open_recording(path) as file:
-        assert len(file) == 300 if part == "camera" else len(file) > 10
+        assert len(file) == 300 if part == "camera" else len(file) >= 29
         assert file.read("capture/ended") == str(failed.value).splitlines()[0]
         if part == "gripper":
             assert file.length("gripper/t_us") == 20
@@ -554,7 +560,26 @@ def test_camera_fault(fault: str, tmp_path: Path) -> None:
     assert faults(job.output) is None
 
 
-def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
+AHEAD = 20  # slices
+
+
+def cameras_keep_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the first of two replays wait for the second, however seldom the thread of that one runs."""
+    read, handed_out = ReplayCamera.read, {True: 0, False: 0}
+
+    def read_in_step(camera: ReplayCamera) -> Events | None:
+        is_first = threading.current_thread() is threading.main_thread()
+        if camera.now_us() == 0:
+            handed_out[is_first] = 0
+        assert not is_first or until(lambda: handed_out[True] < handed_out[False] + AHEAD, every_s=1e-4)
+        events = read(camera)
+        handed_out[is_first] += 1
+        return events
+
+    monkeypatch.setattr(ReplayCamera, "read", read_in_step)
+
+
+def test_two_cameras_of_one_trial(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that each camera fills a file, with its own events, one trajectory id, and how their clocks lie."""
     both = made.recordings[:2]
     camera = ",".join(f"replay:{path}" for path in both)
@@ -620,17 +645,13 @@ def evetac(*arguments: str, **more: Any) -> "subprocess.Popen[str]":
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_interrupted_recording_is_complete(number: int, made: Made, tmp_path: Path) -> None:
+def test_interrupted_recording_is_complete(number: int, long_recording: Path, tmp_path: Path) -> None:
     """Assert that Ctrl-C ends a recording with exit code 130, a valid file of what there is, and no folder."""
     output = tmp_path / "a.recording.h5"
-    run = evetac(
-        "record", "--camera", f"replay:{made.recordings[0]}", "--expected-event-rate", "1e5", "-o", str(output)
-    )
-    while not (output.with_suffix(".part") / "000000.h5").exists():
-        assert run.poll() is None, run.stderr.read()
-        time.sleep(0.01)
+    run = evetac("record", "--camera", f"replay:{long_recording}", "--expected-event-rate", "1e5", "-o", str(output))
+    assert until(lambda: (output.with_suffix(".part") / "000000.h5").exists() or run.poll() is not None)
     os.kill(run.pid, number)
-    _, said = run.communicate(timeout=60)
+    _, said = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 130
     assert f"slices in {output}" in said
     assert [path.name for path in tmp_path.iterdir()] == ["a.recording.h5"]
@@ -639,43 +660,40 @@ def test_interrupted_recording_is_complete(number: int, made: Made, tmp_path: Pa
         assert file.read("capture/ended") == session.INTERRUPTED
 
 
-def quiet_then_busy(path: Path) -> Path:
-    """A recording of 0.4 s with few events and 0.6 s with many."""
-    counts = np.array([20] * 400 + [2000] * 600)
-    t = np.repeat(np.arange(1000, dtype=np.int64) * SLICE_US, counts)
-    arrays: dict[str, Any] = {
-        "events/t": t,
-        "events/x": np.zeros(len(t), np.uint16),
-        "events/y": np.zeros(len(t), np.uint16),
-        "events/p": np.zeros(len(t), np.uint8),
-        "ms_to_idx": slice_starts(t, 1000),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
-    return path
+SMALL_DISK = """
+import resource
+from evetac_cli.cli.main import main
+from evetac_cli.store import segments
+segments.SEGMENT_S, segments.SEGMENT_EVENTS = 1e9, 4000
+resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY))
+main()
+"""
 
 
 def test_full_disk(tmp_path: Path) -> None:
     """Assert that a disk that fills up is an error in words that says where the rest is, and repair makes it a file.
 
-    A limit on the size of files stands in for the full disk.
+    A limit on the size of files stands in for the full disk, which a segment of a single slice does not fit.
     """
-    played = quiet_then_busy(tmp_path / "played.recording.h5")
+    played = recording_of(tmp_path / "played.recording.h5", [20] * 500 + [100_000])
     output = tmp_path / "a.recording.h5"
-    run = evetac(
-        "record", "--camera", f"replay:{played}", "--expected-event-rate", "1e5", "-o", str(output),
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY)),
-    )  # fmt: skip
-    _, said = run.communicate(timeout=60)
+    words = ["record", "--camera", f"replay:{played}", "--expected-event-rate", "1e5", "-o", str(output)]
+    run = subprocess.run(
+        [sys.executable, "-c", SMALL_DISK, *words],
+        cwd=PACKAGE.parent,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    said = run.stderr
     assert run.returncode == 2, said
     assert "File too large" in said
     assert f"{output.with_suffix('.part')}, for `evetac repair`" in said
     assert not output.exists()
     (row,) = repair.run([tmp_path]).rows
     assert row["status"] == "repaired"
-    assert 200 <= row["slices_kept"] <= 600
+    assert row["slices_kept"] == 400
     assert faults(output) is None
 
 

@@ -14,9 +14,9 @@ import pytest
 
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
+from tests.patience import PATIENCE_S
 
 BOUND_S = 20.0  # on a machine that is not busy it is 1 s
-GIVE_UP_S = 60.0
 # What the camera does, and when Ctrl-C comes: so many s after the start, or once segments are written.
 STATES = {
     "loading the command": ("virtual:prepared", 0.2, 0),
@@ -48,7 +48,7 @@ def test_ctrl_c_ends_the_program(state: str, tmp_path: Path) -> None:
             time.sleep(0.01)
         pressed_s = time.monotonic()
         os.kill(run.pid, signal.SIGINT)
-        _, said = run.communicate(timeout=GIVE_UP_S)
+        _, said = run.communicate(timeout=PATIENCE_S)
         passed_s = time.monotonic() - pressed_s
     finally:
         run.kill()

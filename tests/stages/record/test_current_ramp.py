@@ -24,6 +24,7 @@ from evetac_cli.stages.record.current_ramp import (
     step,
 )
 from evetac_cli.stages.session import OPENED
+from tests.patience import until
 
 HOLD = Hold(closing_ma=10, holding_ma=40.0, hold_s=0.02, lowest_ma=-50.0)
 STILL = ClosingSettings().still_cycles
@@ -216,10 +217,7 @@ def run_watched(gripper: WatchedGripper, clock: Clock, **more: Any) -> GripperLo
     """Run a loop on a test's clock until it ends by itself."""
     loop = GripperLoop(gripper, lambda reading: (20.0, ""), lambda: 0, clock, 100.0, **more)
     loop.start()
-    until_s = time.monotonic() + 60.0
-    while not loop.ended and loop.error is None:
-        assert time.monotonic() < until_s
-        time.sleep(0.001)
+    assert until(lambda: loop.ended or loop.error is not None, every_s=0.001)
     loop.stop()
     return loop
 
@@ -243,10 +241,7 @@ def test_rows_that_are_fetched_are_a_sign_of_life() -> None:
     loop = GripperLoop(gripper, lambda reading: (20.0, ""), lambda: 0, clock, 100.0)
     loops.append(loop)
     loop.start()
-    until_s = time.monotonic() + 60.0
-    while loop.error is None:
-        assert time.monotonic() < until_s
-        time.sleep(0.001)
+    assert until(lambda: loop.error is not None, every_s=0.001)
     assert gripper.closed_s == pytest.approx(101.075, abs=0.005)
 
 

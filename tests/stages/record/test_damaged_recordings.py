@@ -13,11 +13,11 @@ from evetac_cli.inspect import validate
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import record, session
 from evetac_cli.store.read import open_recording
+from tests.patience import PATIENCE_S
 from tests.stages.record.test_capture import evetac
 
 EVENTS_S = 100_000
 MEMORY_BYTES = 8 << 30  # of addresses; a recording that grows without bound is stopped by it
-GIVE_UP_S = 60.0
 
 
 def recorded(fault: str, seconds: float, out: Path) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def test_h2_ctrl_c_ends_a_recording_of_a_damaged_stream(fault: str, tmp_path: Pa
             assert run.poll() is None, run.stderr and run.stderr.read()
             time.sleep(0.01)
         os.kill(run.pid, signal.SIGINT)
-        _, said = run.communicate(timeout=GIVE_UP_S)
+        _, said = run.communicate(timeout=PATIENCE_S)
     finally:
         run.kill()
     assert run.returncode == 130, said
