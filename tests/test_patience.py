@@ -1,10 +1,12 @@
 """No test depends on how fast the machine is: whatever is waited for has PATIENCE_S, and wall time is never judged."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.patience import PATIENCE_S, until
 
@@ -13,6 +15,7 @@ TESTS = Path(__file__).resolve().parent
 IN_REAL_TIME = (TESTS / "devices", TESTS / "stages" / "grasp")
 WAITS = ("wait", "join", "communicate")  # methods whose first argument, or `timeout`, is a limit
 CLOCKS = ("monotonic", "perf_counter")
+MAY_WAIT = re.compile(rf"timeout=|[.](?:{'|'.join(WAITS)})[(][\w.]|{'|'.join(CLOCKS)}")
 MODULES = [path for path in sorted(TESTS.rglob("*.py")) if not any(folder in path.parents for folder in IN_REAL_TIME)]
 
 
@@ -52,7 +55,9 @@ def judged_times(tree: ast.Module) -> Iterator[ast.Assert]:
 
 def test_whatever_is_waited_for_has_time() -> None:
     """Assert that no limit of a wait is a number of the test's own, and that no test judges how long something took."""
-    trees = {path.relative_to(TESTS): ast.parse(path.read_text()) for path in MODULES}
+    texts = {path.relative_to(TESTS): path.read_text() for path in MODULES}
+    trees = {path: ast.parse(text) for path, text in texts.items() if MAY_WAIT.search(text)}
+    assert len(trees) > 20
     assert [
         f"{path}:{node.lineno}: {ast.unparse(node)}"
         for path, tree in trees.items()
@@ -79,6 +84,14 @@ def test_short_limits_are_found(code: str, found: int) -> None:
     """Assert that a limit is found however it is given, and a lower bound is none."""
     tree = ast.parse(code)
     assert len([*short_limits(tree), *judged_times(tree)]) == found
+
+
+def test_examples_have_time_too() -> None:
+    """Assert that neither drawing examples nor trying one is judged by how long it takes."""
+    used = settings.default
+    assert used is not None
+    assert used.deadline is None
+    assert HealthCheck.too_slow in used.suppress_health_check
 
 
 def test_until_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
