@@ -1,6 +1,7 @@
 """Files of every kind, each made by the real stage from the smallest scene; shared by the tests of a session."""
 
 import shutil
+import signal
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -27,6 +28,10 @@ from tests.small_files import recording_of
 # No test depends on how fast the machine is.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
+
+# Programs in the background of a script are started with Ctrl-C ignored, which what they start inherits.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
