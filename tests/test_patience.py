@@ -66,7 +66,7 @@ def test_whatever_is_waited_for_has_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "found"),
+    ("code", "count"),
     [
         ("run.wait(5)", 1),
         ("thread.join(0.5)", 1),
@@ -80,10 +80,10 @@ def test_whatever_is_waited_for_has_time() -> None:
         ("assert time.monotonic() - began_s >= 0.1", 0),
     ],
 )
-def test_short_limits_are_found(code: str, found: int) -> None:
-    """Assert that a limit is found however it is given, and a lower bound is none."""
+def test_short_limits_are_found(code: str, count: int) -> None:
+    """Assert that a limit is count however it is given, and a lower bound is none."""
     tree = ast.parse(code)
-    assert len([*short_limits(tree), *judged_times(tree)]) == found
+    assert len([*short_limits(tree), *judged_times(tree)]) == count
 
 
 def test_examples_have_time_too() -> None:
