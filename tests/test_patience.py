@@ -81,7 +81,7 @@ def test_whatever_is_waited_for_has_time() -> None:
     ],
 )
 def test_short_limits_are_found(code: str, count: int) -> None:
-    """Assert that a limit is count however it is given, and a lower bound is none."""
+    """Assert that a limit is found however it is given, and a lower bound is none."""
     tree = ast.parse(code)
     assert len([*short_limits(tree), *judged_times(tree)]) == count
 
