@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,7 +19,6 @@ from evetac_cli import console
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
-from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import repair, validate
@@ -560,26 +558,7 @@ def test_camera_fault(fault: str, tmp_path: Path) -> None:
     assert faults(job.output) is None
 
 
-AHEAD = 20  # slices
-
-
-def cameras_keep_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the first of two replays wait for the second, however seldom the thread of that one runs."""
-    read, handed_out = ReplayCamera.read, {True: 0, False: 0}
-
-    def read_in_step(camera: ReplayCamera) -> Events | None:
-        is_first = threading.current_thread() is threading.main_thread()
-        if camera.now_us() == 0:
-            handed_out[is_first] = 0
-        assert not is_first or until(lambda: handed_out[True] < handed_out[False] + AHEAD, every_s=1e-4)
-        events = read(camera)
-        handed_out[is_first] += 1
-        return events
-
-    monkeypatch.setattr(ReplayCamera, "read", read_in_step)
-
-
-def test_two_cameras_of_one_trial(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
     """Assert that each camera fills a file, with its own events, one trajectory id, and how their clocks lie."""
     both = made.recordings[:2]
     camera = ",".join(f"replay:{path}" for path in both)
