@@ -84,9 +84,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
 
-    from evetac_cli import resources
+    from evetac_cli import kernel_cache
 
-    resources.find_kernel_cache()
+    kernel_cache.settle_for_this_process()
     value = getattr(importlib.import_module(f"{__name__}.{_MODULES.get(name, 'api')}"), name)
     globals()[name] = value
     return value

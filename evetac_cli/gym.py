@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import resources
+from evetac_cli import kernel_cache, resources
 from evetac_cli.errors import InputError, missing_library
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
@@ -99,7 +99,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         model: Path | str | None = None,
         render_mode: str | None = None,
     ) -> None:
-        resources.find_kernel_cache()
+        kernel_cache.settle_for_this_process()
         from evetac_cli.sim.camera.gel_camera import dot_grid  # builds on numba, which has to know its cache first
 
         self._plans = {plan["object"]: plan for plan in scenes.plan(scene, objects, sensor, ("lift",), gel)}

@@ -1,8 +1,6 @@
 """Where the package's own data lies: schemas, scenes, tables, a slip detector, a force model."""
 
 import functools
-import os
-import tempfile
 import tomllib
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -55,22 +53,3 @@ def with_shipped(files: Iterable[Path]) -> list[Path]:
 def table(name: str) -> dict[str, Any]:
     """A TOML table of the package: objects, sensors, paper."""
     return tomllib.loads((DATA / f"{name}.toml").read_text())
-
-
-def kernel_cache() -> Path | None:
-    """A folder for compiled kernels where numba cannot keep them beside their source; None where it can.
-
-    Without such a folder numba takes one below the home folder, and fails where it can write to neither.
-    """
-    if os.access(PACKAGE, os.W_OK):
-        return None
-    return Path(tempfile.gettempdir()) / f"evetac-numba-{os.getuid()}"
-
-
-def find_kernel_cache() -> None:
-    """Tell numba where to keep compiled kernels, unless NUMBA_CACHE_DIR or its settings say so already."""
-    folder = kernel_cache()
-    if folder is not None:
-        import numba
-
-        numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(folder)

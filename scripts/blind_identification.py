@@ -148,7 +148,7 @@ def changed(name: str, values: Mapping[str, float]) -> str:
 
 def evetac(*words: object) -> Row:
     """Run a command of evetac and return what --json prints."""
-    command = [sys.executable, "-m", "evetac_cli", *map(str, words), "--json"]
+    command = [sys.executable, "-P", "-m", "evetac_cli", *map(str, words), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command[2:])}: exit {done.returncode}\n{done.stderr[-2000:]}")

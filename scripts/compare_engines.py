@@ -64,7 +64,7 @@ def write_scene(path: Path) -> None:
 
 def run_stage(stage: str, folder: Path, count: int, *engine: str, seed: int = 0) -> float:
     """Run one command on all files of a folder; seconds that it took. SystemExit in its words if it fails."""
-    words = [sys.executable, "-m", "evetac_cli", stage, "--quiet", *engine]
+    words = [sys.executable, "-P", "-m", "evetac_cli", stage, "--quiet", *engine]
     if stage == "record":
         each = -(-count // OBJECTS)
         words += ["--scene", "../tiny.toml", "--object", f"1-{-(-count // each)}", "--count", str(each)]
@@ -122,7 +122,17 @@ class Cluster:
         self.log.close()
 
     def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "dask", what, "--scheduler-file", str(self.file), "--no-dashboard", *words]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "dask",
+            what,
+            "--scheduler-file",
+            str(self.file),
+            "--no-dashboard",
+            *words,
+        ]
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         return subprocess.Popen(command, stdout=self.log, stderr=self.log, env=environment)
 

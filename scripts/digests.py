@@ -128,7 +128,7 @@ def make(folder: Path, only: list[str]) -> None:
 
     def run(name: str, commands: Commands) -> None:
         for command in commands:
-            call([sys.executable, "-m", "evetac_cli", *command.split(), "--quiet"], folder / name)
+            call([sys.executable, "-P", "-m", "evetac_cli", *command.split(), "--quiet"], folder / name)
         print(name, file=sys.stderr)
 
     def demo() -> None:

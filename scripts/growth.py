@@ -153,7 +153,7 @@ def dots() -> list[Row]:
 
 def cpu_of(*words: str, cwd: Path) -> tuple[float, float]:
     """Processor time of a command in s, and its largest resident set in MB; SystemExit if it fails."""
-    command = [sys.executable, "-m", "evetac_cli", *words]
+    command = [sys.executable, "-P", "-m", "evetac_cli", *words]
     process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)

@@ -91,7 +91,7 @@ def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, An
     ]
     away = ("DISPLAY", "WAYLAND_DISPLAY")  # no browser opens: the client is the one who looks
     environment = {name: value for name, value in os.environ.items() if name not in away} | {"PYTHONPATH": str(HERE)}
-    command = [sys.executable, "-m", "evetac_cli", "record", *words]
+    command = [sys.executable, "-P", "-m", "evetac_cli", "record", *words]
     with subprocess.Popen(
         command, cwd=HERE, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as run:
@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, help="all runs as JSON")
     chosen = parser.parse_args()
     rows = []
-    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(chosen.busy)]
+    busy = [subprocess.Popen([sys.executable, "-P", "-c", BUSY]) for _ in range(chosen.busy)]
     try:
         with tempfile.TemporaryDirectory() as folder:
             for pair in range(chosen.pairs):

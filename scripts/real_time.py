@@ -68,7 +68,7 @@ def one(checkout: Path, chosen: argparse.Namespace, folder: Path) -> dict[str, A
         *("-q", "--force", "-o", str(out)),
     ]
     measured: dict[str, Any] = {"checkout": checkout.name, **jitter()}
-    command = [sys.executable, "-m", "evetac_cli", "grasp", *words]
+    command = [sys.executable, "-P", "-m", "evetac_cli", "grasp", *words]
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
     done = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
     if not out.exists():

@@ -44,7 +44,7 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
     """Run evetac or a script of this folder; progress and messages go straight to the terminal."""
     first, *rest = words
     if first == "evetac":
-        program = [sys.executable, "-m", "evetac_cli", *rest]
+        program = [sys.executable, "-P", "-m", "evetac_cli", *rest]
     else:
         program = [sys.executable, str(ROOT / rest[0]), *rest[1:]]
     process = subprocess.Popen(program, cwd=folder, stdout=subprocess.PIPE, text=True)

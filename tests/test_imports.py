@@ -14,7 +14,7 @@ from tests.patience import PATIENCE_S
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
-GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources", "text_files"})
+GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources", "kernel_cache", "text_files"})
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
     "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
@@ -31,6 +31,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "console": frozenset({"errors", "jobs"}),
     "params": frozenset(),
     "resources": frozenset({"errors"}),
+    "kernel_cache": frozenset({"errors"}),
     "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),
@@ -165,3 +166,24 @@ def test_start_is_light(arguments: list[str]) -> None:
     assert done.stdout
     assert "evetac_cli" in loaded.split()
     assert [name for name in HEAVY if name in loaded.split()] == []
+
+
+def test_programs_that_are_started_load_nothing_from_the_working_folder() -> None:
+    """Assert that whatever starts Python by a module's name or with code says -P.
+
+    Else a json.py that lies where somebody works would be run.
+    """
+    places = (PACKAGE, PACKAGE.parent / "scripts", PACKAGE.parent / "examples")
+    nodes = [
+        (path.name, node)
+        for place in places
+        for path in place.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+    ]
+    starts = [
+        (name, [ast.unparse(item) for item in node.elts[1:]])
+        for name, node in nodes
+        if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable"
+    ]
+    assert len(starts) > 15
+    assert [start for start in starts if start[1][:1] in (["'-m'"], ["'-c'"])] == []

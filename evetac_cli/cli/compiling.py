@@ -1,6 +1,6 @@
 """A line about what numba compiles, in a command that has to wait for it.
 
-What is compiled is kept (resources.kernel_cache): so it is the first command after an installation that waits, or after
+What is compiled is kept (kernel_cache.py): so it is the first command after an installation that waits, or after
 an update of what has changed. `evetac doctor --compile`, which `make setup` runs, does it for all commands.
 """
 

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evetac_cli import __version__, console, resources
+from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome, Progress
@@ -114,7 +114,7 @@ def run_task(command: Command, jobs: list[Job], seen: list[tuple[Path, ...]]) ->
     with _one_job_at_a_time:
         if reason := check_worker(command):
             return Refused(reason)
-        resources.find_kernel_cache()
+        kernel_cache.settle_for_this_process()
         before = Path.cwd()
         os.chdir(command.folder)
         results: list[Outcome | EvetacError] = []

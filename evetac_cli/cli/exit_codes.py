@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from evetac_cli import __version__, console
+from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli.flags import Group
 from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
 from evetac_cli.errors import (
@@ -93,6 +93,10 @@ class CommandExit:
         return [result for result in self.results.values() if isinstance(result, EvetacError)]
 
     def __enter__(self) -> "CommandExit":
+        try:
+            kernel_cache.refuse_settings_in_the_working_folder()
+        except InputError as error:
+            self.__exit__(InputError, error, None)
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:

@@ -4,14 +4,13 @@ A stage is imported only when it is chosen: `evetac --help` loads none of numpy,
 """
 
 import importlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from evetac_cli import __version__, console, resources
+from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
@@ -252,8 +251,12 @@ _add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, flags.OF_DOCTOR)
 
 def main() -> None:
     """Entry point of the command `evetac`."""
-    folder = resources.kernel_cache()
-    if folder is not None:
-        os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))  # of this process and of those that it starts
     workers.catch_interrupts()
-    exit_codes.run(app)
+    exit_codes.run(_program)
+
+
+def _program() -> None:
+    with kernel_cache.settled_by_environment() as note:
+        if note:
+            console.say(f"note: {note}")
+        app()

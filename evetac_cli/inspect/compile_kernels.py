@@ -146,7 +146,7 @@ def _write_events(folder: Path) -> None:
 def _run(command: str, folder: Path) -> None:
     # The commands of this very package, also where it is not the one that is installed.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    arguments = [sys.executable, "-m", "evetac_cli", *command.split(), "--quiet"]
+    arguments = [sys.executable, "-P", "-m", "evetac_cli", *command.split(), "--quiet"]
     done = subprocess.run(arguments, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise EvetacError("a command that compiles has failed", where=f"evetac {command}", found=done.stderr.strip())

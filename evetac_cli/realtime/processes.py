@@ -37,13 +37,21 @@ ENDING = tuple(
 
 
 def start_shielded(process: BaseProcess) -> None:
-    """Start a spawned process whose target begins with `ignore_interrupts`; until then Ctrl-C does not reach it."""
+    """Start a spawned process whose target begins with `ignore_interrupts`; until then Ctrl-C does not reach it.
+
+    Nor does it load modules from the working folder, where Python looks first for those of a process that is spawned.
+    """
+    unsafe = "PYTHONSAFEPATH" not in os.environ  # which the command `evetac` sets; this may be somebody else's program
+    if unsafe:
+        os.environ["PYTHONSAFEPATH"] = "1"
     resource_tracker.ensure_running()  # or starting the process does so, and lets signals through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         process.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if unsafe:
+            del os.environ["PYTHONSAFEPATH"]
 
 
 def ignore_interrupts() -> None:

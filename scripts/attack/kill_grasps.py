@@ -164,7 +164,7 @@ class Lateness:
 @contextlib.contextmanager
 def busy_loops(count: int) -> Iterator[None]:
     """So many processes that do nothing but compute."""
-    loops = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    loops = [subprocess.Popen([sys.executable, "-P", "-c", BUSY]) for _ in range(count)]
     try:
         yield
     finally:
@@ -189,7 +189,7 @@ def command_line(name: str, port: str, watchdog_ms: int, folder: Path) -> list[s
         "record": ["--seconds", "1.5", "--expected-event-rate", "1e5"],
     }[name]
     out = folder / f"{name}.recording.h5"
-    return [sys.executable, "-m", "evetac_cli", name, *common, *more, "-q", "--force", "-o", str(out)]
+    return [sys.executable, "-P", "-m", "evetac_cli", name, *common, *more, "-q", "--force", "-o", str(out)]
 
 
 def clear(folder: Path) -> None:

@@ -32,7 +32,7 @@ def killed_after(seconds: float, camera: str, gripper: str, output: Path) -> flo
     """Start a recording, kill it so long after its first file appeared; returns how long it really ran, in s."""
     arguments = ["record", "--camera", camera, "--gripper", gripper, "--seconds", "60"]
     arguments += ["--expected-event-rate", "1e5", "-q"]
-    run = subprocess.Popen([sys.executable, "-m", "evetac_cli", *arguments, "-o", str(output)])
+    run = subprocess.Popen([sys.executable, "-P", "-m", "evetac_cli", *arguments, "-o", str(output)])
     first = output.with_suffix(".part") / "static.h5"
     deadline = time.monotonic() + LONGEST_START_S
     while not first.exists():
@@ -53,7 +53,7 @@ def one(seconds: float, camera: str, gripper: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         output = Path(name) / "killed.recording.h5"
         ran_s = killed_after(seconds, camera, gripper, output)
-        evetac = [sys.executable, "-m", "evetac_cli"]
+        evetac = [sys.executable, "-P", "-m", "evetac_cli"]
         repair = [*evetac, "repair", "--json", str(output.with_suffix(".part"))]
         done = subprocess.run(repair, capture_output=True, text=True, check=False)
         (row,) = json.loads(done.stdout)["rows"]
@@ -84,7 +84,7 @@ def main() -> None:
     rows = []
     with ExitStack() as opened:
         for _ in range(chosen.busy):
-            opened.callback(subprocess.Popen([sys.executable, "-c", BUSY]).kill)
+            opened.callback(subprocess.Popen([sys.executable, "-P", "-c", BUSY]).kill)
         for trial in range(chosen.count):
             rows.append({"trial": trial, **one(rng.uniform(0.3, 3.0), chosen.camera, chosen.gripper)})
             print(json.dumps(rows[-1]), file=sys.stderr, flush=True)

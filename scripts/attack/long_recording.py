@@ -171,7 +171,7 @@ def _force_model(trials: Path, model: Path) -> Iterator[tuple[str, ...]]:
 def run(command: tuple[str, ...]) -> tuple[int, float, float]:
     """Run a command; its exit code, seconds, and the largest resident set of it in MB."""
     began_s = time.monotonic()
-    process = subprocess.Popen([sys.executable, "-m", "evetac_cli", *command], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-P", "-m", "evetac_cli", *command], stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     unit = 1e6 if sys.platform == "darwin" else 1e3
@@ -180,7 +180,7 @@ def run(command: tuple[str, ...]) -> tuple[int, float, float]:
 
 def simulated_trial(folder: Path) -> Path:
     """Record the trial whose end is repeated."""
-    subprocess.run([sys.executable, "-m", "evetac_cli", *TRIAL, "-o", str(folder)], check=True)
+    subprocess.run([sys.executable, "-P", "-m", "evetac_cli", *TRIAL, "-o", str(folder)], check=True)
     return next(iter(sorted(folder.glob("*.recording.h5"))))
 
 

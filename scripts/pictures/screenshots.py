@@ -77,7 +77,7 @@ def printed(command: str, folder: Path) -> str:
 
 
 def _words(command: str) -> list[str]:
-    return [sys.executable, "-m", "evetac_cli", *command.split()[1:]]
+    return [sys.executable, "-P", "-m", "evetac_cli", *command.split()[1:]]
 
 
 def _environment() -> dict[str, str]:

@@ -54,7 +54,8 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         }
         python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "evetac_cli.devices.virtual.servo_process", json.dumps(choice)],
+            # -P: no module of the working folder, where anybody may have put a json.py
+            [sys.executable, "-P", "-m", "evetac_cli.devices.virtual.servo_process", json.dumps(choice)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": python_path},

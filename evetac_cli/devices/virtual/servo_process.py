@@ -117,6 +117,7 @@ class Line:
         )  # the host's end stays open here, or closing the port would end ours
         for end in (self._servo_end, self._host_end):
             tty.setraw(end)
+        os.fchmod(self._host_end, 0o600)  # the system may let a group write to terminals
         os.set_blocking(self._servo_end, False)
         self.port = os.ttyname(self._host_end)
         self.plugged = True

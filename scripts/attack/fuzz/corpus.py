@@ -210,7 +210,7 @@ def make(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "short.toml").write_text(_short_scene())
     for line in COMMANDS.strip().splitlines():
-        command = [sys.executable, "-m", "evetac_cli", *line.split(), "--quiet", "--force"]
+        command = [sys.executable, "-P", "-m", "evetac_cli", *line.split(), "--quiet", "--force"]
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     _break_off(folder / "piece.recording.h5", folder / "broken.recording.h5")
     with open_recording(folder / "piece.recording.h5") as recording:
@@ -222,7 +222,7 @@ def make(folder: Path) -> None:
     event_files.write(folder, events.part(0, event_files.EVENTS))
     _write_streams(folder)
     attach = ("attach", "piece.recording.h5", "--stream", "arm=pose.csv", "--stream", "wrist=trial.bag:/image")
-    command = [sys.executable, "-m", "evetac_cli", *attach, "--out", "attached.recording.h5", "--quiet"]
+    command = [sys.executable, "-P", "-m", "evetac_cli", *attach, "--out", "attached.recording.h5", "--quiet"]
     subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     (folder / "parameters.toml").write_text(
         '[track]\npreset = "paper"\nstep_size = 0.01\n'
