@@ -28,7 +28,7 @@ EXTRAS = {
     "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "PIL", "av"),
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "view": ("rerun",),
-    "cluster": ("dask", "distributed"),
+    "cluster": ("dask", "distributed", "cryptography"),
     "log": ("tensorboard",),
     "robot": ("mujoco", "gymnasium", "cma"),
 }

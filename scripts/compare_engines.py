@@ -91,12 +91,39 @@ def different(one: Path, other: Path) -> tuple[int, list[str]]:
     return len(names), [name for name in names if first.get(name) != second.get(name)]
 
 
+def with_certificates(folder: Path) -> None:
+    """Let all Dask of this process and those that it starts use one certificate, as docs/cluster.md has it by hand.
+
+    Whoever can reach a scheduler without one can run programs as its owner, other users of this computer too.
+    """
+    import dask
+    from distributed import Security
+
+    made = Security.temporary()
+    files = {"cert": made.tls_client_cert, "key": made.tls_client_key}
+    for name, text in files.items():
+        path = folder / f"cluster-{name}.pem"
+        path.unlink(missing_ok=True)
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(text)
+    tls = "DASK_DISTRIBUTED__COMM__TLS__"
+    os.environ[f"{tls}CA_FILE"] = str(folder / "cluster-cert.pem")
+    for role in ("SCHEDULER", "WORKER", "CLIENT"):
+        os.environ |= {f"{tls}{role}__{name.upper()}": str(folder / f"cluster-{name}.pem") for name in files}
+    os.environ["DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION"] = "True"
+    for role in ("SCHEDULER", "WORKER"):
+        os.environ[f"DASK_DISTRIBUTED__{role}__HTTP__ROUTES"] = "[]"
+    dask.config.refresh()
+
+
 class Cluster:
     """A Dask scheduler and workers of one thread, each a process of its own that can be killed or stopped."""
 
     def __init__(self, folder: Path, workers: int) -> None:
+        self.folder = str(folder)
         self.file = folder / "scheduler.json"
         self.file.unlink(missing_ok=True)
+        with_certificates(folder)
         self.log = (folder / "cluster.log").open("w")
         self.scheduler = self._start("scheduler", "--port", "0")
         self.address = self._address()
@@ -104,7 +131,9 @@ class Cluster:
 
     def join(self) -> subprocess.Popen[bytes]:
         """Another worker; it is not in `workers` yet."""
-        return self._start("worker", "--nthreads", "1", "--no-nanny", "--memory-limit", "0")
+        return self._start(
+            "worker", "--nthreads", "1", "--no-nanny", "--memory-limit", "0", "--local-directory", self.folder
+        )
 
     def wait(self, workers: int) -> None:
         """Until so many workers have joined."""
@@ -122,17 +151,8 @@ class Cluster:
         self.log.close()
 
     def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "dask",
-            what,
-            "--scheduler-file",
-            str(self.file),
-            "--no-dashboard",
-            *words,
-        ]
+        here = ("--host", "127.0.0.1", "--protocol", "tls", "--no-dashboard", "--scheduler-file", str(self.file))
+        command = [sys.executable, "-P", "-m", "dask", what, *here, *words]
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         return subprocess.Popen(command, stdout=self.log, stderr=self.log, env=environment)
 

@@ -1,4 +1,4 @@
-"""Where jobs run: on this computer (`local`, workers.py), or on a Dask cluster (`dask`, `dask:tcp://ADDRESS`).
+"""Where jobs run: on this computer (`local`, workers.py), or on a Dask cluster (`dask`, `dask:tls://ADDRESS`).
 
 A job reads and writes its files itself: the cluster needs storage that all its computers share, and only paths and rows
 travel. A worker goes to the folder in which the command was started, so that paths, rows and recipes read the same on
@@ -20,6 +20,7 @@ import pkgutil
 import platform
 import queue
 import signal
+import tempfile
 import threading
 import time
 import uuid
@@ -32,7 +33,7 @@ from typing import Any
 
 from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import workers
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import EvetacError, InputError, install_hint, shortened
 from evetac_cli.jobs import Job, Outcome, Progress
 
 LOCAL, DASK = "local", "dask"
@@ -41,6 +42,8 @@ GRACE_S = 5.0  # in which the workers of somebody's cluster may stop
 DEATHS = 3  # of workers at the same job, then the job is at fault
 TASK_S = 1.0  # shorter jobs are handed out together
 CONNECT_S = 20.0
+LOOPBACK = "127.0.0.1"
+SCHEMES = ("tls://", "tcp://")
 _one_job_at_a_time = threading.Lock()  # in a worker, which may have several threads
 
 
@@ -55,8 +58,8 @@ class Engine:
     def parse(cls, text: str) -> "Engine":
         """Read `local`, `dask` or `dask:ADDRESS`; InputError for anything else."""
         name, _, address = text.partition(":")
-        if name not in (LOCAL, DASK) or (text != name and not (name == DASK and "://" in address)):
-            expected = "local, dask, or dask:tcp://ADDRESS:PORT"
+        if name not in (LOCAL, DASK) or (text != name and not (name == DASK and address.startswith(SCHEMES))):
+            expected = "local, dask, dask:tls://ADDRESS:PORT or dask:tcp://ADDRESS:PORT"
             raise InputError("unknown engine", where="--engine", expected=expected, found=text)
         return cls(name, address)
 
@@ -209,25 +212,80 @@ def _sign(folder: Path) -> Iterator[Path]:
 @contextmanager
 def _client(engine: Engine, at_once: int) -> Iterator[Any]:
     """A client of the cluster that is named, or of one that is started here; InputError if none answers."""
-    import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     for name in list(logging.root.manager.loggerDict):
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is said in words, by us
     if engine.address:
-        try:
-            client = Client(engine.address, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InputError(
-                "no Dask scheduler answers",
-                where="--engine",
-                found=f"{engine.address}: {error}",
-                hint="start one: dask scheduler; then workers: dask worker ADDRESS --nthreads 1",
-            ) from None
-        with client:
+        _require_scheduler(engine.address)
+        with Client(engine.address, timeout=CONNECT_S, set_as_default=False) as client:
             yield client
         return
+    with _own_cluster(at_once) as cluster, Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+def _require_scheduler(address: str) -> None:
+    """InputError unless a Dask scheduler answers there, to which we show the certificate that Dask's settings name.
+
+    Why so: Dask's client leaves tracebacks, or waits for ever, where it meets something else.
+    """
+    import asyncio
+
+    from distributed import Security
+    from distributed.core import rpc
+
+    async def role() -> Any:
+        shown = Security().get_connection_args("client")
+        if address.startswith("tls://") and shown["ssl_context"] is None:
+            raise InputError(
+                "this cluster asks for a certificate, and Dask's settings name none",
+                where="--engine",
+                found=address,
+                hint="export DASK_DISTRIBUTED__COMM__TLS__CA_FILE and two more: docs/cluster.md, Who can reach it",
+            )
+        async with rpc(address, connection_args=shown, timeout=CONNECT_S) as remote:
+            return (await asyncio.wait_for(remote.identity(), CONNECT_S))["type"]
+
+    try:
+        found = f"a {asyncio.run(role())} of Dask at {address}"
+    except InputError:
+        raise
+    except Exception as error:  # of whatever may be there instead
+        found = f"{address}: {shortened(str(error) or type(error).__name__)}"
+    else:
+        if "Scheduler" in found:
+            return
+    raise InputError(
+        "no Dask scheduler answers",
+        where="--engine",
+        found=found,
+        hint="start one: docs/cluster.md, By hand; one with certificates is addressed by tls://",
+    )
+
+
+@contextmanager
+def _own_cluster(at_once: int) -> Iterator[Any]:
+    """A cluster of so many processes on this computer, which nobody else can give work to; EvetacError if it cannot be.
+
+    Whoever can connect to a scheduler or a worker can run programs as its owner. So all of them, and the client, ask
+    each other for a certificate that is made here and lies in their memory alone; none of them serves anything by
+    HTTP; and their working folders lie in one that is this user's, and not below a name in /tmp that others can make.
+    """
+    import dask
+    from distributed import LocalCluster, Security
+
+    try:
+        credentials = Security.temporary()
+    except ImportError as error:
+        raise EvetacError(
+            "the library cryptography is needed, by which the cluster knows who gives it work",
+            where="--engine dask",
+            found=str(error),
+            hint=f"{install_hint('cluster')}, or --engine local",
+        ) from None
+    no_routes: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}
     settings = {
         "distributed.scheduler.allowed-failures": 0,
         "distributed.worker.profile.enabled": False,
@@ -235,20 +293,32 @@ def _client(engine: Engine, at_once: int) -> Iterator[Any]:
         # Its default gives freed memory back at once, and the next array takes it anew, page by page.
         "distributed.nanny.pre-spawn-environ": dict.fromkeys(workers.ONE_THREAD, "1"),
         "distributed.comm.timeouts.connect": f"{CONNECT_S} s",
+        **no_routes,
     }
     with (
         dask.config.set(settings),
+        tempfile.TemporaryDirectory(
+            prefix="evetac-dask-", dir=dask.config.get("temporary-directory", None), ignore_cleanup_errors=True
+        ) as folder,
         LocalCluster(
             n_workers=at_once,
             threads_per_worker=1,
             processes=True,
             memory_limit=0,  # as for the engine local
-            dashboard_address=None,
+            security=credentials,
+            local_directory=folder,
+            preload=[__name__],
+            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0", "preload": [__name__]},
             silence_logs=logging.CRITICAL,
         ) as cluster,
-        Client(cluster, set_as_default=False) as client,
     ):
-        yield client
+        yield cluster
+
+
+def dask_setup(server: Any) -> None:
+    """Close the HTTP server of a scheduler or worker of a cluster of our own; Dask calls this where it starts one."""
+    for service in server.services.values():
+        service.stop()
 
 
 class _Run:

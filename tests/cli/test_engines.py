@@ -1,13 +1,18 @@
 """Jobs on a Dask cluster: the same arrays as without, and workers that die, join, do not fit or are told to stop."""
 
+import asyncio
 import json
 import os
 import shutil
 import signal
+import socket
+import socketserver
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +28,9 @@ from evetac_cli.resources import PACKAGE
 from tests.cli.test_jobs import lives
 from tests.conftest import Made
 from tests.patience import PATIENCE_S, until
+
+sys.path.insert(0, str(PACKAGE.parent / "scripts"))
+import compare_engines
 
 MADE = Outcome([{"output": "a"}], True)
 # A stage whose jobs do what their names say; the program below loads it, and so does every worker.
@@ -74,18 +82,67 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize(
     ("text", "engine"),
-    [("local", Engine("local")), ("dask", Engine("dask")), ("dask:tcp://a:1", Engine("dask", "tcp://a:1"))],
+    [("local", Engine("local")), ("dask", Engine("dask")), ("dask:tls://a:1", Engine("dask", "tls://a:1"))],
 )
 def test_engines_have_names(text: str, engine: Engine) -> None:
     """Assert that each engine is read as it is written."""
     assert Engine.parse(text) == engine
 
 
-@pytest.mark.parametrize("text", ["", "Dask", "dask:", "local:tcp://a:1", "dask:8786", "ray", "tcp://a:1"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "Dask", "dask:", "local:tcp://a:1", "dask:8786", "ray", "tcp://a:1", "dask:http://a:1", "dask:inproc://1"],
+)
 def test_other_engines_are_refused(text: str) -> None:
     """Assert that whatever names no engine is refused with what does."""
     with pytest.raises(InputError, match="local, dask"):
         Engine.parse(text)
+
+
+class _Answering(socketserver.BaseRequestHandler):
+    """A server that is no scheduler."""
+
+    def handle(self) -> None:
+        self.request.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 9)
+
+
+class _Silent(socketserver.BaseRequestHandler):
+    """A server that says nothing for longer than anybody waits."""
+
+    def handle(self) -> None:
+        self.request.recv(1 << 16)
+        self.request.recv(1 << 16)
+
+
+@pytest.mark.parametrize("server", [_Answering, _Silent, None])
+def test_what_is_no_scheduler_is_refused_in_words(server: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that another program at the address, a silent one and none at all are one error that names the address."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(engines, "CONNECT_S", 1.0)
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), server or _Silent) as listening:
+        listening.daemon_threads = True
+        if server:
+            threading.Thread(target=listening.serve_forever, daemon=True).start()
+        else:
+            listening.socket.close()
+        address = f"tcp://127.0.0.1:{listening.server_address[1]}"
+        with pytest.raises(InputError, match="no Dask scheduler answers") as refused:
+            engines._require_scheduler(address)
+        if server:
+            listening.shutdown()
+    assert address in refused.value.found
+
+
+def test_a_cluster_with_certificates_is_not_asked_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that tls:// is refused where Dask's settings name no certificate, or one that is not there."""
+    dask = pytest.importorskip("dask")
+    with pytest.raises(InputError, match="asks for a certificate"):
+        engines._require_scheduler("tls://127.0.0.1:1")
+    with (
+        dask.config.set({"distributed.comm.tls.ca-file": "/none.pem", "distributed.comm.tls.client.cert": "/none.pem"}),
+        pytest.raises(InputError, match="No such file"),
+    ):
+        engines._require_scheduler("tls://127.0.0.1:1")
 
 
 def test_large_files_first(tmp_path: Path) -> None:
@@ -171,6 +228,88 @@ def test_a_job_ends_with_its_command(command: engines.Command, monkeypatch: pyte
     stage_is(monkeypatch, run)
     jobs = [Job((), Path(f"{name}.h5")) for name in ("first", "second", "third")]
     assert engines.run_task(command, jobs, [(), (), ()]) == [MADE]
+
+
+# --- who may give work ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def own_cluster() -> Iterator[Any]:
+    """A client of the cluster that `--engine dask` starts, with one worker."""
+    pytest.importorskip("distributed")
+    with engines._client(Engine("dask"), 1) as client:
+        yield client
+
+
+def addresses(client: Any) -> list[str]:
+    """Where scheduler, workers and their nannies listen."""
+    workers = client.scheduler_info()["workers"]
+    return [client.scheduler.address, *workers, *(worker["nanny"] for worker in workers.values())]
+
+
+def test_all_of_the_own_cluster_listens_here_with_credentials(own_cluster: Any) -> None:
+    """Assert that scheduler, worker and nanny use TLS on this computer alone, and that the cluster works."""
+    assert len(addresses(own_cluster)) == 3
+    assert all(address.startswith("tls://127.0.0.1:") for address in addresses(own_cluster))
+    assert own_cluster.submit(os.getpid, pure=False).result() not in (0, os.getpid())
+
+
+@pytest.mark.parametrize("credentials", ["none", "tcp", "of another cluster"])
+def test_no_stranger_gives_work_to_the_own_cluster(own_cluster: Any, credentials: str) -> None:
+    """Assert that neither scheduler nor worker nor nanny take a call of whoever lacks the cluster's certificate."""
+    from distributed import Security
+    from distributed.core import rpc
+
+    security = Security.temporary() if credentials == "of another cluster" else Security()
+
+    async def call(address: str) -> Any:
+        to = address.replace("tls://", "tcp://") if credentials == "tcp" else address
+        arguments = security.get_connection_args("client")
+        async with rpc(to, connection_args=arguments, timeout=5) as remote:
+            return await asyncio.wait_for(remote.identity(), 5)
+
+    for address in addresses(own_cluster):
+        with pytest.raises((OSError, TypeError, TimeoutError)):  # TypeError: tls:// without any certificate
+            asyncio.run(call(address))
+
+
+def test_the_own_cluster_serves_nothing_by_http(own_cluster: Any) -> None:
+    """Assert that the ports of scheduler and worker at which Dask has its pages are closed, and others answer none."""
+
+    def of_scheduler(dask_scheduler: Any) -> list[int]:
+        return [service.port for service in dask_scheduler.services.values()]
+
+    def of_worker(dask_worker: Any) -> list[int]:
+        return [service.port for service in dask_worker.services.values()]
+
+    closed = own_cluster.run_on_scheduler(of_scheduler) + next(iter(own_cluster.run(of_worker).values()))
+    assert len(closed) == 2 and 8787 not in closed
+    for port in closed:
+        with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port), 5):
+            pass
+    for address in addresses(own_cluster):
+        with socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])), 5) as connection:
+            connection.sendall(b"GET /json/identity.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            connection.settimeout(5)
+            with suppress(ConnectionResetError):
+                assert b"HTTP" not in connection.recv(4096)
+
+
+def test_folders_of_the_own_cluster_are_this_users(own_cluster: Any) -> None:
+    """Assert that a worker's folder lies in one of mode 0700 whose name nobody can guess."""
+    (folder,) = own_cluster.run(lambda dask_worker: dask_worker.local_directory).values()
+    above = [path for path in Path(folder).parents if path.name.startswith("evetac-dask-")]
+    assert len(above) == 1
+    assert (above[0].stat().st_mode & 0o777, above[0].stat().st_uid) == (0o700, os.geteuid())
+
+
+def test_no_cluster_is_started_without_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert words and a line that installs it where cryptography is missing, before anything is started."""
+    pytest.importorskip("distributed")
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    with pytest.raises(EvetacError, match="cryptography") as refused, engines._client(Engine("dask"), 1):
+        pytest.fail("started")
+    assert "[cluster]" in refused.value.hint and "--engine dask" in refused.value.where
 
 
 # --- clusters ---------------------------------------------------------------------------------------------------------
@@ -327,6 +466,45 @@ def test_a_cluster_that_runs_already(tmp_path: Path, started: list[subprocess.Po
     assert last.ended()["ended"] == "interrupted"
     assert lives(process)  # it is the cluster's
     assert left(work) == []
+
+
+@pytest.mark.slow
+def test_a_cluster_with_certificates(
+    tmp_path: Path, started: list[subprocess.Popen[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that one by hand, as docs/cluster.md has it, does the work of whoever has its certificate alone."""
+    import dask
+
+    (tmp_path / "standing_stage.py").write_text(STAGE)
+    with monkeypatch.context() as made:
+        made.setattr(os, "environ", dict(os.environ))
+        compare_engines.with_certificates(tmp_path)
+        tls = {name: value for name, value in os.environ.items() if name.startswith("DASK_")}
+    dask.config.refresh()
+    assert ((tmp_path / "cluster-key.pem").stat().st_mode & 0o777) == 0o600
+    scheduler = tmp_path / "scheduler.json"
+    for what in (["scheduler", "--port", "0"], ["worker", "--nthreads", "1", "--preload", "standing_stage"]):
+        one = [sys.executable, "-m", f"distributed.cli.dask_{what[0]}", "--scheduler-file", str(scheduler), *what[1:]]
+        started.append(
+            subprocess.Popen(
+                [*one, "--host", "127.0.0.1", "--protocol", "tls", "--no-dashboard"],
+                cwd=tmp_path,
+                env=environment(tmp_path) | tls,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        )
+        assert until(lambda: scheduler.exists() and scheduler.read_text())
+    address = json.loads(scheduler.read_text())["address"]
+    assert address.startswith("tls://127.0.0.1:")
+    refused = run(started, tmp_path, f"dask:{address}", "quick-1").ended()
+    assert "asks for a certificate" in refused["ended"] and refused["jobs"] == {}
+    refused = run(started, tmp_path, f"dask:{address.replace('tls', 'tcp')}", "quick-1").ended()
+    assert "no Dask scheduler answers" in refused["ended"] and "Traceback" not in refused["said"]
+    for name, value in tls.items():
+        monkeypatch.setenv(name, value)
+    assert run(started, tmp_path, f"dask:{address}", "quick-1").ended()["jobs"] == {"quick-1": "made"}
 
 
 def arrays(path: Path) -> dict[str, Any]:
