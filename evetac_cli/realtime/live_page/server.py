@@ -5,10 +5,13 @@ at, gets fewer, and nothing piles up. The page is `page.html` with `page.js` and
 
 What keeps others out, since one message from here takes a gripper's torque away:
 - it listens on 127.0.0.1 alone, at a port that the system chooses;
-- every address begins with a random token, which only the terminal shows;
+- every address begins with a random token; the terminal shows it, and a browser that is opened here gets it from a file
+  that nobody else can read, and not as an argument, which every user of the computer sees;
 - a request whose Host is not this computer is refused: another site's name that suddenly stands for 127.0.0.1 (DNS
   rebinding) does not get through; nor does a websocket that another site's page opens (Origin);
-- no other site may show the page in a frame, where somebody could be made to click on it.
+- no other site may show the page in a frame, where somebody could be made to click on it;
+- a connection that has not asked for something with the token after some seconds is closed, and the oldest of these
+  where there are many: other users of this computer may connect too, and shall not use up what there is of them.
 """
 
 import asyncio
@@ -28,6 +31,9 @@ ADDRESS = "127.0.0.1"
 OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")  # by any port: ssh -L may listen at another one
 MOST_CLIENTS = 4
 MOST_BYTES = 4096  # of a message, or a request, to here
+REQUEST_S = 5.0  # in which a connection has to ask for something
+MOST_WAITING = 256  # connections that have not; twice of what tornado takes on before it looks at any of them
+BACKLOG = 1024  # connections that the system holds until they are taken on
 LAST_S = 0.3  # for the last words to arrive
 NEXT, LET_GO = "next", "let go"  # all that a client can say
 CONTENT = {
@@ -66,8 +72,15 @@ class PageServer:
             log_function=lambda _: None,
             websocket_max_message_size=MOST_BYTES,
         )
-        self._server = httpserver.HTTPServer(application, max_body_size=MOST_BYTES, max_header_size=16 * MOST_BYTES)
-        sockets = netutil.bind_sockets(0, ADDRESS)
+        self._server = _Door(
+            application,
+            max_body_size=MOST_BYTES,
+            max_header_size=16 * MOST_BYTES,
+            idle_connection_timeout=REQUEST_S,
+            body_timeout=REQUEST_S,
+        )
+        self.waiting = self._server.waiting
+        sockets = netutil.bind_sockets(0, ADDRESS, backlog=BACKLOG)
         self._server.add_sockets(sockets)
         self.port = int(sockets[0].getsockname()[1])
 
@@ -104,6 +117,28 @@ class PageServer:
         await self._server.close_all_connections()
 
 
+class _Door(httpserver.HTTPServer):
+    """A server that holds no more than MOST_WAITING connections of which it does not know that they have the token."""
+
+    def initialize(self, *args: Any, **kwargs: Any) -> None:
+        self.waiting: dict[Any, None] = {}  # their streams, the oldest first
+        super().initialize(*args, **kwargs)
+
+    def handle_stream(self, stream: Any, address: Any) -> None:
+        """Take on a connection; the oldest of those that wait makes room for it."""
+        self.waiting[stream] = None
+        if len(self.waiting) > MOST_WAITING:
+            oldest = next(iter(self.waiting))
+            del self.waiting[oldest]
+            oldest.close()
+        super().handle_stream(stream, address)
+
+    def on_close(self, server_conn: Any) -> None:
+        """A connection has ended, or became a websocket."""
+        self.waiting.pop(server_conn.stream, None)
+        super().on_close(server_conn)
+
+
 class _Guarded(web.RequestHandler):
     """Refuses whoever does not know the token, or comes by another name than this computer's."""
 
@@ -116,6 +151,8 @@ class _Guarded(web.RequestHandler):
             raise web.HTTPError(403)
         if not compare_digest(token.encode(), self._page_server.token.encode()):
             raise web.HTTPError(403)
+        connection: Any = self.request.connection
+        self._page_server.waiting.pop(connection.stream, None)
 
     def set_default_headers(self) -> None:
         for name, value in HEADERS.items():
@@ -169,8 +206,15 @@ class _Pictures(_Guarded, websocket.WebSocketHandler):
         """Send news as JSON, its length before it, and the picture behind it."""
         text = json.dumps(news, allow_nan=False, separators=(",", ":")).encode()
         try:
-            self.write_message(len(text).to_bytes(4, "little") + text + image, binary=True)
+            sent = self.write_message(len(text).to_bytes(4, "little") + text + image, binary=True)
         except websocket.WebSocketClosedError:
+            self._page_server.clients.discard(self)
+        else:
+            sent.add_done_callback(self._notice)
+
+    def _notice(self, sent: "asyncio.Future[None]") -> None:
+        """A message has gone, or the client has while it was on its way: then this is what says so."""
+        if not sent.cancelled() and sent.exception() is not None:
             self._page_server.clients.discard(self)
 
 

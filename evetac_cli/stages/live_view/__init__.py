@@ -8,9 +8,8 @@ import multiprocessing
 import os
 import sys
 import time
-import webbrowser
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -25,6 +24,7 @@ from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, start_shielded
+from evetac_cli.stages.live_view import browser
 from evetac_cli.stages.live_view.messages import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title
 
 if TYPE_CHECKING:
@@ -171,11 +171,8 @@ def opened(asked: str, title: Title, open_detector: "OpenDetector") -> Iterator[
     view = LiveView(where, title, open_detector)
     ended = "ended"
     try:
-        if where == BROWSER:
-            console.say(f"live view: {view.url}")
-            if _has_display():
-                webbrowser.open(view.url)
-        yield view
+        with browser.announced(view.url, opens=_has_display()) if where == BROWSER else nullcontext():
+            yield view
     except BaseException as error:
         ended = str(error).splitlines()[0] if str(error) else "interrupted"
         raise

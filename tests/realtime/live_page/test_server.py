@@ -1,11 +1,15 @@
 """Who gets to see the page, and who may press its button."""
 
 import asyncio
+import gc
 import http.client
 import json
 import socket
+import struct
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -16,14 +20,17 @@ pytest.importorskip("tornado")
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
+from evetac_cli.realtime.live_page import server
 from evetac_cli.realtime.live_page.server import CONTENT, MOST_CLIENTS, PageServer
 
 
 class Served:
     """A server in a thread of its own, whose loop sends a picture to whoever waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, image: bytes = b"image") -> None:
         self.let_go = 0
+        self.image = image
+        self.uncaught: list[dict[str, Any]] = []  # what the loop would print as a traceback
         self.loop = asyncio.new_event_loop()
         self._started = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -38,6 +45,7 @@ class Served:
         def let_go() -> None:
             self.let_go += 1
 
+        self.loop.set_exception_handler(lambda loop, about: self.uncaught.append(about))
         self.server = PageServer(let_go)
         self.stop = asyncio.Event()
         self._started.set()
@@ -45,7 +53,7 @@ class Served:
         while not self.stop.is_set():
             number += 1
             if self.server.is_asked:
-                self.server.send({"number": number}, b"image", lambda: {"about": "known"}, 1)
+                self.server.send({"number": number}, self.image, lambda: {"about": "known"}, 1)
             await asyncio.sleep(0.005)
         await self.server.end({"ended": "it is over"})
 
@@ -62,6 +70,8 @@ def served() -> Iterator[Served]:
         yield served
     finally:
         served.close()
+        gc.collect()
+        assert served.uncaught == []
 
 
 def answer(served: Served, path: str, host: str | None = None, method: str = "GET", **headers: str) -> tuple[int, str]:
@@ -227,3 +237,144 @@ def test_no_more_than_a_few_look_at_once(served: Served) -> None:
             await close(each)
 
     asyncio.run(watch())
+
+
+# --- whoever is slow, silent or gone ----------------------------------------------------------------------------------
+
+
+def plain_socket(served: Served) -> socket.socket:
+    """A connection that has said nothing yet."""
+    return socket.create_connection(("127.0.0.1", served.server.port), PATIENCE_S)
+
+
+def is_closed(connection: socket.socket) -> bool:
+    """Wait until the server closes a connection, whatever it says before."""
+    connection.settimeout(PATIENCE_S)
+    try:
+        while connection.recv(1 << 16):
+            pass
+    except ConnectionResetError:
+        pass
+    connection.close()
+    return True
+
+
+def unread_websocket(served: Served) -> socket.socket:
+    """A client that asks for a picture and takes none of it."""
+    connection = socket.socket()
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.settimeout(PATIENCE_S)
+    connection.connect(("127.0.0.1", served.server.port))
+    head = f"GET /{served.server.token}/pictures HTTP/1.1\r\nHost: 127.0.0.1:{served.server.port}\r\n"
+    head += "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    connection.sendall(f"{head}Sec-WebSocket-Key: {'eA==' * 6}\r\n\r\n".encode())
+    answered = b""
+    while not answered.endswith(b"\r\n\r\n"):
+        answered += connection.recv(1)
+    word = b"next"
+    connection.sendall(bytes([0x81, 0x80 | len(word)]) + bytes(4) + word)  # masked by zeros
+    return connection
+
+
+def until(true: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("end", ["reset", "shut", "close frame"])
+def test_a_client_that_goes_while_a_picture_is_on_its_way(end: str) -> None:
+    """Assert that nothing comes up on the terminal, however the connection ends, and that others are served."""
+    served = Served(bytes(8 << 20))  # more than the system takes for a client that does not read
+    try:
+        connection = unread_websocket(served)
+        until(lambda: len(served.server.clients) == 1 and not served.server.is_asked)
+        connection.recv(1 << 10)
+        if end == "reset":
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        elif end == "shut":
+            connection.shutdown(socket.SHUT_WR)
+        else:
+            connection.sendall(bytes([0x88, 0x80]) + bytes(4))
+        connection.close()
+        until(lambda: not served.server.clients)
+        assert answer(served, f"/{served.server.token}/")[0] == 200
+    finally:
+        served.close()
+    gc.collect()
+    assert served.uncaught == []
+
+
+SILENT = {
+    "nothing": b"",
+    "half a line": b"GET / HT",
+    "headers without an end": b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\n",
+    "a body that does not come": b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 100\r\n\r\n",
+    "a request without the token": b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    "a websocket without the token": b"GET /x/pictures HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n"
+    b"Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: eA==\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("said", SILENT.values(), ids=SILENT.keys())
+def test_a_connection_without_a_request_is_closed(said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that whoever has not asked for something after a while, and with the token, is not held."""
+    monkeypatch.setattr(server, "REQUEST_S", 0.1)
+    served = Served()
+    try:
+        connection = plain_socket(served)
+        connection.sendall(said)
+        assert is_closed(connection)
+        until(lambda: not served.server.waiting)
+    finally:
+        served.close()
+    assert served.uncaught == []
+
+
+def test_a_slow_trickle_is_no_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that bytes that go on coming do not hold a connection for longer."""
+    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    served = Served()
+    try:
+        connection = plain_socket(served)
+        connection.sendall(b"GET / HTTP/1.1\r\n")
+        with pytest.raises(OSError):  # the other end closes it
+            end_s = time.monotonic() + PATIENCE_S
+            while time.monotonic() < end_s:
+                connection.sendall(b"X-A: b\r\n")
+                time.sleep(0.02)
+        connection.close()
+    finally:
+        served.close()
+
+
+def test_who_waits_in_hundreds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the page comes however many connections say nothing, and that the oldest of them go for new ones."""
+    monkeypatch.setattr(server, "MOST_WAITING", 130)
+    monkeypatch.setattr(server, "REQUEST_S", 3600.0)  # on a busy machine, too, only their number ends them
+    served = Served()
+    with ExitStack() as opened:
+        opened.callback(served.close)
+
+        def silent(count: int) -> list[socket.socket]:
+            return [opened.enter_context(plain_socket(served)) for _ in range(count)]
+
+        def look() -> None:
+            assert answer(served, f"/{served.server.token}/")[0] == 200
+
+        first = silent(2 * server.MOST_WAITING)
+        until(lambda: len(served.server.waiting) == server.MOST_WAITING)
+        look()
+
+        async def look_on() -> None:
+            socket_ = await connect(served, served.server.token)
+            silent(2 * server.MOST_WAITING)
+            await socket_.write_message("next")
+            assert await asyncio.wait_for(socket_.read_message(), PATIENCE_S)  # who looks is never closed for others
+            await close(socket_)
+
+        asyncio.run(look_on())
+        assert all(map(is_closed, first))
+        look()
+    assert served.uncaught == []

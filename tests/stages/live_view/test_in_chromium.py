@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from evetac_cli.stages.live_view.browser import announced
 from tests.browser import Browser
+from tests.realtime.live_page.test_server import Served
 from tests.stages.live_view.test_live_view import shown
 
 pytest.importorskip("tornado")
@@ -81,3 +83,15 @@ def test_the_page_works_in_a_browser(end_by: str, browser: Browser, tmp_path: Pa
         code, said = live.end()
     assert said_by_browser == []
     assert code == 130, said
+
+
+def test_the_file_leads_a_browser_to_the_page(browser: Browser) -> None:
+    """Assert that a browser that is started with the file comes to the view, and is shown pictures."""
+    served = Served(bytes(640 * 480))
+    try:
+        with announced(served.server.url, opens=False) as page:
+            browser.visit(page.as_uri())
+            browser.until(f"location.href === '{served.server.url}' && document.readyState === 'complete'")
+            browser.until("document.getElementById('state') !== null")
+    finally:
+        served.close()
