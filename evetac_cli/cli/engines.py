@@ -202,7 +202,7 @@ def _sign(folder: Path) -> Iterator[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     sign = disk.temporary_name(folder / "evetac-runs")
     try:
-        sign.touch()
+        sign.touch(exist_ok=False)
         yield sign
     finally:
         sign.unlink(missing_ok=True)

@@ -43,6 +43,7 @@ from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.inspection import Doctor
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import made
 
 CURRENT_MA, MOVE_S, STEP_S, LEAST_COMMANDS = 20, 0.2, 0.005, 10
@@ -129,9 +130,10 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
             "made": {**made(), "system": platform.platform(), **{name: version(name) for name in LIBRARIES}},
         }
         try:
-            path.write_text(json.dumps(report, indent=1) + "\n")
-        except OSError as error:
-            console.say(f"{path}: the report could not be written: {error.strerror}")
+            with taking_the_place_of(path) as temporary:
+                temporary.write_text(json.dumps(report, indent=1) + "\n")
+        except InputError as error:
+            console.say(f"{path}: the report could not be written: {error.message}")
     return Outcome(steps.rows, simulated, {**summary, "report": str(path)})
 
 

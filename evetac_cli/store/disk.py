@@ -1,7 +1,8 @@
 """New files, all or nothing, also where the disk is full or the process is killed; HDF5 files among them.
 
 A file is written beside its place, under the name of this machine and process, and renamed when it is complete. What a
-process that was killed left behind is removed by the next that writes the same file.
+process that was killed left behind is removed by the next that writes the same file. A part of that name is random:
+in a folder that others may write to, one that can be guessed may be a link to any file of this user's.
 
 Why HDF5 has a file object: where it cannot write, it cannot close the file either, and takes the whole process down at
 its end. So it writes through a file object that never fails: that keeps the first error, which is raised once HDF5 has
@@ -12,6 +13,7 @@ import errno
 import io
 import os
 import platform
+import secrets
 import shutil
 import signal
 import stat
@@ -98,7 +100,10 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
     temporary = temporary_name(path, ending)
     made = missing_folders(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise InputError("the output folder is a file", where=str(path.parent)) from None
         yield temporary
         temporary.replace(path)
     except KeyboardInterrupt:  # only now: after an error, another job may be about to write there
@@ -106,8 +111,6 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
             temporary.unlink()
         remove_empty(made)
         raise
-    except (FileExistsError, NotADirectoryError):
-        raise InputError("the output folder is a file", where=str(path.parent)) from None
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
     finally:
@@ -184,7 +187,7 @@ def temporary_name(path: Path, ending: str = "") -> Path:
     """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
     remove_unfinished(path, ending)
     process = os.getpid()
-    return path.with_name(f"{_start(path)}{process}-{_started(process)}.tmp{ending}")
+    return path.with_name(f"{_start(path)}{process}-{_started(process)}.{secrets.token_hex(8)}.tmp{ending}")
 
 
 def remove_unfinished(path: Path, ending: str = "") -> None:
@@ -255,6 +258,26 @@ def _mapped(file: IO[bytes], like: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.memmap(file, like.dtype, "r", shape=shape))
 
 
+def make_own_folder(folder: Path) -> None:
+    """Make a folder to write into; one that is there may stay if nobody else can exchange what is written there.
+
+    InputError for one that another user made (root may), for a link, which could lead to any folder of the user's, and
+    for a file.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        status = folder.lstat()
+        if not stat.S_ISDIR(status.st_mode):
+            what = "a link" if stat.S_ISLNK(status.st_mode) else "a file"
+            raise InputError(f"the output folder is {what}", where=str(folder)) from None
+        if status.st_uid not in (0, os.geteuid()):
+            raise InputError(
+                "this folder was made by another user", where=str(folder), hint="-o NAME writes elsewhere"
+            ) from None
+
+
 def open_lock(path: Path) -> BinaryIO:
     """The lock file of a folder, made where there is none; OSError if it is a link, a pipe or anything but a file.
 
@@ -269,8 +292,8 @@ def open_lock(path: Path) -> BinaryIO:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file, open for writing; OSError if the disk did not take all of it."""
-    with _interrupts_wait(), _Disk(path, "w+") as disk:
+    """A new HDF5 file, open for writing; OSError if something is there already, or the disk did not take all of it."""
+    with _interrupts_wait(), _Disk(path, "x+") as disk:
         try:
             with h5py.File(disk, "w", libver=LIBVER) as h5:
                 yield h5

@@ -11,6 +11,7 @@ dataset carries its CRC-32 instead, so that damage is seen.
 
 import fcntl
 import json
+import re
 import shutil
 import time
 import zlib
@@ -26,7 +27,7 @@ from evetac_cli.events import Events
 from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import CheckedHdf5, row_blocks
 from evetac_cli.store.chunks import RowWriter, put
-from evetac_cli.store.disk import missing_folders, new_file, open_lock, remove_empty
+from evetac_cli.store.disk import make_own_folder, missing_folders, new_file, open_lock, remove_empty
 from evetac_cli.store.files import put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
@@ -36,6 +37,7 @@ SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
 STATIC = "static.h5"
 LATE = "late.h5"  # what was known only at the end, of a recording that was left to be joined later
+LOCK = "lock"
 JOINED = "joined"  # in a folder whose recording is complete, and which was only not removed
 COUNTS = "events_per_slice"
 STARTS = "ms_to_idx"
@@ -44,6 +46,7 @@ BLOCK_ROWS = 1 << 16  # of lost slices, which are written at once
 FIRST_SLICE = "first_slice"
 CRC = "crc32"
 RECIPE = "recipe"
+_OF_A_RECORDING = re.compile(rf"(\d{{6,}}|{Path(STATIC).stem}|{Path(LATE).stem})\.(h5|tmp)|{JOINED}")  # beside LOCK
 
 
 class RecordingWriter:
@@ -82,8 +85,8 @@ class RecordingWriter:
     def _claim(self) -> None:
         """Make the folder ours; a lock tells a recording in progress from one that broke off."""
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = lock = open_lock(self.folder / "lock")  # held until finish() or discard()
+            make_own_folder(self.folder)
+            self._lock = lock = open_lock(self.folder / LOCK)  # held until finish() or discard()
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(self.folder)) from None
         except OSError as error:
@@ -98,12 +101,12 @@ class RecordingWriter:
         except InputError:
             self._unlock()
             raise
-        for file in self.folder.iterdir():
-            if file.name == "lock":
-                continue
-            if file.is_dir():
+        left = [file for file in self.folder.iterdir() if file.name != LOCK]
+        for file in left:
+            if not _OF_A_RECORDING.fullmatch(file.name) or (file.is_dir() and not file.is_symlink()):
                 self._unlock()
-                raise InputError("this folder is not from a recording", where=str(file), hint="move it away")
+                raise InputError("this is not from a recording", where=str(file), hint="move it away")
+        for file in left:
             file.unlink()
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
@@ -168,8 +171,8 @@ class RecordingWriter:
                 self.folder.rmdir()
             else:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if [file.name for file in self.folder.iterdir()] == ["lock"]:
-                    (self.folder / "lock").unlink()
+                if [file.name for file in self.folder.iterdir()] == [LOCK]:
+                    (self.folder / LOCK).unlink()
                     self.folder.rmdir()
         self._unlock()
         remove_empty(self._made)

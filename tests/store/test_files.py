@@ -694,14 +694,59 @@ def test_m9_leftovers_are_removed_though_another_process_has_the_number_now(tmp_
     path = tmp_path / "a.labels.h5"
     with replacing(path):
         (temporary,) = tmp_path.iterdir()
-        started = temporary.name.split(".")[-2].partition("-")[2]
+        started = temporary.name.split(".")[-3].partition("-")[2]
         assert started
         other = temporary.with_name(temporary.name.replace(f"-{started}", f"-{int(started) + 1}"))
         other.touch()
-        taken = disk.temporary_name(path, "")
-        assert taken == temporary
+        assert disk.temporary_name(path, "") != temporary
         assert temporary.exists()
         assert not other.exists()
+
+
+def test_nobody_can_guess_the_name_of_an_unfinished_file(tmp_path: Path) -> None:
+    """Assert that names of the same file by the same process have nothing in common that is known beforehand.
+
+    In a folder that others may write to, a link of that name would lead to any file of this user's.
+    """
+    path = tmp_path / "a.labels.h5"
+    names = {disk.temporary_name(path).name for _ in range(50)}
+    assert len(names) == 50
+    assert len({name.split(".")[-2] for name in names}) == 50
+    assert all(len(name.split(".")[-2]) >= 16 for name in names)
+
+
+@pytest.mark.parametrize("target", ["precious", "nothing", "folder"])
+def test_a_new_file_is_new(tmp_path: Path, target: str) -> None:
+    """Assert that HDF5 is written neither through a link, nor over a file that is there."""
+    (tmp_path / "precious").write_text("x")
+    (tmp_path / "folder").mkdir()
+    before = everything(tmp_path)
+    (tmp_path / "a.tmp").symlink_to(tmp_path / target)
+    for path in (tmp_path / "a.tmp", tmp_path / "precious"):
+        with pytest.raises(FileExistsError), disk.new_file(path) as h5:
+            h5["x"] = 1
+    (tmp_path / "a.tmp").unlink()
+    assert everything(tmp_path) == before and (tmp_path / "precious").read_text() == "x"
+
+
+@pytest.mark.parametrize("blocked", ["a file in the folder", "a file of that name appears"])
+def test_what_is_in_the_way_is_named_as_what_it_is(tmp_path: Path, blocked: str) -> None:
+    """Assert that "the output folder is a file" is said of folders alone."""
+    if blocked == "a file in the folder":
+        (tmp_path / "out").touch()
+        with (
+            pytest.raises(InputError, match="the output folder is a file"),
+            replacing(tmp_path / "out" / "a.labels.h5"),
+        ):
+            pass
+        return
+    with (
+        pytest.raises(InputError, match="cannot be written: File exists"),
+        disk.taking_the_place_of(tmp_path / "a.labels.h5") as temporary,
+    ):
+        temporary.touch()
+        temporary.touch(exist_ok=False)
+    assert everything(tmp_path) == []
 
 
 def test_ctrl_c_removes_the_folders_that_were_made_for_a_file(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Recordings that grow: joined they are what was appended, however they were cut; and what is left when they break."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -249,6 +250,62 @@ def test_folders_of_others_are_not_deleted(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not from a recording"):
         RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert precious.is_dir()
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "000000.txt", "1.h5", "lock.bak", ".hidden", "a.recording.h5"])
+def test_files_of_others_are_not_deleted(tmp_path: Path, name: str) -> None:
+    """Assert that a file that no recording makes is named and stays, and so does all beside it."""
+    folder = tmp_path / "a.recording.part"
+    folder.mkdir()
+    for file in (name, "000000.tmp"):
+        (folder / file).write_text("x")
+    with pytest.raises(InputError, match="not from a recording") as refused:
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+    assert name in str(refused.value)
+    assert everything(folder) == sorted(["lock", name, "000000.tmp"])
+
+
+def test_a_link_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    """Assert that nothing is written, locked or removed where a link of this name leads, whoever laid it."""
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "keys").write_text("x")
+    link = tmp_path / "a.recording.part"
+    for target in (precious, tmp_path / "nothing", precious / "keys"):
+        link.symlink_to(target)
+        with pytest.raises(InputError):
+            RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        assert link.is_symlink()
+        link.unlink()
+    assert everything(tmp_path) == ["precious", "precious/keys"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives folders away")
+def test_a_folder_of_another_user_is_not_recorded_into(tmp_path: Path) -> None:
+    """Assert that a folder that somebody else made before is refused: they could exchange what is written there."""
+    folder = tmp_path / "a.recording.part"
+    folder.mkdir()
+    os.chown(folder, 64002, 64002)
+    with pytest.raises(InputError, match="another user"):
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+    assert everything(folder) == []
+
+
+def test_a_link_in_place_of_a_segment_is_not_followed(tmp_path: Path) -> None:
+    """Assert that a segment is written into a new file, and what a link of its name leads to stays as it is."""
+    precious = tmp_path / "precious"
+    precious.write_text("x")
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+    (writer.folder / "000000.tmp").symlink_to(precious)
+    writer.append(some_events(0, 3))
+    with pytest.raises(InputError, match="cannot be written"):
+        writer.close_segment()
+    assert precious.read_text() == "x"
+    writer.close_segment()  # the link is gone, and nothing was lost
+    writer.finish(RECIPE)
+    with open_recording(tmp_path / "a.recording.h5") as recording:
+        assert recording.event_count == 3
+    assert precious.read_text() == "x"
 
 
 def test_second_writer_is_refused(tmp_path: Path) -> None:
