@@ -10,11 +10,11 @@ RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt \
 COPY . /opt/evetac/
 RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt '/opt/evetac[convert,plot]'
 
-# Compiled kernels lie where every user may write: `docker run --user` takes any number.
-ENV NUMBA_CACHE_DIR=/var/cache/evetac MPLCONFIGDIR=/tmp
-RUN useradd --create-home evetac && mkdir --mode=777 /data /var/cache/evetac
+# Compiled kernels lie beside their source and are root's, as the source is: nobody may write what others load and run.
+# `docker run --user` takes any number: each user gets a copy (evetac_cli/kernel_cache.py).
+RUN evetac doctor --compile
+RUN useradd --create-home evetac && mkdir --mode=1777 /data
 USER evetac
-RUN evetac doctor --compile && chmod -R a+rwX /var/cache/evetac/*
 
 WORKDIR /data
 ENTRYPOINT ["evetac"]

@@ -135,7 +135,7 @@ docs: $(DEVELOPING)  ## the documentation: site/index.html, with every page of t
 	$(BIN)/python scripts/docs/pages.py
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
-	@echo 'open site/index.html; its search needs a server: python3 -m http.server --directory site'
+	@echo 'open site/index.html; its search needs a server: python3 -m http.server --bind 127.0.0.1 --directory site'
 
 bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))

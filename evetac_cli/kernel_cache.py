@@ -144,13 +144,23 @@ def settled_by_environment() -> Iterator[str]:
     if "NUMBA_CACHE_DIR" in os.environ:
         yield ""
         return
-    if is_beside_source() or (folder := folder_for_kernels()) is not None:
-        os.environ["NUMBA_CACHE_DIR"] = "" if is_beside_source() else str(folder)
+    if is_beside_source():
+        os.environ["NUMBA_CACHE_DIR"] = ""
+        yield ""
+        return
+    if (folder := folder_for_kernels()) is not None:
+        _put_caches_into(folder)
         yield ""
         return
     with tempfile.TemporaryDirectory(prefix="evetac-numba-", ignore_cleanup_errors=True) as temporary:
-        os.environ["NUMBA_CACHE_DIR"] = temporary
+        _put_caches_into(Path(temporary))
         yield NOT_KEPT
+
+
+def _put_caches_into(folder: Path) -> None:
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    if not os.access(os.path.expanduser("~"), os.W_OK):  # else matplotlib makes another one, with a warning each time
+        os.environ.setdefault("MPLCONFIGDIR", str(folder / "matplotlib"))
 
 
 def settle_for_this_process() -> None:

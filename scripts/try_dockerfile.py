@@ -18,6 +18,7 @@ import os
 import re
 import shlex
 import shutil
+import stat
 import subprocess
 import sys
 import time
@@ -57,6 +58,17 @@ def _fits(path: str, pattern: str) -> bool:
     if pattern.startswith("**/"):
         return any(fnmatch.fnmatch(part, pattern[3:]) for part in path.split("/"))
     return fnmatch.fnmatch(path, pattern) and path.count("/") == pattern.count("/")
+
+
+def require_own(folder: Path) -> None:
+    """Exit where other users may have put something into the folder: root runs what is in it."""
+    for part in (folder, *folder.parents):
+        if not part.exists():
+            continue
+        about = part.stat()
+        shared = about.st_mode & 0o022 and not (about.st_mode & stat.S_ISVTX and part != folder)
+        if about.st_uid not in (0, os.geteuid()) or shared:
+            sys.exit(f"{folder}: other users can write to {part}; name a folder of your own")
 
 
 class Image:
@@ -144,6 +156,7 @@ def main() -> int:
     parser.add_argument("--try", action="append", default=[], dest="tries", help="words after ENTRYPOINT, in the end")
     chosen = parser.parse_args()
     image = Image(chosen.folder.resolve())
+    require_own(image.folder)
     files = context((ROOT / ".dockerignore").read_text())
     lines = instructions((ROOT / "Dockerfile").read_text())
     print(f"{len(lines)} instructions, {len(files)} files in the context", flush=True)

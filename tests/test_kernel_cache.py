@@ -134,8 +134,9 @@ def package(own: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(own / "xdg"))
     monkeypatch.setenv("TMPDIR", str(own))
     monkeypatch.setattr(tempfile, "tempdir", None)
-    for name in ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES", "PYTHONSAFEPATH"):
-        monkeypatch.delenv(name, raising=False)
+    for name in ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES", "PYTHONSAFEPATH", "MPLCONFIGDIR"):
+        monkeypatch.setenv(name, "")  # so that it is as it was after the test
+        monkeypatch.delenv(name)
     return folder
 
 
@@ -191,6 +192,7 @@ def test_a_program_settles_it_for_all_its_processes(package: Path, own: Path) ->
         assert note == ""
         assert os.environ["NUMBA_CACHE_DIR"] == str(own.resolve() / "xdg/evetac/numba")
         assert (os.environ["NUMBA_CACHE_LOCATOR_CLASSES"], os.environ["PYTHONSAFEPATH"]) == ("", "1")
+        assert "MPLCONFIGDIR" not in os.environ
 
 
 def test_kernels_beside_their_source_stay_there(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,6 +223,7 @@ def test_without_a_folder_of_ones_own_nothing_is_kept(
         folder = Path(os.environ["NUMBA_CACHE_DIR"])
         assert "NUMBA_CACHE_DIR" in note and "not kept" in note
         assert folder != planted and mode(folder) == 0o700
+        assert os.environ["MPLCONFIGDIR"] == str(folder / "matplotlib")
         (folder / "kernel").touch()
     assert not folder.exists()
     assert list(planted.iterdir()) == []

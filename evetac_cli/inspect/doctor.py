@@ -27,6 +27,8 @@ from evetac_cli.params.inspection import Doctor
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
+MAY_USE = 'GROUP="dialout", MODE="0660", TAG+="uaccess"'
+JOIN = "sudo usermod -aG dialout $USER, and log in again"
 INSTALL_RULES = f"evetac doctor --print-udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
 OLDEST_FIRMWARE = 8
 LEAST_BAUD = 1_000_000  # a cycle of 2 ms needs it
@@ -60,17 +62,21 @@ Row = dict[str, Any]
 
 
 def udev_rules() -> str:
-    """Rules that let everyone use the camera and the gripper's adapter, and make the adapter answer at once."""
+    """Rules that let some use the camera and the gripper's adapter, and make the adapter answer at once.
+
+    Those are whoever sits at the computer and the group dialout: who can write to the adapter can move the gripper.
+    """
     return "\n".join(
         (
             f"# For {RULES}. Install with:",
             f"#   evetac doctor --print-udev | sudo tee {RULES}",
             f"#   {RELOAD}",
-            "# and plug the devices in again.",
+            "# and plug the devices in again. Then whoever sits at the computer may use them, and the group dialout:",
+            f"#   {JOIN}",
             "# Cameras of iniVation, the DVXplorer Mini (152a:8419) among them.",
-            'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", ATTR{idProduct}=="84[0-1]?", MODE="0666", TAG+="uaccess"',
+            'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", ATTR{idProduct}=="84[0-1]?", ' + MAY_USE,
             "# Serial adapters of FTDI, ROBOTIS' U2D2 among them: an answer is passed on after 1 ms, not after 16.",
-            'SUBSYSTEM=="tty", KERNEL=="ttyUSB*", DRIVERS=="ftdi_sio", MODE="0666", ATTR{device/latency_timer}="1"',
+            'SUBSYSTEM=="tty", KERNEL=="ttyUSB*", DRIVERS=="ftdi_sio", ATTR{device/latency_timer}="1", ' + MAY_USE,
         )
     )
 
@@ -204,7 +210,7 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
         return "access", True, "opens and answers", "", ""
     node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
     if number == errno.EACCES:
-        return "permission", False, f"none, for you ({message})", "a udev rule", INSTALL_RULES
+        return "permission", False, f"none, for you ({message})", "a udev rule", f"{INSTALL_RULES}; over ssh {JOIN} too"
     if number == errno.EBUSY:
         users = host.programs_using(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"
@@ -248,7 +254,7 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
         return [check(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
     rows: list[Row] = []
     if not os.access(path, os.R_OK | os.W_OK):
-        fix = f"sudo usermod -aG dialout $USER, and log in again; or {INSTALL_RULES}"
+        fix = f"{JOIN}; or {INSTALL_RULES}"
         return [check(name, "permission", False, "none, for you", "", fix)], 0
     latency_ms = host.latency_ms(path)
     if latency_ms is not None:

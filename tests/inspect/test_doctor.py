@@ -410,3 +410,6 @@ def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -
     lines = [line for line in rules.stdout.splitlines() if not line.startswith("#")]
     assert len(lines) == 2 and '"152a"' in lines[0] and 'latency_timer}="1"' in lines[1]
     assert all(part.count('"') == 2 for line in lines for part in line.split(", "))
+    # Who can open the adapter can move the gripper: not everybody, but who sits there, and a group.
+    for line in lines:
+        assert {'GROUP="dialout"', 'MODE="0660"', 'TAG+="uaccess"'} <= set(line.split(", "))

@@ -242,11 +242,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=17)
     parser.add_argument("--only", type=int, help="run this case alone, and print it")
     parser.add_argument("--keep", type=Path, help="with --only: an empty folder in which its files stay")
-    parser.add_argument("--corpus", type=Path, default=Path(tempfile.gettempdir()) / "evetac-fuzz-corpus")
+    parser.add_argument(
+        "--corpus", type=Path, help="folder in which the corpus is, or is made [fuzz-corpus beside OUT]"
+    )
     names = [kind.name for kind in corpus.KINDS]
     parser.add_argument("--kinds", nargs="+", choices=names, default=names, metavar="KIND", help=", ".join(names))
     chosen = parser.parse_args()
     kinds = [kind for kind in corpus.KINDS if kind.name in chosen.kinds]
+    # Not in /tmp, where others may have made one of this name.
+    chosen.corpus = (chosen.corpus or chosen.out.with_name("fuzz-corpus")).absolute()
     corpus.make(chosen.corpus)
     warm_up(chosen.corpus, kinds)
     if chosen.only is not None:
