@@ -70,7 +70,9 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
     except ImportError:
         shown = f"none, for want of matplotlib; {install_hint('plot')}"
     else:
-        with matplotlib.rc_context(STYLE):
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()  # not what a matplotlibrc says: one may lie in the working folder
+            matplotlib.rcParams.update(STYLE)
             figure = Figure(figsize=size_in, layout="constrained")
             draw(figure)
             with taking_the_place_of(path) as temporary:

@@ -1,6 +1,7 @@
 """Pictures beside reports: intervals, axes and legends, and that they can be read with one trial and with a hundred."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -179,3 +180,20 @@ def test_the_picture_of_tracking(presets: int) -> None:
     assert len(figure.axes[1].lines) == 3 * len([name for name in names if name != "stable"]) + 1
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "the paper, real sensor (fitted)" in labels
+
+
+SETTINGS = {"text.usetex": True, "savefig.facecolor": "red", "axes.facecolor": "red", "savefig.bbox": "tight"}
+
+
+def test_a_picture_is_the_same_whatever_the_settings_of_matplotlib(tmp_path: Path) -> None:
+    """Assert that what a matplotlibrc says changes nothing: the one that lies in the working folder holds first.
+
+    It may come with somebody else's data, and would run LaTeX.
+    """
+    pictures = []
+    for settings in ({}, SETTINGS):
+        report = tmp_path / f"{len(settings)}.report.h5"
+        with matplotlib.rc_context(settings):
+            picture.beside(Outcome([], True), report, lambda figure: figure.subplots().plot([0, 1]), (3, 2))
+        pictures.append(report.with_suffix(".png").read_bytes())
+    assert pictures[0] == pictures[1]
