@@ -26,8 +26,7 @@ PACKAGE = Path(os.path.abspath(__file__)).parent  # with its links, as numba wri
 SETTINGS = ".numba_config.yaml"  # numba obeys the one in the working folder, whoever put it there
 OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
 NOT_KEPT = (
-    "compiled kernels are not kept, and every command compiles them anew: no folder for them is yours alone;"
-    " let NUMBA_CACHE_DIR name one"
+    "kernels that this command compiles are not kept: no folder for them is yours alone; let NUMBA_CACHE_DIR name one"
 )
 
 
@@ -80,8 +79,7 @@ def folder_for_kernels() -> Path | None:
     """The folder for this user's kernels, with those that came with the package; None if there is none of their own."""
     folder = own_folder()
     if folder is not None:
-        with suppress(OSError):  # without them they are compiled
-            _take_over(folder)
+        _take_over(folder)
     return folder
 
 
@@ -89,8 +87,13 @@ def _take_over(folder: Path) -> None:
     """Copy kernels that whoever installed the package compiled beside the source, so that nobody waits for them again.
 
     Whoever can write there can write the source too. Each user still needs a copy, because numba loads nothing from a
-    folder that it cannot write to.
+    folder that it cannot write to. What cannot be copied is compiled.
     """
+    with suppress(OSError):
+        _copy_kernels(folder)
+
+
+def _copy_kernels(folder: Path) -> None:
     for beside in filter(_is_the_installers, PACKAGE.rglob("__pycache__")):
         place = folder / numba_name(beside.parent)
         for source in filter(_is_the_installers, sorted(beside.glob("*.nb[ci]"))):  # *.nbi refers to *.nbc: that first
@@ -153,6 +156,7 @@ def settled_by_environment() -> Iterator[str]:
         yield ""
         return
     with tempfile.TemporaryDirectory(prefix="evetac-numba-", ignore_cleanup_errors=True) as temporary:
+        _take_over(Path(temporary))
         _put_caches_into(Path(temporary))
         yield NOT_KEPT
 
@@ -174,5 +178,6 @@ def settle_for_this_process() -> None:
         if folder is None:
             warnings.warn(NOT_KEPT, RuntimeWarning, stacklevel=3)
             folder = Path(tempfile.mkdtemp(prefix="evetac-numba-"))
+            _take_over(folder)
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
         numba.config.CACHE_DIR = str(folder)

@@ -224,6 +224,7 @@ def test_without_a_folder_of_ones_own_nothing_is_kept(
         assert "NUMBA_CACHE_DIR" in note and "not kept" in note
         assert folder != planted and mode(folder) == 0o700
         assert os.environ["MPLCONFIGDIR"] == str(folder / "matplotlib")
+        assert [path.name for path in folder.iterdir()] == [kernel_cache.numba_name(package / "kernels")]
         (folder / "kernel").touch()
     assert not folder.exists()
     assert list(planted.iterdir()) == []

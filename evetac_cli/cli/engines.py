@@ -295,18 +295,16 @@ def _own_cluster(at_once: int) -> Iterator[Any]:
         "distributed.comm.timeouts.connect": f"{CONNECT_S} s",
         **no_routes,
     }
+    above = dask.config.get("temporary-directory", None)
     with (
-        dask.config.set(settings),
-        tempfile.TemporaryDirectory(
-            prefix="evetac-dask-", dir=dask.config.get("temporary-directory", None), ignore_cleanup_errors=True
-        ) as folder,
+        tempfile.TemporaryDirectory(prefix="evetac-dask-", dir=above, ignore_cleanup_errors=True) as folder,
+        dask.config.set(settings | {"temporary-directory": folder}),
         LocalCluster(
             n_workers=at_once,
             threads_per_worker=1,
             processes=True,
             memory_limit=0,  # as for the engine local
             security=credentials,
-            local_directory=folder,
             preload=[__name__],
             scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0", "preload": [__name__]},
             silence_logs=logging.CRITICAL,
