@@ -375,7 +375,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--jobs", type=int, default=1, help="files worked on at the same time")
     parser.add_argument(
-        "--engine", default="local", help="local, dask, or dask:tcp://ADDRESS: as of evetac (docs/cluster.md)"
+        "--engine", default="local", help="local, dask, or dask:tls://ADDRESS: as of evetac (docs/cluster.md)"
     )
     parser.add_argument("--out", type=Path, default=ROOT, help="where the experiments' folders are")
     parser.add_argument("--results", type=Path, default=None, help="where tables are kept")

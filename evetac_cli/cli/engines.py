@@ -243,7 +243,7 @@ def _require_scheduler(address: str) -> None:
                 "this cluster asks for a certificate, and Dask's settings name none",
                 where="--engine",
                 found=address,
-                hint="export DASK_DISTRIBUTED__COMM__TLS__CA_FILE and two more: docs/cluster.md, Who can reach it",
+                hint="name the cluster's certificate in Dask's settings: docs/cluster.md, By hand",
             )
         async with rpc(address, connection_args=shown, timeout=CONNECT_S) as remote:
             return (await asyncio.wait_for(remote.identity(), CONNECT_S))["type"]

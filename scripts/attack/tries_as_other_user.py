@@ -296,8 +296,8 @@ def memory(owner: int) -> list[Try]:
         one
         for path in ends
         for one in (
-            refused(f"{path} read", lambda path=path: os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)),
-            refused(f"{path} write", lambda path=path: os.open(path, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)),
+            refused(f"{path} read", lambda path=path: _open(path, os.O_RDONLY)),
+            refused(f"{path} write", lambda path=path: _open(path, os.O_WRONLY)),
             row(f"{path} group or others may write", "no", reached=bool(path.stat().st_mode & 0o022)),
         )
     ]
@@ -337,16 +337,22 @@ def _owned(folder: Path, owner: int) -> list[Path]:
 def _takes(path: Path) -> list[Try]:
     """Read, write, rename and list what is the owner's."""
     moved = path.with_name(f"{path.name}.taken")
-    tries = [
-        refused(f"{path} write", lambda: os.open(path, os.O_WRONLY)),
-        refused(f"{path} rename", lambda: path.rename(moved)),
-    ]
-    if path.is_dir():
-        tries.append(refused(f"{path} list", lambda: os.listdir(path)))
-        tries.append(refused(f"{path} add", (path / "added").touch))
-    elif not path.is_symlink():
-        tries.append(refused(f"{path} read", lambda: os.open(path, os.O_RDONLY)))
-    return tries
+    if path.is_dir() and not path.is_symlink():
+        tries = [
+            refused(f"{path} list", lambda: os.listdir(path)),
+            refused(f"{path} add", (path / "added").touch),
+        ]
+    else:
+        tries = [
+            refused(f"{path} read", lambda: _open(path, os.O_RDONLY)),
+            refused(f"{path} write", lambda: _open(path, os.O_WRONLY)),
+        ]
+    return [*tries, refused(f"{path} rename", lambda: path.rename(moved))]
+
+
+def _open(path: Path, flags: int) -> str:
+    os.close(os.open(path, flags | os.O_NOCTTY | os.O_NONBLOCK))
+    return "open"
 
 
 def files(owner: int, folder: str, seconds: float) -> list[Try]:
@@ -374,7 +380,7 @@ class Mark:
         self.mark = mark
 
     def __reduce__(self) -> tuple[Any, tuple[str]]:
-        return exec, (f"import os; open({self.mark!r}, 'w').write(str(os.geteuid()))",)
+        return exec, (f"import os, pathlib; pathlib.Path({self.mark!r}).write_text(str(os.geteuid()))",)
 
 
 def lay_kernels(folder: str, mark: str) -> list[Try]:

@@ -1,0 +1,56 @@
+"""Every place at which another user of the computer could come in stands in docs/safety.md."""
+
+import ast
+from collections import defaultdict
+
+from evetac_cli.resources import PACKAGE
+
+# Calls that make a socket, a file or folder in /tmp, shared memory, a terminal, a process, a lock or a cluster.
+CALLS = {
+    *("mkstemp", "mkdtemp", "TemporaryDirectory", "TemporaryFile", "NamedTemporaryFile", "SpooledTemporaryFile"),
+    *("gettempdir", "mktemp", "mkfifo", "openpty", "memfd_create", "RawArray", "SharedMemory", "shm_open"),
+    *("bind_sockets", "create_server", "socketpair", "Listener", "Manager", "LocalCluster", "socket"),
+    *("Popen", "check_output", "system", "Pipe", "open_lock", "flock", "umask"),
+}
+WHOLE = {"subprocess.run", "webbrowser.open", "serial.Serial"}
+# Which module makes which. Before a row is added: who can reach it, and does docs/safety.md say so?
+DOORS = {
+    "cli/engines.py": {"LocalCluster", "TemporaryDirectory"},
+    "cli/exit_codes.py": {"mkstemp"},
+    "cli/workers.py": {"Pipe"},
+    "devices/rh_p12_rn/dynamixel_bus.py": {"serial.Serial"},
+    "devices/virtual/gripper.py": {"Popen"},
+    "devices/virtual/servo_plant.py": {"memfd_create", "mkstemp"},
+    "devices/virtual/servo_process.py": {"openpty"},
+    "devices/virtual/world.py": {"Pipe"},
+    "formats/read/events_on_disk.py": {"TemporaryFile"},
+    "formats/read/faery_library.py": {"NamedTemporaryFile", "TemporaryFile"},
+    "inspect/compile_kernels.py": {"TemporaryDirectory", "subprocess.run"},
+    "inspect/speed.py": {"TemporaryDirectory"},
+    "kernel_cache.py": {"TemporaryDirectory", "gettempdir", "mkdtemp"},
+    "numerics/labels.py": {"TemporaryDirectory"},
+    "numerics/pipeline/cost.py": {"TemporaryDirectory"},
+    "realtime/live_page/server.py": {"bind_sockets"},
+    "realtime/live_page/shared_view.py": {"RawArray"},
+    "realtime/shared_status.py": {"RawArray"},
+    "stages/grasp/recorder.py": {"Pipe"},
+    "stages/live_view/__init__.py": {"Pipe"},
+    "stages/live_view/browser.py": {"TemporaryDirectory", "webbrowser.open"},
+    "store/disk.py": {"TemporaryFile", "gettempdir"},
+    "store/recovery.py": {"flock", "open_lock"},
+    "store/segments.py": {"flock", "open_lock"},
+}
+
+
+def test_all_doors_are_known() -> None:
+    """Assert that no module makes a socket, a temporary file, a process or the like that the table does not know."""
+    found: defaultdict[str, set[str]] = defaultdict(set)
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Call):
+                continue
+            whole = ast.unparse(node.func)
+            last = whole.rpartition(".")[2]
+            if whole in WHOLE or last in CALLS:
+                found[str(path.relative_to(PACKAGE))].add(whole if whole in WHOLE else last)
+    assert dict(found) == DOORS
