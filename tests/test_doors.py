@@ -44,7 +44,7 @@ DOORS = {
 
 def test_all_doors_are_known() -> None:
     """Assert that no module makes a socket, a temporary file, a process or the like that the table does not know."""
-    found: defaultdict[str, set[str]] = defaultdict(set)
+    doors: defaultdict[str, set[str]] = defaultdict(set)
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if not isinstance(node, ast.Call):
@@ -52,5 +52,5 @@ def test_all_doors_are_known() -> None:
             whole = ast.unparse(node.func)
             last = whole.rpartition(".")[2]
             if whole in WHOLE or last in CALLS:
-                found[str(path.relative_to(PACKAGE))].add(whole if whole in WHOLE else last)
-    assert dict(found) == DOORS
+                doors[str(path.relative_to(PACKAGE))].add(whole if whole in WHOLE else last)
+    assert dict(doors) == DOORS

@@ -249,18 +249,18 @@ def _require_scheduler(address: str) -> None:
             return (await asyncio.wait_for(remote.identity(), CONNECT_S))["type"]
 
     try:
-        found = f"a {asyncio.run(role())} of Dask at {address}"
+        answered = f"a {asyncio.run(role())} of Dask at {address}"
     except InputError:
         raise
     except Exception as error:  # of whatever may be there instead
-        found = f"{address}: {shortened(str(error) or type(error).__name__)}"
+        answered = f"{address}: {shortened(str(error) or type(error).__name__)}"
     else:
-        if "Scheduler" in found:
+        if "Scheduler" in answered:
             return
     raise InputError(
         "no Dask scheduler answers",
         where="--engine",
-        found=found,
+        found=answered,
         hint="start one: docs/cluster.md, By hand; one with certificates is addressed by tls://",
     )
 

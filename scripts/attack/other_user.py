@@ -307,9 +307,9 @@ def shown(stage: Stage, out: str) -> Iterator[tuple[Program, str]]:
     with stage.owners(command, DISPLAY=":64", BROWSER=f"{stage.browser} %s &") as program:
         assert program.run.stderr is not None
         for line in program.run.stderr:
-            if found := re.search(r"http://127\.0\.0\.1:\d+/\S+/", line):
+            if address := re.search(r"http://127\.0\.0\.1:\d+/\S+/", line):
                 time.sleep(1.0)  # for the browser to be there
-                yield program, found.group()
+                yield program, address.group()
                 return
         raise RuntimeError("the owner's program ended")
 
@@ -331,8 +331,8 @@ def page(stage: Stage) -> Iterator[Row]:
 
 def looked_at(stage: Stage, address: str, held: str) -> Row:
     """Whether the owner sees the page beside connections that say nothing."""
-    look = f"import urllib.request as u; print(u.urlopen({address!r}, timeout=30).status)"
-    command = [stage.python, "-P", "-c", look]
+    program_text = f"import urllib.request as u; print(u.urlopen({address!r}, timeout=30).status)"
+    command = [stage.python, "-P", "-c", program_text]
     seen = subprocess.run(
         command, env=stage.environment(), user=OWNER, group=OWNER, extra_groups=[], capture_output=True, text=True,
         check=False,
@@ -355,14 +355,14 @@ def output(stage: Stage) -> Iterator[Row]:
     """A folder for outputs that others may write to."""
 
     def untouched(tried: str, came: str) -> Row:
-        found = {path.name: path.read_bytes() for path in stage.home.iterdir()}
-        fine = found == {stage.precious.name: PRECIOUS.encode()}
-        for name in found:
+        now_there = {path.name: path.read_bytes() for path in stage.home.iterdir()}
+        fine = now_there == {stage.precious.name: PRECIOUS.encode()}
+        for name in now_there:
             (stage.home / name).unlink()
         stage.put_precious()
         words = came.strip().splitlines()[0] if came.strip() else "made"
         return {"tried": f"shared output folder: {tried}", "reached": not fine,
-                "came_of_it": words if fine else f"files of the owner's were changed: now {sorted(found)}"}  # fmt: skip
+                "came_of_it": words if fine else f"changed files of the owner: {sorted(now_there)}"}  # fmt: skip
 
     for number, how in enumerate(("a folder", "a link")):
         name = f"part{number}.recording"

@@ -43,28 +43,28 @@ def row(tried: str, came_of_it: str, *, reached: bool) -> Try:
 def refused(tried: str, act: Callable[[], Any]) -> Try:
     """A try that reaches something unless it is refused."""
     try:
-        found = act()
+        known = act()
     except (OSError, ValueError, EOFError) as error:
         return row(tried, getattr(error, "strerror", None) or type(error).__name__, reached=False)
-    return row(tried, f"done: {str(found)[:80]}", reached=True)
+    return row(tried, f"done: {str(known)[:80]}", reached=True)
 
 
 def summed(tried: str, tries: list[Try]) -> Try:
     """Many tries of a kind as one row: those that reached something by name."""
     reached = [one["tried"] for one in tries if one["reached"]]
     words = sorted({one["came_of_it"] for one in tries if not one["reached"]})
-    found = f"{len(tries)} tried; " + (f"reached: {', '.join(reached)[:300]}" if reached else f"none: {words}"[:200])
-    return row(tried, found, reached=bool(reached))
+    known = f"{len(tries)} tried; " + (f"reached: {', '.join(reached)[:300]}" if reached else f"none: {words}"[:200])
+    return row(tried, known, reached=bool(reached))
 
 
 def processes(owner: int) -> list[int]:
     """Numbers of the owner's processes; everybody may see them."""
-    found = []
+    known = []
     for path in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
             if path.name.isdigit() and path.stat().st_uid == owner:
-                found.append(int(path.name))
-    return found
+                known.append(int(path.name))
+    return known
 
 
 def command_lines(owner: int) -> list[str]:
@@ -150,17 +150,17 @@ def _page(port: int, path: str) -> Try:
 def page(owner: int, folders: list[str]) -> list[Try]:
     """Find the address with its token, and press the button with what was found."""
     lines = command_lines(owner)
-    found = {match for line in lines for match in re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", line)}
+    known = {match for line in lines for match in re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", line)}
     rows = [
         row(
             "page: the address among all programs' arguments",
-            f"{len(lines)} seen, {len(found)} with it",
-            reached=bool(found),
+            f"{len(lines)} seen, {len(known)} with it",
+            reached=bool(known),
         )
     ]
     files = {match for line in lines for match in re.findall(r"file://(/\S+)", line)}
-    looks = [(name, look) for name in sorted(files) for look in (_read, _list_around)]
-    opened = [refused(f"{name} {look.__name__}", lambda name=name, look=look: look(name)) for name, look in looks]
+    looks = [(name, act) for name in sorted(files) for act in (_read, _list_around)]
+    opened = [refused(f"{name} {act.__name__}", lambda name=name, act=act: act(name)) for name, act in looks]
     rows.append(summed("page: the file that a browser is started with", opened))
     texts = [text for folder in folders for text in _texts(Path(folder))]
     in_files = {match for text in texts for match in re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", text)}
@@ -168,7 +168,7 @@ def page(owner: int, folders: list[str]) -> list[Try]:
     ports = listening(owner)
     without = [_page(port, path) for port in ports for path in ("/", "//", f"/{'A' * 32}/", "/page.js", "/../x/")]
     rows.append(summed("page: without the token", without))
-    pressed = [_press(address) for address in sorted(found | in_files)]
+    pressed = [_press(address) for address in sorted(known | in_files)]
     pressed += [_press(f"http://127.0.0.1:{port}/{'A' * 32}/") for port in ports]
     rows.append(summed("page: press the button that lets go", pressed))
     return rows
@@ -265,9 +265,9 @@ def memory(owner: int) -> list[Try]:
             *((name, os.listdir) for name in ("fd", "map_files")),
             *((name, os.readlink) for name in ("cwd", "root", "exe", *(f"fd/{handle}" for handle in range(12)))),
         ]
-        for name, look in looks:
+        for name, act in looks:
             kinds.setdefault("memory: /proc of its processes", []).append(
-                refused(f"{number}/{name}", lambda look=look, at=place / name: look(at))
+                refused(f"{number}/{name}", lambda act=act, at=place / name: act(at))
             )
         for handle in range(24):
             kinds.setdefault("memory: take an open file (pidfd_getfd)", []).append(
@@ -310,10 +310,10 @@ def memory(owner: int) -> list[Try]:
 
 def _some_bytes(path: Path) -> bytes:
     with path.open("rb") as file:
-        found = file.read(1 << 12)
-    if not found:
+        known = file.read(1 << 12)
+    if not known:
         raise EOFError  # of a process that has ended
-    return found
+    return known
 
 
 def _connect(name: str) -> None:
@@ -322,13 +322,13 @@ def _connect(name: str) -> None:
 
 
 def _owned(folder: Path, owner: int) -> list[Path]:
-    found = []
+    known = []
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             with contextlib.suppress(OSError):
                 if path.lstat().st_uid == owner:
-                    found.append(path)
-    return found
+                    known.append(path)
+    return known
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -393,7 +393,7 @@ def lay_kernels(folder: str, mark: str) -> list[Try]:
             with contextlib.suppress(Exception):
                 importlib.import_module(module.name)
     count = 0
-    for kernel in [thing for thing in gc.get_objects() if type(thing).__name__ == "CPUDispatcher"]:
+    for kernel in [item for item in gc.get_objects() if type(item).__name__ == "CPUDispatcher"]:
         index = getattr(getattr(kernel._cache, "_cache_file", None), "_index_path", None)
         if isinstance(index, str):
             Path(index).write_bytes(pickle.dumps(Mark(mark)))

@@ -74,11 +74,11 @@ def test_with_rights_nothing_is_tried() -> None:
 def test_what_is_open_is_seen(tmp_path: Path) -> None:
     """Assert that files and folders that can be taken are called reached, each by what was done, and others not."""
     (tmp_path / "open").write_text("secret")
-    found = {one["tried"].split()[-1]: one["reached"] for one in tries._takes(tmp_path / "open")}
-    assert found == {"read": True, "write": True, "rename": True}
+    taken = {one["tried"].split()[-1]: one["reached"] for one in tries._takes(tmp_path / "open")}
+    assert taken == {"read": True, "write": True, "rename": True}
     (tmp_path / "folder").mkdir()
-    found = {one["tried"].split()[-1]: one["reached"] for one in tries._takes(tmp_path / "folder")}
-    assert found == {"list": True, "add": True, "rename": True}
+    taken = {one["tried"].split()[-1]: one["reached"] for one in tries._takes(tmp_path / "folder")}
+    assert taken == {"list": True, "add": True, "rename": True}
     assert not any(one["reached"] for one in tries._takes(tmp_path / "none"))
     tried = tries.summed("all", [tries.row("a", "no", reached=False), tries.row("b", "done", reached=True)])
     assert tried["reached"] and "b" in tried["came_of_it"] and "2 tried" in tried["came_of_it"]

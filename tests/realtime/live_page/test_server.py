@@ -360,12 +360,12 @@ def test_who_waits_in_hundreds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch)
         def silent(count: int) -> list[socket.socket]:
             return [opened.enter_context(plain_socket(served)) for _ in range(count)]
 
-        def look() -> None:
+        def open_page() -> None:
             assert answer(served, f"/{served.server.token}/")[0] == 200
 
         first = silent(2 * server.MOST_WAITING)
         until(lambda: len(served.server.waiting) == server.MOST_WAITING)
-        look()
+        open_page()
 
         async def look_on() -> None:
             socket_ = await connect(served, served.server.token)
@@ -376,5 +376,5 @@ def test_who_waits_in_hundreds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch)
 
         asyncio.run(look_on())
         assert all(map(is_closed, first))
-        look()
+        open_page()
     assert served.uncaught == []
