@@ -278,11 +278,10 @@ def _own_cluster(at_once: int) -> Iterator[Any]:
 
     try:
         credentials = Security.temporary()
-    except ImportError as error:
+    except ImportError:  # of cryptography
         raise EvetacError(
             "the library cryptography is needed, by which the cluster knows who gives it work",
             where="--engine dask",
-            found=str(error),
             hint=f"{install_hint('cluster')}, or --engine local",
         ) from None
     no_routes: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}

@@ -121,11 +121,15 @@ class Stage:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(run.pid, signal.SIGKILL)
-            self._end_browsers()
+            self._tidy()
             program.said += run.communicate()[1]
 
-    def _end_browsers(self) -> None:
-        """End what the owner's program started apart from itself."""
+    def _tidy(self) -> None:
+        """End what the owner's program started apart from itself, and remove what it leaves when it is killed."""
+        for path in Path("/dev/shm").iterdir():
+            with contextlib.suppress(OSError):
+                if path.lstat().st_uid == OWNER:
+                    path.unlink()
         for place in Path("/proc").iterdir():
             with contextlib.suppress(OSError):
                 if place.stat().st_uid == OWNER and str(self.browser).encode() in (place / "cmdline").read_bytes():
