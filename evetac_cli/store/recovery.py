@@ -24,7 +24,7 @@ from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import DAMAGE, CheckedHdf5, row_blocks
 from evetac_cli.store.disk import open_lock
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, LATE, RECIPE, STATIC
+from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, LATE, LOCK, RECIPE, STATIC
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 SUFFIX = ".part"
@@ -66,7 +66,7 @@ def held(folder: Path) -> Iterator[None]:
     """Keep a recorder away from the folder; InputError if one is at work in it."""
     check_folder(folder)
     try:
-        lock = open_lock(folder / "lock")
+        lock = open_lock(folder / LOCK)
     except OSError as error:
         raise InputError(f"cannot be written to: {error.strerror}", where=str(folder)) from None
     try:
