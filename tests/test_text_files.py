@@ -199,7 +199,7 @@ def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float
     """Assert that what is written can be read again: a radius that no dot has is refused, and nothing is written."""
     source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
     source.write_bytes(pickle.dumps((GRID, np.full((len(GRID), 1), radius_px))))
-    chosen = Calibrate(source=source)
+    chosen = Calibrate(source=source, gel="cut")
     (job,) = calibrate.jobs([], chosen, out)
     with pytest.raises(InputError, match=r"grid\.pkl"):
         calibrate.run(job, chosen)
@@ -208,10 +208,12 @@ def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float
     assert calibrate.run(job, chosen).made
 
 
-def test_a_flipped_centre_writes_no_calibration(tmp_path: Path) -> None:
+@pytest.mark.parametrize("gel", [None, "closed", "cut"])
+@pytest.mark.parametrize("flags", [{}, {"no_grid": True}, {"rows": 7, "columns": 9}], ids=["", "no grid", "size"])
+def test_a_flipped_centre_writes_no_calibration(tmp_path: Path, gel: str | None, flags: dict[str, Any]) -> None:
     """Assert that no bit of a centre makes a calibration that cannot be read: each is refused, or read back."""
     source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
-    chosen = Calibrate(source=source, any_grid=True)
+    chosen = Calibrate(source=source, gel=gel, **flags)
     (job,) = calibrate.jobs([], chosen, out)
     for bit in range(64):
         flipped = GRID.copy()

@@ -59,7 +59,11 @@ PIPELINE = (
         "Press recordings; none with --import.",
         suffix=".json",
         files_needed=False,
-        examples=("evetac calibrate press.recording.h5 -o gel.json", "evetac calibrate --import official.pkl"),
+        examples=(
+            "evetac calibrate press.recording.h5 --gel cut -o gel.json",
+            "evetac calibrate press.recording.h5 --rows 6 --columns 10 -o gel.json",
+            "evetac calibrate --import official.pkl",
+        ),
     ),
     Command(
         "identify",

@@ -238,9 +238,16 @@ class Calibrate:
         recipe=False,
     )
     gel: str | None = parameter(
-        None, "What the gel is; default: as its columns say, 9 or 8, or the default grid.", choices=("cut", "closed")
+        None,
+        "What the gel is; a cut one has a window beside its dots. Default: as the recording or the default grid says,"
+        " or closed where the dots leave no room for a window.",
+        choices=("cut", "closed"),
     )
-    any_grid: bool = parameter(False, "Take dots that are not the whole grid of an Evetac, also those in no grid.")
+    rows: int | None = parameter(
+        None, "Rows of dots, with --columns, of a gel other than an Evetac's 7 x 9 (cut: 7 x 8).", low=2, high=128
+    )
+    columns: int | None = parameter(None, "Columns of dots, with --rows.", low=2, high=128)
+    no_grid: bool = parameter(False, "The dots are in no grid (staggered rows, at random): take all that are found.")
 
 
 @dataclass(frozen=True)

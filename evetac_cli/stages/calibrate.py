@@ -1,8 +1,8 @@
 """calibrate: the places of a gel's dots at rest, from a press recording or imported; a JSON file for --calibration.
 
 A press recording shows a stylus that strokes the whole gel, lifted off between the strokes; `--scene press` simulates
-one. Neither places nor size nor number of the dots need to be known (kernels/calibration). The known grid of an
-Evetac's gel is only used to refuse a grid of which a part was never pressed.
+one. Places and size of the dots need not be known (kernels/calibration); which gel they belong to, whole or cut, is
+decided in calibrated_gel.py.
 """
 
 from collections.abc import Iterator
@@ -16,27 +16,25 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.kernels.calibration import dot_search, grid, rest_image
+from evetac_cli.kernels.calibration import dot_search, gel_layout, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.params.recording import Calibrate
 from evetac_cli.sim import scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.stages import calibrated_gel
+from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
 from evetac_cli.store.provenance import Recipe, made
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "calibration"
-METHOD = 1
+METHOD = 2
 BLOCK_SLICES = 200
 LONGEST_STROKE = 5000  # slices; a first run is over long before that
-ROWS, CLOSED_COLUMNS, CUT_COLUMNS = 7, 9, 8  # of an Evetac's gel
-WINDOW_PX = (540, 0, 640, 480)  # of an Evetac's cut gel
-MOST_MISSING = 0.25  # of the dots; with more, a part of the gel was not pressed
 LEAST_DOTS = 4
-LEAST_ON_GRID = 0.9  # of the dots that were found; with fewer they stand in no grid
 WORST_JITTER_PX = 1.0
 PRESS = "press over the whole gel, and lift off between strokes"
 
@@ -45,12 +43,17 @@ Grid = NDArray[np.float64]
 
 def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
     """One calibration for every recording, `<name>.calibration.json`, or one for the file that is imported."""
+    calibrated_gel.check_options(params)
     if params.source is not None and (files or params.refine):
         raise InputError(
             "an import takes neither recordings nor a default grid", where="--import", found=str(params.source)
         )
     if params.source is None and not files:
-        raise InputError("no recording is given", expected="a press recording, or --import FILE")
+        raise InputError(
+            "no recording is given",
+            expected="a press recording, or --import FILE",
+            hint="evetac record makes one: --camera dvxplorer, --from FILE, or simulated with --scene press",
+        )
     sources = [params.source] if params.source is not None else files
     if out is not None and out.suffix == ".h5":
         raise InputError("a calibration is JSON", where="--out", expected="a name that ends in .json", found=str(out))
@@ -79,11 +82,18 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         picture = halves[0].joined(halves[1])
         places = dot_search.find(picture)
         if len(places.radius_px) < LEAST_DOTS:
-            raise InputError(f"no dots were seen to move: {len(places.radius_px)} found", where=where, hint=PRESS)
+            largest = dot_search.LARGEST_SHARE * min(recording.frame_px)
+            raise InputError(
+                "too few dots were seen to move",
+                where=where,
+                expected=f"{LEAST_DOTS} or more, dark and round, of {dot_search.SMALLEST_RADIUS_PX} to {largest:.0f} px"
+                " radius",
+                found=str(len(places.radius_px)),
+                hint=PRESS,
+            )
         radius = float(np.median(places.radius_px))
         if default is None:
-            dots = _arranged(places.centre_xy_px, params, where)
-            window = _window(dots, radius, recording.frame_px, params, where)
+            dots, window = calibrated_gel.arranged(_found(recording, places.centre_xy_px, radius), params)
             from_default = 0
         else:
             dots, from_default = _refined(default.dot_xy_px, places.centre_xy_px, where)
@@ -158,15 +168,16 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
             raise InputError(
                 "a dot lies outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
             )
-        dots = _arranged(centres, params, str(source))
+        dots, window = calibrated_gel.arranged(FoundDots(centres, radius, FRAME_PX, str(source)), params)
         if np.isfinite(dots[..., 0]).sum() != len(centres):
             raise InputError(
                 "the dots do not form a grid",
                 where=str(source),
                 expected=f"{len(centres)} dots in rows and columns",
                 found=f"{np.isfinite(dots[..., 0]).sum()} that are",
+                hint=calibrated_gel.NO_GRID,
             )
-        calibration = Calibration(FRAME_PX, dots, radius, _window(dots, radius, FRAME_PX, params, str(source)))
+        calibration = Calibration(FRAME_PX, dots, radius, window)
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())
     if up_to_date(job.output, recipe, force=force):
         return _outcome(job, recipe, made_now=False)
@@ -190,21 +201,13 @@ def _of_sensor(source: Path, params: Calibrate) -> Calibration:
     )
 
 
-def _arranged(places: Grid, params: Calibrate, where: str) -> Grid:
-    """The grid that places (n, 2) are of, or with --any-grid one row of them all if they are of none; InputError."""
-    if params.any_grid and len(places) > grid.MOST_DOTS:
-        expected = f"at most {grid.MOST_DOTS}, which the tracker has room for"
-        raise InputError("too many dots", where=where, expected=expected, found=str(len(places)))
-    try:
-        dots = grid.lattice(places)
-    except ValueError as error:
-        if params.any_grid:
-            return grid.one_row(places)
-        hint = f"{PRESS}; --any-grid takes dots that stand in no grid"
-        raise InputError(f"the dots do not form a grid: {error}", where=where, hint=hint) from None
-    if params.any_grid and np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places):
-        return grid.one_row(places)
-    return dots
+def _found(recording: Recording, places: Grid, radius_px: float) -> FoundDots:
+    """The dots of a press, and what its recording says of the gel: one with a grid says whether there is a window."""
+    window = recording.window_px
+    gel = None if recording.dot_xy_px is None else "closed" if window is None else "cut"
+    if window is not None and gel_layout.touches(window, places, radius_px):
+        gel = window = None  # it was recorded with the calibration of another gel
+    return FoundDots(places, radius_px, recording.frame_px, str(recording.path), PRESS, gel, window)
 
 
 def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
@@ -227,38 +230,11 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
         "gel": "closed" if calibration.window_px is None else "cut",
         "window_px": " ".join(map(str, calibration.window_px or ())) or None,
         "radius_px": calibration.dot_radius_px,
+        "notes": "; ".join(calibrated_gel.notes(calibration)) or None,
     }
     result = outcome(job, made=made_now, simulated=recipe.simulated, **figures)
     result.rows[0].update(read_quality(job.output))
     return result
-
-
-def _window(
-    dots: Grid, radius: float, frame_px: tuple[int, int], params: Calibrate, where: str
-) -> tuple[int, int, int, int] | None:
-    """Where the window lies, None for a closed gel; InputError if the grid is not that of a whole gel."""
-    rows, columns = dots.shape[:2]
-    missing = int(np.isnan(dots[..., 0]).sum())
-    gel = params.gel or ("cut" if (rows, columns) == (ROWS, CUT_COLUMNS) else "closed")
-    wanted = (ROWS, CUT_COLUMNS if gel == "cut" else CLOSED_COLUMNS)
-    step = grid.pitch(dots)
-    left = float(np.nanmin(dots[..., 0]))
-    right = float(np.nanmax(dots[..., 0])) + radius
-    whole = (rows, columns) == wanted and missing <= MOST_MISSING * dots[..., 0].size and left - step < radius
-    if not whole and not params.any_grid:
-        raise InputError(
-            "this is not the whole grid of an Evetac",
-            where=where,
-            expected=f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} left of the window of a cut gel",
-            found=f"{rows} rows and {columns} columns, {missing} dots missing, from x = {left:.0f} to {right:.0f} px",
-            hint=f"{PRESS}; --refine takes the rest from a default; --any-grid takes it as it is",
-        )
-    if gel == "closed":
-        return None
-    if frame_px == FRAME_PX and right <= WINDOW_PX[0]:
-        return WINDOW_PX
-    edge = round(min(right - radius + step / 2, frame_px[0] - 1))  # half way to the column that was cut away
-    return edge, 0, *frame_px
 
 
 def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:

@@ -26,8 +26,8 @@ from evetac_cli.store.read import Recording, open_recording
 OUTPUT = "labels"
 METHOD = 5
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
-EDGE_LEFT_PX = 10
-EDGE_RIGHT_PX = 25
+EDGE_IN_GEL_PX = 10
+EDGE_IN_WINDOW_PX = 25
 
 
 def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
@@ -114,11 +114,23 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
             "slip cannot be labelled: the gel has no window",
             where=str(recording.path),
             expected="a recording with sensor/window_px",
-            hint="record with a cut gel, or give window_px in the calibration",
+            hint="only a cut gel shows slip: evetac calibrate --gel cut, and record with that --calibration; with a"
+            " closed gel a detector can be used that was trained with a cut one",
         )
     x0, y0, x1, y1 = recording.window_px
-    window = (min(x0 + EDGE_RIGHT_PX, x1 - 1), y0, x1, y1)
-    return window, (0, 0, max(x0 - EDGE_LEFT_PX, 0), recording.frame_px[1])
+    width, height = recording.frame_px
+    # The gel lies on the side of the window where most of the frame is: at the left in an upright Evetac.
+    area = {"left": x0 * height, "right": (width - x1) * height, "above": y0 * width, "below": (height - y1) * width}
+    side = max(area, key=lambda name: area[name])
+    if side == "left":
+        return (min(x0 + EDGE_IN_WINDOW_PX, x1 - 1), y0, x1, y1), (0, 0, max(x0 - EDGE_IN_GEL_PX, 0), height)
+    if side == "right":
+        gel = (min(x1 + EDGE_IN_GEL_PX, width), 0, width, height)
+        return (x0, y0, max(x1 - EDGE_IN_WINDOW_PX, x0 + 1), y1), gel
+    if side == "above":
+        return (x0, min(y0 + EDGE_IN_WINDOW_PX, y1 - 1), x1, y1), (0, 0, width, max(y0 - EDGE_IN_GEL_PX, 0))
+    gel = (0, min(y1 + EDGE_IN_GEL_PX, height), width, height)
+    return (x0, y0, x1, max(y1 - EDGE_IN_WINDOW_PX, y0 + 1)), gel
 
 
 def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False) -> flow.Labels:

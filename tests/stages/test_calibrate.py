@@ -147,9 +147,9 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     again, _ = calibrated(short)
     assert again == first | {"status": "up to date"}
     assert path.read_bytes() == before
-    with pytest.raises(InputError, match="any_grid is false in the file, true wanted"):
-        calibrated(short, any_grid=True)
-    forced = Calibrate(any_grid=True)
+    with pytest.raises(InputError, match="no_grid is false in the file, true wanted"):
+        calibrated(short, no_grid=True)
+    forced = Calibrate(no_grid=True)
     (job,) = calibrate.jobs([short], forced, path)
     assert calibrate.run(job, forced, force=True).made
     path.write_text("{}")
@@ -159,14 +159,133 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
 
 
 def test_cut_gel(seen: Show, truth: Grid) -> None:
-    """Assert that a gel without its last column is taken for a cut one with its window, and not if called closed."""
+    """Assert that a gel without its last column is cut, with its window, or closed, as it is said; else it is asked."""
     path = seen(X < 520)
-    row, made = calibrated(path)
+    with pytest.raises(
+        InputError, match=r"is the gel cut(.|\n)*window_px 540 0 640 480(.|\n)*--gel cut or --gel closed"
+    ):
+        calibrated(path)
+    row, made = calibrated(path, gel="cut")
     assert (row["dots"], row["columns"], row["gel"], row["window_px"]) == (56, 8, "cut", "540 0 640 480")
+    assert row["notes"] is None
     assert worst_px(made, truth[:, :8]) < 0.5
     made.unlink()
-    with pytest.raises(InputError, match="not the whole grid"):
-        calibrated(path, gel="closed")
+    row, made = calibrated(path, gel="closed")
+    assert (row["dots"], row["missing_dots"], row["columns"], row["window_px"]) == (56, 7, 9, None)
+    assert row["notes"] == "not one dot was found of column 9: worn, or not pressed?"
+    assert worst_px(made, truth) < 0.5
+
+
+def test_a_recording_says_what_its_gel_is(seen: Show, tmp_path: Path, truth: Grid) -> None:
+    """Assert that a gel is not asked for where the recording knows its sensor, unless its window cannot be true."""
+    path = seen(X < 520)
+    with open_recording(path) as recording:
+        arrays = {name: recording.read(name) for name in ("ms_to_idx", "t_offset", "sensor/frame_px")}
+        arrays |= {f"events/{name}": recording.read(f"events/{name}") for name in Events._fields}
+    arrays |= {"sensor/name": "known", "sensor/dot_xy_px": truth[:, :8], "sensor/dot_radius_px": np.float64(15.0)}
+    for window, expected in (((550, 0, 640, 480), "550 0 640 480"), (None, None), ((300, 0, 640, 480), "asked")):
+        known = arrays if window is None else arrays | {"sensor/window_px": np.array(window, np.int32)}
+        write_stage(path, Recipe("recording", 1, {"made": str(window)}, content="0" * 64), known)
+        if expected == "asked":
+            with pytest.raises(InputError, match="is the gel cut"):
+                calibrated(path)
+            continue
+        row, made = calibrated(path)
+        assert (row["gel"], row["window_px"]) == ("closed" if window is None else "cut", expected)
+        made.unlink()
+
+
+WORN = {  # dots of a closed gel that do not show, and how many of its rows and columns are left
+    "first column": (np.s_[:, :1], 7, "column 1"),
+    "last column": (np.s_[:, -1:], 7, "column 9"),
+    "first and last column": (np.s_[:, [0, -1]], 14, "column 1, column 9"),
+    "first row": (np.s_[:1], 9, "row 1"),
+    "last row": (np.s_[-1:], 9, "row 7"),
+    "four dots of the last column": (np.s_[:4, -1:], 4, None),
+    "four dots of the first column": (np.s_[3:, :1], 4, None),
+}
+
+
+@pytest.mark.parametrize("which", WORN)
+def test_worn_dots_do_not_make_a_window(seen: Show, truth: Grid, which: str) -> None:
+    """Assert that a closed gel with a worn border is never taken for a cut one, and is whole if called closed."""
+    part, missing, gone = WORN[which]
+    hidden = np.zeros((480, 640), bool)
+    for x, y in truth[part].reshape(-1, 2):
+        hidden |= np.hypot(X - x, Y - y) < 30
+    path = seen(~hidden)
+    with pytest.raises(InputError) as refused:
+        calibrated(path)
+    assert "--gel closed" in str(refused.value)
+    row, made = calibrated(path, gel="closed")
+    assert (row["dots"], row["missing_dots"], row["rows"], row["columns"]) == (63 - missing, missing, 7, 9)
+    assert row["window_px"] is None
+    assert row["notes"] == (gone and f"not one dot was found of {gone}: worn, or not pressed?")
+    assert worst_px(made, truth) < 0.5
+    assert np.isnan(read_calibration(made).dot_xy_px[part]).all()
+
+
+MOUNTED = {  # a picture, its window at 540 0 640 480 and its dots, as a sensor sees them that is mounted otherwise
+    "turned by 180 degrees": (lambda image: image[::-1, ::-1], lambda d: (639, 479) - d[::-1, ::-1], "0 0 100 480"),
+    "mirrored left to right": (lambda image: image[:, ::-1], lambda d: d[:, ::-1] * (-1, 1) + (639, 0), "0 0 100 480"),
+    "mirrored top to bottom": (lambda image: image[::-1], lambda d: d[::-1] * (1, -1) + (0, 479), "540 0 640 480"),
+    "turned by 90 degrees": (np.rot90, lambda d: np.rot90(d)[..., ::-1] * (1, -1) + (0, 639), "0 0 480 100"),
+}
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["closed", "cut"])
+@pytest.mark.parametrize("how", MOUNTED)
+def test_a_sensor_that_is_mounted_otherwise(
+    how: str, cut: bool, halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: Any
+) -> None:
+    """Assert that all dots of a turned or mirrored sensor are found, with its window, and that it is said how."""
+    turned, places, window = MOUNTED[how]
+    pressed = X < 520 if cut else X >= 0
+    shown = tuple(RestImage(*(turned(side * pressed) for side in half)) for half in halves)
+    monkeypatch.setattr(calibrate, "rest_images", lambda recording, progress: shown)
+    frame_px = (480, 640) if "90" in how else (640, 480)
+    path = recorded(tmp_path / "mounted.recording.h5", empty(), frame_px)
+    size = {"gel": "cut"} if cut else {}
+    if frame_px[0] < frame_px[1]:
+        with pytest.raises(InputError, match="an Evetac that is turned by 90 degrees") as refused:
+            calibrated(path, **size)
+        size |= {"rows": 8 if cut else 9, "columns": 7, "gel": "cut" if cut else "closed"}
+        assert f"--rows {size['rows']} --columns 7 --gel {size['gel']}" in refused.value.hint
+    elif cut:
+        with pytest.raises(InputError, match=f"is the gel cut(.|\n)*window_px {window}"):
+            calibrated(path)
+    row, made = calibrated(path, **size)
+    assert (row["dots"], row["missing_dots"], row["window_px"]) == (56 if cut else 63, 0, window if cut else None)
+    assert f"the sensor seems to be {how}" in row["notes"]
+    assert worst_px(made, places(truth[:, :8] if cut else truth)) < 0.5
+
+
+def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
+    """Assert that another grid is found by its size, and that a wrong size names the right one."""
+    path = seen(X < 300)
+    row, made = calibrated(path, rows=7, columns=4, gel="closed")
+    assert (row["dots"], row["rows"], row["columns"], row["gel"], row["notes"]) == (28, 7, 4, "closed", None)
+    assert worst_px(made, truth[:, :4]) < 0.5
+    made.unlink()
+    row, made = calibrated(path, rows=7, columns=4, gel="cut")  # from half way to the column that is not there
+    assert row["window_px"] == "540 0 640 480"
+    made.unlink()
+    with pytest.raises(InputError, match="is the gel cut"):
+        calibrated(path, rows=7, columns=4)
+    for rows, columns, words in (
+        (6, 4, "there are more rows than that"),
+        (7, 3, "there are more columns than that"),
+        (4, 7, "there are more rows than that"),
+        (7, 5, "the dots do not say which column is missing"),
+        (8, 9, "more than 25% of them are missing|the dots do not say which"),
+    ):
+        with pytest.raises(InputError, match=words) as refused:
+            calibrated(path, rows=rows, columns=columns, gel="closed")
+        assert f"{rows} rows and {columns} columns" in refused.value.expected
+        assert "7 rows and 4 columns, 0 dots missing" in refused.value.found
+        assert "--rows 7 --columns 4 --gel closed" in refused.value.hint
+        assert (calibrate.PRESS in refused.value.hint) == (rows > 7 or columns > 4)
+    assert not made.exists()
 
 
 @pytest.mark.parametrize("part", [X < 300, X > 300, Y < 240, X > 90], ids=["left", "right", "upper", "no first"])
@@ -191,9 +310,6 @@ def test_refine(seen: Show, tmp_path: Path, truth: Grid) -> None:
     results = read_calibration(made).dot_xy_px
     assert np.abs(results[:, :4] - truth[:, :4]).max() < 0.5
     assert np.abs(results - truth).max() < 1.0
-    made.unlink()
-    row, made = calibrated(path, any_grid=True)
-    assert row["columns"] in (4, 5)
 
 
 def test_missing_dot(seen: Show, tmp_path: Path, events: Events, truth: Grid) -> None:
@@ -220,15 +336,15 @@ def test_missing_dot(seen: Show, tmp_path: Path, events: Events, truth: Grid) ->
 
 
 def test_hidden_dots(seen: Show, truth: Grid) -> None:
-    """Assert that a gel with more than a quarter of its dots missing is refused, and taken as it is when told to."""
+    """Assert that a gel with more than a quarter of its dots missing is refused, and its dots taken without a grid."""
     hidden = np.zeros((480, 640), bool)
     for x, y in truth[1:6:2, 1:8].reshape(-1, 2):
         hidden |= np.hypot(X - x, Y - y) < 30
     path = seen(~hidden)
     with pytest.raises(InputError, match="21 dots missing"):
         calibrated(path)
-    row, _ = calibrated(path, any_grid=True)
-    assert (row["dots"], row["missing_dots"]) == (42, 21)
+    row, _ = calibrated(path, no_grid=True)
+    assert (row["dots"], row["missing_dots"], row["rows"]) == (42, 0, None)
 
 
 @pytest.mark.slow
@@ -249,27 +365,42 @@ def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, trut
 
 
 @pytest.mark.slow
-def test_half_the_resolution(tmp_path: Path, events: Events, truth: Grid) -> None:
-    """Assert that a smaller frame, with dots of half the size, is calibrated just so."""
-    small = Events(events.t, events.x // 2, events.y // 2, events.p)
-    row, made = calibrated(recorded(tmp_path / "small.recording.h5", small, (320, 240)))
-    assert (row["dots"], row["missing_dots"]) == (63, 0)
-    assert read_calibration(made).frame_px == (320, 240)
-    assert worst_px(made, (truth - 0.5) / 2) < 0.5
-    assert row["radius_px"] == pytest.approx(7.2, abs=0.5)
+@pytest.mark.parametrize(
+    ("frame_px", "within_px"),
+    [((320, 240), 0.5), ((346, 260), 0.6), ((240, 180), 0.6)],  # 0.6: of the original's pixels not all weigh the same
+)
+def test_smaller_frames(
+    tmp_path: Path, events: Events, truth: Grid, frame_px: tuple[int, int], within_px: float
+) -> None:
+    """Assert that a smaller frame, with smaller dots, is calibrated just so: that of a DAVIS, for example."""
+    scale = np.array(frame_px) / (640, 480)
+    x, y = ((place * factor).astype(np.uint16) for place, factor in zip(events[1:3], scale, strict=True))
+    row, made = calibrated(recorded(tmp_path / "small.recording.h5", Events(events.t, x, y, events.p), frame_px))
+    assert (row["dots"], row["missing_dots"], row["notes"]) == (63, 0, None)
+    assert read_calibration(made).frame_px == frame_px
+    assert worst_px(made, (truth + 0.5) * scale - 0.5) < within_px
+    assert row["radius_px"] == pytest.approx(14.4 * scale.mean(), abs=0.5)
+
+
+@pytest.mark.slow
+def test_dots_too_small_to_be_found(tmp_path: Path, events: Events) -> None:
+    """Assert that dots of 3 px, on a frame of 128 x 96, are refused with the size that is looked for."""
+    small = Events(events.t, events.x // 5, events.y // 5, events.p)
+    with pytest.raises(InputError, match="4 or more, dark and round, of 4 to 10 px radius"):
+        calibrated(recorded(tmp_path / "tiny.recording.h5", small, (128, 96)))
 
 
 def test_larger_frame(
     halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Assert that a gel in the middle of a larger frame is found there, once any grid is allowed."""
+    """Assert that a gel in the middle of a larger frame is found there, once it is said that there are no more dots."""
     larger = tuple(RestImage(*(np.pad(side, ((60, 60), (80, 80))) for side in half)) for half in halves)
     monkeypatch.setattr(calibrate, "rest_images", lambda recording, progress: larger)
     path = recorded(tmp_path / "large.recording.h5", empty(), (800, 600))
-    with pytest.raises(InputError, match="not the whole grid"):
+    with pytest.raises(InputError, match=r"room for more dots(.|\n)*--rows 7 --columns 9 --gel closed"):
         calibrated(path)
-    row, made = calibrated(path, any_grid=True)
-    assert (row["dots"], row["missing_dots"]) == (63, 0)
+    row, made = calibrated(path, rows=7, columns=9, gel="closed")
+    assert (row["dots"], row["missing_dots"], row["notes"]) == (63, 0, None)
     assert worst_px(made, truth + (80, 60)) < 0.5
 
 
@@ -299,7 +430,7 @@ def test_noise_is_no_dot(tmp_path: Path) -> None:
     with open_recording(job.output) as recording:
         noise = recording.between(0, len(recording))
     rests = selected(noise, (noise.t // 1000 % 400 >= 100) | (noise.x < 40))
-    with pytest.raises(InputError, match="no dots were seen to move: 0 found"):
+    with pytest.raises(InputError, match=r"too few dots were seen to move(.|\n)*found: +0"):
         calibrated(recorded(tmp_path / "strokes.recording.h5", rests))
 
 
@@ -350,6 +481,15 @@ def test_command_line(tmp_path: Path) -> None:
         (["a.recording.h5", "-o", "b.h5"], "a name that ends in .json"),
         (["a.recording.h5", "b.recording.h5", "-o", "b.json"], "cannot hold several"),
         (["nowhere.recording.h5"], "no such file"),
+        (["a.recording.h5", "--rows", "6"], "expected: both, or neither"),
+        (["a.recording.h5", "--columns", "6"], "expected: both, or neither"),
+        (["a.recording.h5", "--rows", "16", "--columns", "17"], "at most 256, which the tracker has room for"),
+        (["a.recording.h5", "--rows", "1", "--columns", "17"], "expected: 2 to 128"),
+        (["a.recording.h5", "--rows", "6", "--columns", "9", "--no-grid"], "have no rows and columns"),
+        (["a.recording.h5", "--refine", "b.json", "--gel", "cut"], "leave out --gel"),
+        (["a.recording.h5", "--refine", "b.json", "--no-grid"], "leave out --no-grid"),
+        (["--import", "b.json", "--rows", "6", "--columns", "9"], "leave out --rows, --columns"),
+        (["--import", "b.sensor.toml", "--no-grid"], "leave out --no-grid"),
     ):
         result = CliRunner().invoke(app, ["calibrate", *arguments])
         assert result.exit_code == 2

@@ -207,6 +207,52 @@ def test_regions_keep_clear_of_the_cut_edge(made: Made) -> None:
     assert gel == (0, 0, 530, 480)
 
 
+WAYS = {  # how a sensor can be mounted: places and size of the frame from those of an upright one
+    "turned by 180 degrees": (lambda x, y: (639 - x, 479 - y), (640, 480)),
+    "mirrored left to right": (lambda x, y: (639 - x, y), (640, 480)),
+    "mirrored top to bottom": (lambda x, y: (x, 479 - y), (640, 480)),
+    "turned clockwise": (lambda x, y: (479 - y, x), (480, 640)),
+    "turned anticlockwise": (lambda x, y: (y, 639 - x), (480, 640)),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_an_onset_does_not_depend_on_the_mounting(made: Made, tmp_path: Path, way: str) -> None:
+    """Assert that a recording is labelled alike wherever in the frame its window is."""
+    place, frame_px = WAYS[way]
+    with open_recording(made.recordings[0]) as upright:
+        expected = label.compute(upright, Label(after_ms=15))
+        window, gel = label.regions(upright)
+        events = upright.between(0, len(upright))
+        content: dict[str, Any] = {f"events/{name}": getattr(events, name) for name in Events._fields}
+        x, y = place(events.x.astype(np.int64), events.y.astype(np.int64))
+        corners = np.array([place(540, 0), place(639, 479)])
+        dots = np.stack(place(upright.dot_xy_px[..., 0], upright.dot_xy_px[..., 1]), axis=-1)  # type: ignore[index]
+        content |= {
+            "events/x": x.astype(np.uint16),
+            "events/y": y.astype(np.uint16),
+            "ms_to_idx": upright.starts,
+            "t_offset": np.int64(0),
+            "sensor/frame_px": np.array(frame_px, np.int32),
+            "sensor/name": "unknown",
+            "sensor/window_px": np.concatenate([corners.min(axis=0), corners.max(axis=0) + 1]).astype(np.int32),
+            "sensor/dot_xy_px": dots.reshape(1, -1, 2),
+            "sensor/dot_radius_px": upright.read("sensor/dot_radius_px"),
+        }
+        start = label.ramp_start(upright)
+    path = tmp_path / "mounted.recording.h5"
+    write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
+    with open_recording(path) as mounted:
+        regions = label.regions(mounted)
+        assert expected.onset > 0
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(label, "ramp_start", lambda recording: start)
+            assert label.compute(mounted, Label(after_ms=15)).onset == expected.onset
+    assert [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in regions] == [
+        (x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in (window, gel)
+    ]
+
+
 @pytest.mark.slow
 def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
     """Assert that steps, leaving out pairs, and smaller pictures give the onset that all pairs of all slices give."""

@@ -53,13 +53,13 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     return grid
 
 
-def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
     """Find the grid in places (n, 2) given in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
 
     Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees; a
     plane through that says which row and column every place belongs to. Places off the lattice are left out, and so is
-    a first or last row or column with less than half of its dots. ValueError if there are not two rows and two columns
-    at about right angles: staggered rows are no grid.
+    a first or last row or column with less than half of its dots, as long as `least` rows and columns are left.
+    ValueError if there are not two rows and two columns at about right angles: staggered rows are no grid.
     """
     places = np.asarray(places_xy_px, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
@@ -93,7 +93,7 @@ def lattice(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     grid = np.full((*(cell[on_lattice].max(axis=0) + 1), 2), np.nan)
     for place in on_lattice[np.argsort(-off[on_lattice], kind="stable")]:  # of two in one cell the better one stays
         grid[tuple(cell[place])] = places[place]
-    grid = _without_weak_borders(grid)
+    grid = _without_weak_borders(grid, least)
     if min(grid.shape[:2]) < 2:
         raise too_few
     return grid
@@ -140,20 +140,19 @@ def _largest_piece(
     return best
 
 
-def _without_weak_borders(grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cut off first and last rows and columns with less than half of their dots, until there are none."""
+def _without_weak_borders(grid: NDArray[np.float64], least: tuple[int, int]) -> NDArray[np.float64]:
+    """Cut off first and last rows and columns with less than half of their dots, the emptiest first."""
     while grid.size:
         present = np.isfinite(grid[..., 0])
-        if present[0].mean() < 0.5:
-            grid = grid[1:]
-        elif present[-1].mean() < 0.5:
-            grid = grid[:-1]
-        elif present[:, 0].mean() < 0.5:
-            grid = grid[:, 1:]
-        elif present[:, -1].mean() < 0.5:
-            grid = grid[:, :-1]
-        else:
+        borders = []
+        if len(grid) > least[0]:
+            borders += [(present[0].mean(), grid[1:]), (present[-1].mean(), grid[:-1])]
+        if grid.shape[1] > least[1]:
+            borders += [(present[:, 0].mean(), grid[:, 1:]), (present[:, -1].mean(), grid[:, :-1])]
+        share, rest = min(borders, key=lambda border: border[0], default=(1.0, grid))
+        if share >= 0.5:
             break
+        grid = rest
     return grid
 
 

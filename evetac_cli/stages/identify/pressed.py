@@ -15,7 +15,7 @@ from evetac_cli.kernels.identify.estimates import Estimate
 from evetac_cli.kernels.identify.polarity import Polarity
 from evetac_cli.kernels.identify.rim import RimProfile, Runs
 from evetac_cli.kernels.identify.stroke_events import StrokeEvents
-from evetac_cli.stages import calibrate
+from evetac_cli.stages import calibrate, calibrated_gel
 from evetac_cli.stages.identify.sensor_text import Entry, Row
 from evetac_cli.store.read import Recording
 
@@ -34,7 +34,7 @@ ONLY_LATE = (
 )
 MAKE_LONG_REST = "cannot be told from these recordings: make one of ten minutes in which nothing touches the gel"
 WORST_JITTER_PX = calibrate.WORST_JITTER_PX
-MOST_MISSING = calibrate.MOST_MISSING
+MOST_MISSING = calibrated_gel.MOST_MISSING
 APART = 0.01  # relative sd of the thresholds of ON against those of OFF: less is one threshold for both
 WIDEST_LENS = 0.0175  # interval of k1, a quarter of what `--sensor randomized` has: a wider one is not shown
 UNITS = {

@@ -1,0 +1,143 @@
+"""What the places of dots say about their gel: whether they fill the frame, where a window can be, how it is mounted.
+
+An Evetac has 7 rows of 9 dots, which fill the frame of its camera. A cut gel lacks the last column, where its window
+is (paper, "Evetac"). A closed gel whose last column is worn looks the same, and upright, mirrored and turned gels
+differ by a third of a pitch: so the dots alone give reason to ask, or to suspect, and never to know.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.kernels.calibration import grid
+
+ROWS, CLOSED_COLUMNS, CUT_COLUMNS = 7, 9, 8  # of an Evetac's gel
+WINDOW_SHARE = 100 / 640  # of the frame's longer side that an Evetac's window takes
+CENTRE = (-0.15, -0.18)  # of an Evetac's dots, from the middle of its frame, in pitches
+CLEARLY = 0.05  # pitches from the middle of the frame beyond which dots lie on the other side of it
+CENTRED = 0.3  # pitches that the middle of a whole gel may lie off that of the frame; it is 0.25 in a simulated sensor
+ROOM = 1.5  # pitches from the outermost dots to the border of the frame, where another row or column would fit
+CLEARER = 0.5  # pitches of room by which the side of a window exceeds every other side
+SIDES = ("left", "top", "right", "bottom")
+
+Grid = NDArray[np.float64]
+Window = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
+
+
+def margins(dot_xy_px: Grid, frame_px: tuple[int, int]) -> Grid:
+    """Distance in pitches from the outermost dots' centres to the border of the frame, in the order of SIDES.
+
+    dot_xy_px: (rows, columns, 2); of a dot that is missing its place counts, as the others say it.
+    """
+    dots = _without_gaps(dot_xy_px).reshape(-1, 2)
+    margins_px: Grid = np.concatenate([dots.min(axis=0), np.array(frame_px) - dots.max(axis=0)])
+    return margins_px / grid.pitch(dot_xy_px)
+
+
+def free_sides(dot_xy_px: Grid, frame_px: tuple[int, int]) -> list[str]:
+    """Sides of the frame at which there is room for another row or column of dots, or for a window."""
+    return [side for side, free in zip(SIDES, margins(dot_xy_px, frame_px), strict=True) if free >= ROOM]
+
+
+def completed(dot_xy_px: Grid, size: tuple[int, int], frame_px: tuple[int, int]) -> Grid:
+    """The grid of a closed gel of so many (rows, columns): outer ones of which no dot was found are added as NaN.
+
+    They are put where the whole grid is in the middle of the frame. ValueError if there is no such place, or if there
+    are more rows or columns already.
+    """
+    left, top, right, bottom = margins(dot_xy_px, frame_px)
+    found = dot_xy_px.shape[:2]
+    first = (
+        _missing_before("row", size[0] - found[0], top, bottom),
+        _missing_before("column", size[1] - found[1], left, right),
+    )
+    whole = np.full((*size, 2), np.nan)
+    whole[first[0] : first[0] + found[0], first[1] : first[1] + found[1]] = dot_xy_px
+    return whole
+
+
+def window(dot_xy_px: Grid, radius_px: float, frame_px: tuple[int, int]) -> tuple[str, Window]:
+    """The side at which the window of a cut gel lies, one of SIDES, and the strip x0, y0, x1, y1 there.
+
+    It lies where there is most room beside the dots, as deep as an Evetac's, or from half way to the column that was
+    cut away. ValueError if no side has room for it, or several have about as much.
+    """
+    free = margins(dot_xy_px, frame_px)
+    side = int(free.argmax())
+    if free[side] < ROOM:
+        raise ValueError("there is no room for a window beside the dots")
+    if free[side] < np.delete(free, side).max() + CLEARER:
+        near = [name for name, room in zip(SIDES, free, strict=True) if room > free[side] - CLEARER]
+        raise ValueError(f"there is as much room for a window on several sides: {', '.join(near)}")
+    width, height = frame_px
+    pitch_px = grid.pitch(dot_xy_px)
+    depth_px = round(WINDOW_SHARE * max(frame_px))
+    if depth_px > free[side] * pitch_px - radius_px:
+        depth_px = round((free[side] - 0.5) * pitch_px)
+    strips = {
+        "left": (0, 0, depth_px, height),
+        "top": (0, 0, width, depth_px),
+        "right": (width - depth_px, 0, width, height),
+        "bottom": (0, height - depth_px, width, height),
+    }
+    return SIDES[side], strips[SIDES[side]]
+
+
+def touches(window_px: Window, dot_xy_px: Grid, radius_px: float) -> bool:
+    """Whether a dot, or a part of one, lies in the window."""
+    dots = dot_xy_px.reshape(-1, 2)
+    dots = dots[np.isfinite(dots).all(axis=1)]
+    nearest = np.clip(dots, window_px[:2], window_px[2:])
+    return bool((np.linalg.norm(dots - nearest, axis=1) < radius_px).any())
+
+
+def mounting(dot_xy_px: Grid, frame_px: tuple[int, int], window_px: Window | None) -> str:
+    """In words, how a grid of an Evetac's size lies otherwise than in an upright sensor; empty if it does not."""
+    rows, columns = dot_xy_px.shape[:2]
+    upright = (ROWS, CLOSED_COLUMNS if window_px is None else CUT_COLUMNS)
+    if (columns, rows) == upright:
+        return f"the sensor seems to be turned by 90 degrees: an Evetac has {upright[0]} rows of {upright[1]} dots"
+    beside = window_px is None or (window_px[1] == 0 and window_px[3] == frame_px[1])  # and not above or below the dots
+    if (rows, columns) != upright or not beside:
+        return ""
+    free = margins(dot_xy_px, frame_px)
+    off = (free[:2] - free[2:]) / 2
+    if abs(off[1]) > CENTRED or (window_px is None and abs(off[0]) > CENTRED):
+        return ""  # however an Evetac is mounted, its dots are not so far from the middle of the frame
+    lower = bool(off[1] > CLEARLY)
+    if window_px is not None and window_px[0] + window_px[2] < frame_px[0]:
+        how = "turned by 180 degrees" if lower else "mirrored left to right"
+        return f"the sensor seems to be {how}: the window is at the left, and an Evetac's at the right"
+    righter = window_px is None and bool(off[0] > CLEARLY)
+    if not righter and not lower:
+        return ""
+    how = ("turned by 180 degrees" if lower else "mirrored left to right") if righter else "mirrored top to bottom"
+    x_px, y_px = np.round((off - CENTRE) * grid.pitch(dot_xy_px)).astype(int)
+    where = " and ".join([f"{x_px} px farther right"] * righter + [f"{y_px} px lower"] * lower)
+    return f"the sensor seems to be {how}: the dots are {where} than an Evetac's"
+
+
+def _without_gaps(dot_xy_px: Grid) -> Grid:
+    """The dots of a grid, with places where they are missing by the plane through the others; one row as far as known.
+
+    The plane is exact for a grid that is shifted, turned or stretched.
+    """
+    shown = np.isfinite(dot_xy_px[..., 0])
+    if len(dot_xy_px) == 1 or shown.all():
+        return dot_xy_px[shown]
+    row, column = np.mgrid[: shown.shape[0], : shown.shape[1]]
+    index = np.stack([row, column, np.ones_like(row)], axis=-1)
+    plane = np.linalg.lstsq(index[shown], dot_xy_px[shown], rcond=None)[0]
+    filled: Grid = np.where(shown[..., None], dot_xy_px, index @ plane)
+    return filled
+
+
+def _missing_before(what: str, missing: int, before: float, after: float) -> int:
+    """How many of the rows or columns that are not there belong before the first that is; margins in pitches."""
+    if missing < 0:
+        raise ValueError(f"there are more {what}s than that")
+    if missing == 0:
+        return 0
+    first = min(max(round((before - after + missing) / 2), 0), missing)
+    if abs((before - first) - (after - (missing - first))) / 2 > CENTRED:
+        raise ValueError(f"the dots do not say which {what} is missing")
+    return first
