@@ -34,6 +34,18 @@ EXTRAS = {
 }
 # What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
 INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}
+# The commands that make each kind of file; a recording is made by grasp, trim and repair, too.
+MADE_BY = {
+    "recording": "record",
+    "labels": "label",
+    "tracks": "track",
+    "features": "featurize",
+    "model": "train",
+    "force-model": "train-force",
+    "forces": "predict-force",
+    "report": "evaluate",
+}
+MAKE_MODEL = "evetac train makes a model for this grid, from features of such recordings"
 MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
 
 
@@ -129,6 +141,11 @@ def install_hint(extra: str = "") -> str:
     there = [name for name, modules in EXTRAS.items() if all(map(find_spec, modules))] if way else []
     extras = ",".join(dict.fromkeys([*there, extra] if extra else there))
     return f"in the clone: {way or 'pip install'} " + (f"'.[{extras}]'" if extras else ".")
+
+
+def made_by(kind: str) -> str:
+    """Which command makes files of a kind, as a hint says it."""
+    return f"evetac {MADE_BY[kind]} makes {kind} files"
 
 
 def attach_outcome(error: AnyError, outcome: Any) -> AnyError:

@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 
 from evetac_cli import errors
-from evetac_cli.errors import EXTRAS, INSTALLERS, install_hint
+from evetac_cli.cli.commands import PIPELINE
+from evetac_cli.errors import EXTRAS, INSTALLERS, MADE_BY, install_hint, made_by
 from evetac_cli.resources import PACKAGE
+from evetac_cli.store.calibration import MAKE_GRID
+from evetac_cli.store.schema import KINDS
 
 ROOT = PACKAGE.parent
 OFFERED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
@@ -42,6 +45,49 @@ def test_one_function_makes_all_hints_that_install() -> None:
                 said += [name] if INSTALLS.search(node.value) and name != "errors.py" else []
     assert set(said) <= set(OTHERS)
     assert {"camera", "convert", "plot"} <= asked <= EXTRAS.keys()
+
+
+ASKS = {  # what a message asks for, and the command that it has to name: the one that makes it
+    r"--calibration\b": "evetac calibrate",
+    r"have no labels": "evetac label",
+    r"no dot grid|dots .* (are|is) unknown": "evetac calibrate",
+    r"dot grid than|for another dot grid": "evetac train",
+    r"and the features have none": "evetac featurize",
+    r"tracks of this recording are missing": "evetac track",
+    r"no (\w+ )?files? (are|is) (given|named)|no file is left": "evetac|made_by",
+    r"has no truth": "evetac record|another --method",
+    r"no window": "evetac calibrate",
+}
+
+
+def messages() -> list[tuple[str, str]]:
+    """Where an error of ours is raised, and its message, what is expected and its hint, as the source has them."""
+    kinds = {name for name, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, Exception)}
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in kinds and node.args:
+                parts = [node.args[0], *(key.value for key in node.keywords if key.arg in ("expected", "hint"))]
+                text = " ".join(map(ast.unparse, parts))
+                for name, words in (("MAKE_GRID", MAKE_GRID), ("MAKE_MODEL", errors.MAKE_MODEL)):
+                    text = text.replace(name, words)
+                found.append((f"{path.relative_to(PACKAGE)}:{node.lineno}", text))
+    return found
+
+
+@pytest.mark.parametrize("asked", ASKS)
+def test_what_asks_for_something_names_the_command_that_makes_it(asked: str) -> None:
+    """Assert that no message asks for a grid, labels, tracks, features or a model without saying what makes them."""
+    asking = [(where, text) for where, text in messages() if re.search(asked, text)]
+    assert asking
+    assert [(where, text) for where, text in asking if not re.search(ASKS[asked], text)] == []
+
+
+def test_every_kind_of_file_is_made_by_a_command() -> None:
+    """Assert that there is a command for each kind, of this name."""
+    assert set(MADE_BY) == set(KINDS)
+    assert set(MADE_BY.values()) <= {command.name for command in PIPELINE} | {"evaluate"}
+    assert made_by("tracks") == "evetac track makes tracks files"
 
 
 @pytest.mark.parametrize("mark", [None, *INSTALLERS])

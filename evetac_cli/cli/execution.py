@@ -18,7 +18,7 @@ from evetac_cli import console
 from evetac_cli.cli import compiling, config, engines, flags, workers
 from evetac_cli.cli.commands import Command
 from evetac_cli.cli.exit_codes import CommandExit
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.jobs import Job, Outcome, require_possible_name
 
 MOST_ROWS = 100  # of one table on a terminal
@@ -104,11 +104,14 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
         inside = sorted(entry for entry in path.glob(f"*.{kind}.h5") if entry.is_file())
         if not inside:
             below = next(iter(sorted(path.glob(f"*/*.{kind}.h5"))), None)
+            hint = made_by(kind) if kind in MADE_BY else ""
+            if below:
+                hint = f"name the folder in which they lie: {below.parent}"
             raise InputError(
                 "no such file in this folder",
                 where=str(path),
                 expected=f"*.{kind}.h5",
-                hint=f"name the folder in which they lie: {below.parent}" if below else "",
+                hint=hint,
             )
         files += inside
     return files

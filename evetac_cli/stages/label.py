@@ -19,6 +19,7 @@ from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.params.learning import Label
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import per_file
+from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
@@ -91,7 +92,7 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
                 raise InputError(
                     "event-flow follows the dots, and the recording has no dot grid",
                     where=str(recording.path),
-                    hint="record with --calibration GRID.json, or label with --method farneback",
+                    hint=f"{MAKE_GRID} to evetac record, or label with --method farneback",
                 )
             radius = float(recording.read("sensor/dot_radius_px"))
             constants = _event_flow(params)

@@ -5,16 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import MADE_BY, InputError, made_by
 from evetac_cli.resources import MODELS, SHIPPED, model_file
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import Recording, open_recording
 
-COMMANDS = {
-    "labels": "label",
-    "tracks": "track",
-    "features": "featurize",
-}  # that make a file of a kind from a recording
 BY_SLICE = {
     "labels": "label",
     "tracks": "dot_xy_px",
@@ -40,6 +35,7 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
             where=flag,
             expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind in MODELS else ""),
             found=str(given or ""),
+            hint=made_by(kind),
         )
     return files
 
@@ -55,15 +51,14 @@ def check_made_from(file: StageFile, recording: StageFile) -> None:
             where=str(file.path),
             expected=f"{slices}, as {recording.path}",
             found=str(rows),
-            hint=f"evetac {COMMANDS[file.kind]} --force {recording.path}",
+            hint=f"evetac {MADE_BY[file.kind]} --force {recording.path}",
         )
-    command = COMMANDS.get(file.kind)
     raise InputError(
         f"the {file.kind} belong to another recording",
         where=str(file.path),
         expected=f"made from {recording.path} (id {recording.header['id'][:12]})",
         found=f"made from id {', '.join(parent[:12] for parent in file.header['parents'])}",
-        hint=f"evetac {command} --force {recording.path}" if command else "",
+        hint=f"evetac {MADE_BY[file.kind]} --force {recording.path}" if file.kind in BY_SLICE else "",
     )
 
 
@@ -82,6 +77,6 @@ def recording_with_truth(file: StageFile) -> Iterator[Recording]:
             raise InputError(
                 "the recording has no truth: only a simulation knows it",
                 where=str(path),
-                hint="evaluate files of simulated recordings",
+                hint="evetac record --scene NAME simulates one",
             )
         yield recording

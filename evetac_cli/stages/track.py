@@ -14,7 +14,7 @@ from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.learning import Track
 from evetac_cli.stages import per_file, row_blocks
-from evetac_cli.store.calibration import Calibration, read_calibration
+from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
@@ -116,7 +116,7 @@ def _calibration(recording: Recording, given: Path | None) -> Calibration:
         raise InputError(
             "the recording has no dot grid",
             where=str(recording.path),
-            hint="give one with --calibration GRID.json",
+            hint=MAKE_GRID,
         )
     radius = float(recording.read("sensor/dot_radius_px"))
     return Calibration(recording.frame_px, dots, radius, recording.window_px)

@@ -64,7 +64,7 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
             raise InputError(
                 "no frames can be rendered: only a simulation knows where the gel is",
                 where=str(recording.path),
-                hint="give a simulated recording",
+                hint="evetac record --scene NAME simulates a recording",
             )
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=True)

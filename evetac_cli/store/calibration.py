@@ -22,6 +22,7 @@ from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import Recipe, content_digest, first_difference
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
+MAKE_GRID = "evetac calibrate makes one from a press recording or a file; give it with --calibration GRID.json"
 MOST_PX = 65536  # events count columns and rows in uint16
 # As in stage files; contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
 LEAST, MOST = Sensitivity(0.001, 1.0), Sensitivity(1e3, 1e9)

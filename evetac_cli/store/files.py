@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import h5py
 
-from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.errors import InputError, SchemaError, made_by
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
@@ -188,7 +188,13 @@ def _read_header(file: CheckedHdf5) -> Header:
 
 def _check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
     if wanted and header["kind"] not in wanted:
-        raise InputError("wrong kind of file", where=str(path), expected=" or ".join(wanted), found=str(header["kind"]))
+        raise InputError(
+            "wrong kind of file",
+            where=str(path),
+            expected=" or ".join(wanted),
+            found=str(header["kind"]),
+            hint="; ".join(map(made_by, wanted)),
+        )
     if header["kind"] not in schema.KINDS:
         raise SchemaError("unknown kind", where=str(path), expected=", ".join(schema.KINDS), found=str(header["kind"]))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import MAKE_MODEL, InputError, made_by
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import recording_of
@@ -129,7 +129,7 @@ def _one_recording(named: list[StageFile]) -> str:
             "a model alone has nothing to show",
             where=str(named[0].path),
             expected=", ".join(KINDS),
-            hint="name features too, and the page shows the model's slip probability on them",
+            hint=f"name features too ({made_by('features')}), and the page shows the model's slip probability on them",
         )
     first = _recording_id(of_trial[0])
     for file in of_trial:
@@ -158,6 +158,7 @@ def _check_model(trial: Trial) -> None:
             where=str(trial.model.path),
             expected=str(of_features),
             found=str(of_model),
+            hint=MAKE_MODEL,
         )
 
 

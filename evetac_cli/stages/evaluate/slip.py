@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.params.evaluation import EvaluateSlip
@@ -68,7 +68,9 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Mode
     features, models = split_models(files, params.model)
     if not features:
         raise InputError(
-            "no features files are given", expected="labelled features that the models were not trained on"
+            "no features files are given",
+            expected="labelled features that the models were not trained on",
+            hint=made_by("features"),
         )
     (job,) = report_job(features, "slip", out, *models)
     return [ModelsReportJob(job.inputs, job.output, len(models))]
@@ -119,7 +121,9 @@ def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], lis
             else:
                 others.append(path)
     if not models:
-        raise InputError("no model file is named", where="--model", expected="model files, or their folder")
+        raise InputError(
+            "no model file is named", where="--model", expected="model files, or their folder", hint=made_by("model")
+        )
     return others, list(models.values())
 
 

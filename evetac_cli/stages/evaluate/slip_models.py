@@ -17,7 +17,7 @@ from zipfile import ZIP_STORED, BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
@@ -143,6 +143,7 @@ def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
                         where=str(path),
                         expected=str(list(model.dot_shape)),
                         found=str(list(shape)),
+                        hint=MAKE_MODEL,
                     )
             headers.append(file.header)
     for model in models:

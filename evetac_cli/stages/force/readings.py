@@ -59,6 +59,7 @@ def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Reading
             f"no known forces: {error.message}",
             where=str(tracks.path),
             expected=f"a table {table.name} with {', '.join(COLUMNS)}, or a simulated recording",
+            hint="evetac record --scene shear simulates one",
         ) from None
     slices = EVERY * np.arange(len(shear_n))
     return Readings(

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
@@ -61,7 +61,10 @@ def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
         return [train_gel.job(files, out)]
     if len(files) < 2:
         raise InputError(
-            "no file is left to hold out", expected="at least two tracks files, of a trajectory each", found="one"
+            "no file is left to hold out",
+            expected="at least two tracks files, of a trajectory each",
+            found="one",
+            hint=made_by("tracks"),
         )
     output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"shear.{OUTPUT}.h5"
     return [Job(tuple(files), output)]
@@ -207,4 +210,5 @@ def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
             where=str(tracks.path),
             expected=f"{in_words(*model.dot_shape)} as in {model_path}",
             found=in_words(*shape),
+            hint="evetac train-force fits one to this gel",
         )

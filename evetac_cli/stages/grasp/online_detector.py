@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
@@ -27,13 +27,15 @@ from evetac_cli.store.files import StageFile
 def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.bool_]:
     """Mask (dots,) of the dots (rows, columns, 2) of a gel that a network for a grid of rows x columns takes.
 
-    All of a grid of that size; of one with a column more, all but the column farthest to the right. ValueError for
-    another grid.
+    All of a grid of that size; of one with a column more, all but one of which no dot is known, or else the one
+    farthest to the right. ValueError for another grid.
     """
     grid = int(dot_xy_px.shape[0]), int(dot_xy_px.shape[1])
     known = np.ones(grid, np.bool_)
     if grid == (rows, columns + 1):
-        known[:, np.argmax(np.nanmean(dot_xy_px[..., 0], axis=0))] = False
+        x_px = dot_xy_px[..., 0]
+        unknown = np.isnan(x_px).all(axis=0)
+        known[:, np.argmax(unknown if unknown.any() else np.nanmean(x_px, axis=0))] = False
     elif grid != (rows, columns):
         wanted = f"{rows} rows x {columns} columns of dots, or a column more"
         raise ValueError(f"expected {wanted}, found {in_words(*grid)}")
@@ -46,7 +48,9 @@ def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.boo
     try:
         return known_dots(dot_xy_px, rows, columns)
     except ValueError as error:
-        raise InputError(f"the model is for another dot grid: {error}", where=str(model.path)) from None
+        raise InputError(
+            f"the model is for another dot grid: {error}", where=str(model.path), hint=MAKE_MODEL
+        ) from None
 
 
 @dataclass

@@ -35,7 +35,7 @@ from evetac_cli.stages.grasp.detector_process import DetectorSettings
 from evetac_cli.stages.grasp.online_detector import dots_for
 from evetac_cli.stages.grasp.recorder import GraspProcesses, RecordedGrasp, record
 from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, device_trials
-from evetac_cli.store.calibration import read_calibration
+from evetac_cli.store.calibration import MAKE_GRID, read_calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.segments import RecordingWriter
@@ -229,8 +229,8 @@ def _sensor(trial: DeviceTrial, params: Grasp, world: "VirtualWorld | None") -> 
         raise InputError(
             "it is not known where the dots of this gel are",
             where=str(camera),
-            expected="--calibration FILE",
-            hint="evetac calibrate makes one from a recording in which every dot is pressed",
+            expected="a dot grid",
+            hint=MAKE_GRID,
         )
     return dict(sensor)
 

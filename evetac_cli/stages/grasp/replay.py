@@ -23,6 +23,7 @@ from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, grasp_slices
 from evetac_cli.stages.grasp.online_detector import dots_for
 from evetac_cli.stages.trials import OUTPUT, ReplayTrial
+from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
@@ -84,7 +85,9 @@ def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
     if model_path is None:
         return
     if dot_xy_px is None:
-        raise InputError("no dots are known in this recording", where=str(recording.path))
+        raise InputError(
+            "the recording has no dot grid", where=str(recording.path), hint=f"{MAKE_GRID} to evetac record"
+        )
     with StageFile(model_path, "model") as model:
         dots_for(model, dot_xy_px)
 

@@ -22,6 +22,7 @@ from evetac_cli.sim.scenes.shared import PAD_M
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import DriveFit, GripperRows
+from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.read import Recording
 
 Floats = NDArray[np.float64]
@@ -146,7 +147,7 @@ def _weight(
     first_ms, last_ms = _longest_hold(rows)
     last_ms = min(last_ms, len(recording))
     if recording.dot_xy_px is None or recording.dot_radius_px is None:
-        return None, {"weight": f"cannot be told from {source}: it has no dot grid; record with --calibration"}
+        return None, {"weight": f"cannot be told from {source}: it has no dot grid; {MAKE_GRID} to evetac record"}
     if last_ms - first_ms < SHORTEST_HOLD_MS:
         return None, {"weight": _why(source, f"no current is commanded for {SHORTEST_HOLD_MS / 1000:g} s")}
     try:

@@ -27,6 +27,7 @@ from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.learning import PredictForce
 from evetac_cli.realtime.live_page.shared_view import SeenSlices, SharedView
 from evetac_cli.stages.force import gel_model
+from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import StageFile
 
 PERIOD_S = 0.05  # from one picture to the next
@@ -87,7 +88,7 @@ class Follower:
         if "sensor/window_px" in sensor:
             self.window_px = [int(edge) for edge in sensor["sensor/window_px"]]
         if not {"sensor/dot_xy_px", "sensor/dot_radius_px"} <= sensor.keys():
-            self.notes = ["no dots, slip or force: where the dots are is not known (--calibration FILE)"]
+            self.notes = [f"no dots, slip or force: the dot grid is not known; {MAKE_GRID}"]
             return
         try:
             self._detector = open_detector(sensor)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import onnx_graphs
@@ -96,6 +96,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
         raise InputError(
             "no file is left to train on",
             expected="at least two features files",
+            hint=made_by("features"),
             found=f"{len(files)}, all of them validate",
         )
     settings, _ = _settings(params)
@@ -245,6 +246,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             where=str(adapted.path),
             expected="{} x {} dots, as of {}".format(*shape, job.inputs[0]),
             found="{} x {}".format(*adapted.dot_shape),
+            hint="evetac train without --adapt makes a model for this grid",
         )
     architecture = ARCHITECTURES[settings.model]
     if isinstance(architecture, DotArchitecture):

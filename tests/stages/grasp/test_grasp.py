@@ -135,6 +135,8 @@ def test_known_dots() -> None:
     assert not known[:, 8].any()
     assert not known_dots(closed[:, ::-1], 7, 8).reshape(7, 9)[:, 0].any()
     assert known_dots(closed[:, :8], 7, 8).all()
+    worn = np.where(np.arange(9)[:, None] == 2, np.nan, closed)
+    assert (~known_dots(worn, 7, 8).reshape(7, 9)).all(axis=0).tolist() == [column == 2 for column in range(9)]
     for rows, columns in ((7, 7), (6, 8), (7, 10)):
         with pytest.raises(ValueError, match="dots"):
             known_dots(closed, rows, columns)

@@ -99,8 +99,8 @@ def test_a_recording_without_dots(tmp_path: Path) -> None:
     params = Record(source=source, frame_size="640x480")
     (job,) = record.jobs([source], params, tmp_path / "plain.recording.h5")
     record.run(job, params)
-    with pytest.raises(InputError, match="no dots"):
+    with pytest.raises(InputError, match=r"no dot grid(.|\n)*evetac calibrate"):
         replay(job.output, tmp_path / "out.recording.h5")
     planned = Grasp(camera=f"replay:{job.output}", gripper="sim")
-    with pytest.raises(InputError, match="no dots"):
+    with pytest.raises(InputError, match=r"no dot grid(.|\n)*evetac calibrate"):
         grasp.dry_run(grasp.jobs([], planned, tmp_path), planned)
