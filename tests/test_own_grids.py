@@ -138,7 +138,7 @@ def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_calibration_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> None:
-    """Assert that a press shows staggered dots to 0.5 px, and that they are tracked from there, with --no-grid."""
+    """Assert that a press shows staggered dots to 0.5 px, and that they are tracked from there, with --irregular."""
     scene = tomllib.loads((SCENES / "press.toml").read_text())
     scene["motion"] |= {"speed_mm_s": 120.0, "lines": 5, "approach_s": 0.1, "press_s": 0.05}
     scene["solver"] = {"node_pitch_mm": 1.45}
@@ -148,8 +148,8 @@ def test_calibration_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> No
     pressed = run(record, pressing, out=tmp_path / "press.recording.h5")
     with pytest.raises(InputError, match="staggered rows") as refused:
         run(calibrate, Calibrate(), pressed)
-    assert "--no-grid" in str(refused.value)
-    made = run(calibrate, Calibrate(no_grid=True), pressed)
+    assert "--irregular" in str(refused.value)
+    made = run(calibrate, Calibrate(irregular=True), pressed)
     dots = read_calibration(made).dot_xy_px
     assert dots.shape == (1, 63, 2)
     assert np.linalg.norm(dots[0][:, None] - staggered()[None], axis=2).min(axis=1).max() < 0.5

@@ -209,7 +209,7 @@ def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float
 
 
 @pytest.mark.parametrize("gel", [None, "closed", "cut"])
-@pytest.mark.parametrize("flags", [{}, {"no_grid": True}, {"rows": 7, "columns": 9}], ids=["", "no grid", "size"])
+@pytest.mark.parametrize("flags", [{}, {"irregular": True}, {"rows": 7, "columns": 9}], ids=["", "no grid", "size"])
 def test_a_flipped_centre_writes_no_calibration(tmp_path: Path, gel: str | None, flags: dict[str, Any]) -> None:
     """Assert that no bit of a centre makes a calibration that cannot be read: each is refused, or read back."""
     source, out = tmp_path / "grid.pkl", tmp_path / "o.json"

@@ -247,7 +247,7 @@ class Calibrate:
         None, "Rows of dots, with --columns, of a gel other than an Evetac's 7 x 9 (cut: 7 x 8).", low=2, high=128
     )
     columns: int | None = parameter(None, "Columns of dots, with --rows.", low=2, high=128)
-    no_grid: bool = parameter(False, "The dots are in no grid (staggered rows, at random): take all that are found.")
+    irregular: bool = parameter(False, "The dots are in no grid (staggered rows, at random): take all that are found.")
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
                 where=str(source),
                 expected=f"{len(centres)} dots in rows and columns",
                 found=f"{np.isfinite(dots[..., 0]).sum()} that are",
-                hint=calibrated_gel.NO_GRID,
+                hint=calibrated_gel.IRREGULAR,
             )
         calibration = Calibration(FRAME_PX, dots, radius, window)
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())

@@ -21,7 +21,7 @@ MANY_MISSING = f"more than {MOST_MISSING:.0%} of them are missing"
 LEAST_ON_GRID = 0.9  # of the dots: with so many in rows and columns they are a grid, also where none was asked for
 SIZES = {"closed": (ROWS, CLOSED_COLUMNS), "cut": (ROWS, CUT_COLUMNS)}
 REFINE = "--refine takes the others from a default grid"
-NO_GRID = "--no-grid takes dots that are in no grid"
+IRREGULAR = "--irregular takes dots that are in no grid"
 BY_HAND = "or write window_px into the JSON by hand, docs/recordings.md"
 
 Grid = NDArray[np.float64]
@@ -44,11 +44,11 @@ def check_options(params: Calibrate) -> None:
     size = "--rows, --columns"
     if (params.rows is None) != (params.columns is None):
         raise InputError("one says nothing without the other", where=size, expected="both, or neither")
-    if params.rows is not None and params.no_grid:
-        raise InputError("dots in no grid have no rows and columns", where="--no-grid", found=size)
+    if params.rows is not None and params.irregular:
+        raise InputError("dots in no grid have no rows and columns", where="--irregular", found=size)
     if params.rows is not None and params.columns is not None and params.rows * params.columns > grid.MOST_DOTS:
         raise _too_many(size, params.rows * params.columns)
-    given = {"--gel": params.gel is not None, size: params.rows is not None, "--no-grid": params.no_grid}
+    given = {"--gel": params.gel is not None, size: params.rows is not None, "--irregular": params.irregular}
     unused = [flag for flag in given if given[flag]]
     suffix = "" if params.source is None else params.source.suffix
     if params.refine is not None:
@@ -73,7 +73,7 @@ def arranged(found: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
     InputError if a part of the gel is missing, or if the dots do not say which gel it is.
     """
     gel = params.gel or found.gel
-    if params.no_grid:
+    if params.irregular:
         if len(found.places_px) > grid.MOST_DOTS:
             raise _too_many(found.where, len(found.places_px))
         dots = grid.one_row(found.places_px)
@@ -86,7 +86,7 @@ def arranged(found: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
         dots = grid.lattice(found.places_px, size or (0, 0))
     except ValueError as error:
         raise InputError(
-            f"the dots do not form a grid: {error}", where=found.where, hint=_either(found.remedy, NO_GRID)
+            f"the dots do not form a grid: {error}", where=found.where, hint=_either(found.remedy, IRREGULAR)
         ) from None
     if size is None:
         if dots.shape[:2] != SIZES["closed"] or gel_layout.free_sides(dots, found.frame_px):
@@ -132,7 +132,7 @@ def _as_a_grid(places_px: Grid) -> str:
     if np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places_px):
         return ""
     return (
-        f"the dots are in a grid, which networks of dots need: --rows {rows} --columns {columns} instead of --no-grid"
+        f"the dots are in a grid, which networks of dots need: --rows {rows} --columns {columns} instead of --irregular"
     )
 
 

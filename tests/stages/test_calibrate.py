@@ -147,9 +147,9 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     again, _ = calibrated(short)
     assert again == first | {"status": "up to date"}
     assert path.read_bytes() == before
-    with pytest.raises(InputError, match="no_grid is false in the file, true wanted"):
-        calibrated(short, no_grid=True)
-    forced = Calibrate(no_grid=True)
+    with pytest.raises(InputError, match="irregular is false in the file, true wanted"):
+        calibrated(short, irregular=True)
+    forced = Calibrate(irregular=True)
     (job,) = calibrate.jobs([short], forced, path)
     assert calibrate.run(job, forced, force=True).made
     path.write_text("{}")
@@ -343,7 +343,7 @@ def test_hidden_dots(seen: Show, truth: Grid) -> None:
     path = seen(~hidden)
     with pytest.raises(InputError, match="21 dots missing"):
         calibrated(path)
-    row, _ = calibrated(path, no_grid=True)
+    row, _ = calibrated(path, irregular=True)
     assert (row["dots"], row["missing_dots"], row["rows"]) == (42, 0, None)
 
 
@@ -485,11 +485,11 @@ def test_command_line(tmp_path: Path) -> None:
         (["a.recording.h5", "--columns", "6"], "expected: both, or neither"),
         (["a.recording.h5", "--rows", "16", "--columns", "17"], "at most 256, which the tracker has room for"),
         (["a.recording.h5", "--rows", "1", "--columns", "17"], "expected: 2 to 128"),
-        (["a.recording.h5", "--rows", "6", "--columns", "9", "--no-grid"], "have no rows and columns"),
+        (["a.recording.h5", "--rows", "6", "--columns", "9", "--irregular"], "have no rows and columns"),
         (["a.recording.h5", "--refine", "b.json", "--gel", "cut"], "leave out --gel"),
-        (["a.recording.h5", "--refine", "b.json", "--no-grid"], "leave out --no-grid"),
+        (["a.recording.h5", "--refine", "b.json", "--irregular"], "leave out --irregular"),
         (["--import", "b.json", "--rows", "6", "--columns", "9"], "leave out --rows, --columns"),
-        (["--import", "b.sensor.toml", "--no-grid"], "leave out --no-grid"),
+        (["--import", "b.sensor.toml", "--irregular"], "leave out --irregular"),
     ):
         result = CliRunner().invoke(app, ["calibrate", *arguments])
         assert result.exit_code == 2
