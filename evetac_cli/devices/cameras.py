@@ -200,7 +200,7 @@ class Dvxplorer(NamedCamera):
 
 @dataclass(frozen=True)
 class Dv(Dvxplorer):
-    """`dv[:SERIAL]`: any camera that the library dv-processing can open."""
+    """`dv[:SERIAL]`: a DVXplorer Mini, by the maker's library dv-processing."""
 
     name = "dv"
 

@@ -131,9 +131,7 @@ def _as_a_grid(places_px: Grid) -> str:
         return ""
     if np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places_px):
         return ""
-    return (
-        f"the dots are in a grid, which networks of dots need: --rows {rows} --columns {columns} instead of --irregular"
-    )
+    return f"these dots are in {rows} rows and {columns} columns: given as a grid, networks of dots could take them"
 
 
 def _window(dots: Grid, gel: str | None, found: FoundDots) -> Window | None:

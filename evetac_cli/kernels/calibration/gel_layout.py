@@ -28,9 +28,9 @@ def margins(dot_xy_px: Grid, frame_px: tuple[int, int]) -> Grid:
 
     dot_xy_px: (rows, columns, 2); of a dot that is missing its place counts, as the others say it.
     """
-    dots = _without_gaps(dot_xy_px).reshape(-1, 2)
+    dots, step_px = _without_gaps(dot_xy_px)
     margins_px: Grid = np.concatenate([dots.min(axis=0), np.array(frame_px) - dots.max(axis=0)])
-    return margins_px / grid.pitch(dot_xy_px)
+    return margins_px / np.tile(step_px, 2)
 
 
 def free_sides(dot_xy_px: Grid, frame_px: tuple[int, int]) -> list[str]:
@@ -69,7 +69,7 @@ def window(dot_xy_px: Grid, radius_px: float, frame_px: tuple[int, int]) -> tupl
         near = [name for name, room in zip(SIDES, free, strict=True) if room > free[side] - CLEARER]
         raise ValueError(f"there is as much room for a window on several sides: {', '.join(near)}")
     width, height = frame_px
-    pitch_px = grid.pitch(dot_xy_px)
+    pitch_px = _without_gaps(dot_xy_px)[1][side % 2]
     depth_px = round(WINDOW_SHARE * max(frame_px))
     if depth_px > free[side] * pitch_px - radius_px:
         depth_px = round((free[side] - 0.5) * pitch_px)
@@ -111,24 +111,24 @@ def mounting(dot_xy_px: Grid, frame_px: tuple[int, int], window_px: Window | Non
     if not righter and not lower:
         return ""
     how = ("turned by 180 degrees" if lower else "mirrored left to right") if righter else "mirrored top to bottom"
-    x_px, y_px = np.round((off - CENTRE) * grid.pitch(dot_xy_px)).astype(int)
+    x_px, y_px = np.round((off - CENTRE) * _without_gaps(dot_xy_px)[1]).astype(int)
     where = " and ".join([f"{x_px} px farther right"] * righter + [f"{y_px} px lower"] * lower)
     return f"the sensor seems to be {how}: the dots are {where} than an Evetac's"
 
 
-def _without_gaps(dot_xy_px: Grid) -> Grid:
-    """The dots of a grid, with places where they are missing by the plane through the others; one row as far as known.
+def _without_gaps(dot_xy_px: Grid) -> tuple[Grid, Grid]:
+    """Dots (n, 2), with places where they are missing by the plane through the others, and the pitch along x and y.
 
-    The plane is exact for a grid that is shifted, turned or stretched.
+    The plane is exact for a grid that is shifted, turned or stretched. Dots in no grid, one row, have gaps nowhere.
     """
     shown = np.isfinite(dot_xy_px[..., 0])
-    if len(dot_xy_px) == 1 or shown.all():
-        return dot_xy_px[shown]
+    if len(dot_xy_px) == 1:
+        return dot_xy_px[shown], np.full(2, grid.pitch(dot_xy_px))
     row, column = np.mgrid[: shown.shape[0], : shown.shape[1]]
-    index = np.stack([row, column, np.ones_like(row)], axis=-1)
+    index = np.stack([column, row, np.ones_like(row)], axis=-1)
     plane = np.linalg.lstsq(index[shown], dot_xy_px[shown], rcond=None)[0]
     filled: Grid = np.where(shown[..., None], dot_xy_px, index @ plane)
-    return filled
+    return filled.reshape(-1, 2), np.linalg.norm(plane[:2], axis=1)
 
 
 def _missing_before(what: str, missing: int, before: float, after: float) -> int:

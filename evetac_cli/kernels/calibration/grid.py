@@ -56,10 +56,11 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
 def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
     """Find the grid in places (n, 2) given in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
 
-    Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees; a
-    plane through that says which row and column every place belongs to. Places off the lattice are left out, and so is
-    a first or last row or column with less than half of its dots, as long as `least` rows and columns are left.
-    ValueError if there are not two rows and two columns at about right angles: staggered rows are no grid.
+    Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees,
+    and whose rows may be farther apart than its columns; a plane through that says which row and column every place
+    belongs to. Places off the lattice are left out, and so is a first or last row or column with less than half of its
+    dots, as long as `least` rows and columns are left. ValueError if there are not two rows and two columns at about
+    right angles: staggered rows are no grid.
     """
     places = np.asarray(places_xy_px, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
@@ -67,19 +68,27 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     too_few = ValueError(f"expected dots in at least two rows and two columns, found {len(places)} places without them")
     if len(places) < 4:
         raise too_few
-    step_px = pitch(places)
     offset = places[None] - places[:, None]
-    distance = np.linalg.norm(offset, axis=2)
-    next_door = np.abs(distance - step_px) < NEXT_DOOR * step_px
-    right = next_door & (offset[..., 0] > TURNED * distance)
-    below = next_door & (offset[..., 1] > TURNED * distance)
-    if not right.any() or not below.any():
+    cells: dict[int, tuple[int, int]] = {}
+    oblique = False
+    # Rows are as far apart as columns, or each as far as their own nearest dots: whichever connects more places.
+    for usual_px in (pitch(places), None):
+        right, below = (_next_door(offset, axis, usual_px) for axis in (0, 1))
+        if not right.any() or not below.any():
+            continue
+        steps = [(near, np.median(offset[near], axis=0), cell) for near, cell in ((right, (0, 1)), (below, (1, 0)))]
+        along, down = (step / np.linalg.norm(step) for _, step, _ in steps)
+        if abs(along @ down) > OBLIQUE:
+            oblique = True
+            continue
+        shorter_px = min(float(np.linalg.norm(step)) for _, step, _ in steps)
+        piece = _largest_piece(steps, offset, shorter_px)
+        if len(piece) > len(cells):
+            cells, step_px = piece, shorter_px
+    if not cells:
+        if oblique:
+            raise ValueError("expected columns at about right angles to rows, found staggered rows")
         raise too_few
-    steps = [(near, np.median(offset[near], axis=0), cell) for near, cell in ((right, (0, 1)), (below, (1, 0)))]
-    along, down = (step / np.linalg.norm(step) for _, step, _ in steps)
-    if abs(along @ down) > OBLIQUE:
-        raise ValueError("expected columns at about right angles to rows, found staggered rows")
-    cells = _largest_piece(steps, offset, step_px)
     members = np.array(list(cells))
     index = np.array([cells[member] for member in members])
     if (np.ptp(index, axis=0) < 1).any():
@@ -107,6 +116,21 @@ def one_row(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
 def in_words(rows: int, columns: int) -> str:
     """What a layout of dots is called."""
     return f"{rows} rows x {columns} columns" if rows > 1 else f"{columns} dots in no grid"
+
+
+def _next_door(offset: NDArray[np.float64], axis: int, step_px: float | None) -> NDArray[np.bool_]:
+    """Which places (n, n) are about a step from which others along +x or +y, by offsets (n, n, 2) from each to each.
+
+    step_px: None for the usual distance to the nearest place in that direction.
+    """
+    distance = np.linalg.norm(offset, axis=2)
+    ahead = offset[..., axis] > TURNED * distance
+    if step_px is None:
+        nearest = np.where(ahead, distance, np.inf).min(axis=1)
+        if not np.isfinite(nearest).any():
+            return np.asarray(ahead, np.bool_)
+        step_px = float(np.median(nearest[np.isfinite(nearest)]))
+    return np.asarray(ahead & (np.abs(distance - step_px) < NEXT_DOOR * step_px), np.bool_)
 
 
 def _largest_piece(

@@ -28,6 +28,9 @@ def test_margins_in_pitches() -> None:
     worn = WHOLE.copy()
     worn[:, 0] = worn[3, 4] = np.nan
     np.testing.assert_allclose(gel_layout.margins(worn, FRAME_PX), expected)
+    stretched = WHOLE * (1.0, 0.8) + (0, 50)
+    expected_stretched = np.array([60 / 62.5, 82.8 / 50, 80 / 62.5, (480 - 382.8) / 50])
+    np.testing.assert_allclose(gel_layout.margins(stretched, FRAME_PX), expected_stretched)
     in_no_grid = WHOLE.reshape(1, -1, 2)
     np.testing.assert_allclose(gel_layout.margins(in_no_grid, FRAME_PX), expected)
 
@@ -62,7 +65,7 @@ def test_a_window_that_would_touch_dots_is_narrower() -> None:
     dots = CUT * (1.06, 1.0)  # x 64..527
     side, (x0, y0, x1, y1) = gel_layout.window(dots, 15.0, FRAME_PX)
     assert (side, y0, x1, y1) == ("right", 0, 640, 480)
-    assert x0 == pytest.approx(1.06 * 497.5 + 62.5 / 2, abs=1)
+    assert x0 == pytest.approx(1.06 * (497.5 + 62.5 / 2), abs=1)
     assert not gel_layout.touches((x0, y0, x1, y1), dots, 15.0)
     assert gel_layout.touches((x0 - 20, y0, x1, y1), dots, 15.0)
 

@@ -149,6 +149,21 @@ def test_lattice_of_a_tilted_grid(shape: tuple[int, int], seed: int, angle: floa
     np.testing.assert_array_equal(lattice(rng.permutation(grid.reshape(-1, 2))), grid)
 
 
+@given(shapes, st.integers(0, 2**32 - 1), st.floats(-0.15, 0.15), st.floats(0.4, 2.5))
+@settings(deadline=None)
+def test_rows_and_columns_of_another_pitch(shape: tuple[int, int], seed: int, angle: float, stretched: float) -> None:
+    """Assert that rows may be closer together than columns, or farther apart, whole and with dots missing."""
+    assume(min(shape) > 2)
+    rng = np.random.default_rng(seed)
+    grid = tilted(regular(*shape) * (1, stretched), angle)
+    grid += rng.uniform(-0.05, 0.05, grid.shape) * 60 * min(stretched, 1)
+    np.testing.assert_array_equal(lattice(rng.permutation(grid.reshape(-1, 2))), grid)
+    if min(shape) > 4:
+        grid[2, 2] = grid[1, 3] = np.nan
+        places = grid.reshape(-1, 2)
+        np.testing.assert_array_equal(lattice(rng.permutation(places[np.isfinite(places[:, 0])])), grid)
+
+
 def test_lattice_with_holes_and_strangers() -> None:
     """Assert that missing dots become NaN in their places, and that places off the lattice are left out."""
     grid = tilted(regular(7, 9), 0.05)
