@@ -55,6 +55,7 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
     headers, names, sources = [], [], []
     for path in paths:
         with StageFile(path, "tracks") as tracks:
+            gel_model.check_scale(tracks, known)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
         sources.append(readings.digest(path))

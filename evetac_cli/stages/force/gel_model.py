@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field
 from evetac_cli.kernels.force.gel_forces import Errors, Forces, GelNetwork, Scale, Stiffness
@@ -139,6 +140,24 @@ def known_of(sensor: str | None) -> dict[str, Any]:
     _, row = sensor_file.read(Path(sensor), scene.sensor_row)
     named = read_toml(Path(sensor))
     return {key: value for key, value in row.items() if key in named}
+
+
+def check_scale(tracks: StageFile, known: Mapping[str, Any]) -> None:
+    """InputError for tracks of another frame than an Evetac's, unless it is known how large a pixel is on the gel.
+
+    Displacements in mm would be wrong by the ratio of the scales, and forces by its square.
+    """
+    width, height = (int(size) for size in tracks.read("sensor/frame_px"))
+    if (width, height) == FRAME_PX or "mm_per_px" in known:
+        return
+    raise InputError(
+        "how large a pixel is on the gel is not known for this frame",
+        where=str(tracks.path),
+        expected="{} x {} px, or --sensor with mm_per_px".format(*FRAME_PX),
+        found=f"{width} x {height} px",
+        hint='write like = "evetac" and mm_per_px, by a ruler laid on the gel, into mine.sensor.toml;'
+        " --sensor mine.sensor.toml",
+    )
 
 
 def over_modulus(model: GelModel, tracks: StageFile, mm_per_px: float) -> tuple[Floats, Floats]:

@@ -71,6 +71,8 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
                 found=name,
                 hint="adapt the model that it was made from to this sensor, or leave out --model",
             )
+        if model.adapted is None:
+            gel_model.check_scale(tracks, known)
         recipe = Recipe(OUTPUT, METHOD, chosen, parents=(tracks.header, model_header))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)

@@ -98,7 +98,10 @@ class Follower:
             self.notes = [f"no slip: {str(error).splitlines()[0]}"]
             constants = tracker.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
-        self._force = _ForceModel(sensor, self._tracking)
+        if self.frame_px == FRAME_PX:
+            self._force = _ForceModel(sensor, self._tracking)
+        else:  # how large its pixels are on the gel is not known
+            self.notes.append("no force: the frame is not {} x {} px".format(*FRAME_PX))
         self._next = max(0, self._shared.slices - SHOWN_MS)  # more came while this was loaded
 
     def sample(self) -> dict[str, Any]:

@@ -20,6 +20,7 @@ def write_trial(
     normal_n: NDArray[np.floating[Any]],
     shear_n: NDArray[np.floating[Any]],
     sensor_name: str,
+    frame_px: tuple[int, int] = (640, 480),
 ) -> Path:
     """A recording, with truth if it is simulated, and the tracks of its dots; the tracks' path.
 
@@ -27,7 +28,7 @@ def write_trial(
     """
     slices = len(dots_px)
     sensor = {
-        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/frame_px": np.array(frame_px, np.int32),
         "sensor/name": sensor_name,
         "sensor/dot_xy_px": grid_px,
         "sensor/dot_radius_px": np.float64(15.0),

@@ -48,8 +48,9 @@ def trial(
     normal_n: float = NORMAL_N,
     name: str = "evetac",
     truth: bool = True,
+    smaller: int = 1,
 ) -> Path:
-    """A recording without events, its truth and the tracks of its dots; the tracks' path."""
+    """A recording without events, its truth and the tracks of its dots, on a smaller frame; the path of the tracks."""
     row = sensor_row(stiffer)
     grid = np.array(dot_grid(row, False) if grid_px is None else grid_px)
     rest_px = grid.reshape(-1, 2)
@@ -71,7 +72,8 @@ def trial(
     moved_m = shift_m[:, None] + pressed[:, None, None] * spread_m
     dots = (rest_px + moved_m * 1e3 / row["mm_per_px"]).astype(np.float32)
     made = Recipe("recording", 1, {"sensor_row": row, "dots": len(rest_px)}, seed=number, simulated_source=truth)
-    return write_trial(folder, made, grid, dots, normal_n * pressed, shear_n, name)
+    frame_px = (640 // smaller, 480 // smaller)
+    return write_trial(folder, made, grid / smaller, dots / smaller, normal_n * pressed, shear_n, name, frame_px)
 
 
 def predicted(path: Path, chosen: PredictForce, out: Path) -> dict[str, Any]:
@@ -85,9 +87,10 @@ def true_shear(path: Path) -> Any:
         return recording.read("truth/shear_force_n")
 
 
-def own_sensor(folder: Path, stiffer: float) -> str:
+def own_sensor(folder: Path, stiffer: float, smaller: int = 1) -> str:
     path = folder / f"{stiffer}.sensor.toml"
     row = sensor_row(stiffer)
+    row["mm_per_px"] *= smaller
     lines = [f"{key} = {row[key]}" for key in ("mm_per_px", "shear_modulus_pa", "normal_modulus_pa")]
     path.write_text("\n".join(['like = "evetac"', *lines, "[creep]", "share = [0.0]", "time_s = [1.0]"]))
     return str(path)
@@ -131,6 +134,25 @@ def test_other_grids(tmp_path: Path, pitch_px: float) -> None:
     path = trial(tmp_path, 0, grid_px=np.stack(np.meshgrid(x, y), axis=-1))
     estimated = predicted(path, PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
     close(estimated, true_shear(path))
+
+
+@pytest.mark.parametrize("smaller", [2, 4])
+def test_the_scale_of_another_frame_has_to_be_known(tmp_path: Path, smaller: int) -> None:
+    """Assert that forces on a smaller frame are refused until its scale is known, and then those of a whole one."""
+    path = trial(tmp_path, 0, smaller=smaller)
+    (tmp_path / "gel.sensor.toml").write_text('like = "evetac"\nshear_modulus_pa = 1e5\n')
+    for stage, chosen in (
+        (predict_force, PredictForce()),
+        (predict_force, PredictForce(sensor=str(tmp_path / "gel.sensor.toml"))),
+        (train_force, ADAPT),
+    ):
+        with pytest.raises(InputError, match=r"how large a pixel is on the gel(.|\n)*mm_per_px"):
+            run(stage, [path], chosen, tmp_path / "refused.h5")
+    assert not (tmp_path / "refused.h5").exists()
+    known = own_sensor(tmp_path, 1.0, smaller)
+    close(predicted(path, PredictForce(sensor=known), tmp_path), true_shear(path))
+    own, _ = run(train_force, [path], replace(ADAPT, sensor=known), tmp_path / "own.force-model.h5")
+    close(predicted(path, PredictForce(model=own), tmp_path / "adapted.forces.h5"), true_shear(path))
 
 
 def test_lost_dots(tmp_path: Path) -> None:

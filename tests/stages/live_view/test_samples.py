@@ -95,6 +95,17 @@ def test_another_grid_is_tracked_without_slip(made: Made) -> None:
     assert follower.sample()["probability"] is None
 
 
+def test_forces_are_of_a_frame_whose_scale_is_known(made: Made) -> None:
+    """Assert that on another frame than an Evetac's no force is shown, which is said."""
+    with open_recording(made.recordings[0]) as recording:
+        sensor = recording.sensor_datasets()
+    for frame_px, shown in (((640, 480), True), ((800, 600), False)):
+        follower = Follower(SharedView())
+        follower.begin({**sensor, "sensor/frame_px": np.array(frame_px, np.int32)}, refuse)
+        assert ("normal_n" in follower.sample()) == shown
+        assert any("no force" in note for note in follower.notes) != shown
+
+
 def test_a_picture_counts_the_events_of_each_polarity() -> None:
     """Assert each pixel's counts, clipped, of the latest SHOWN_MS slices alone, without what lies beside the frame."""
     shared = SharedView()
