@@ -63,7 +63,7 @@ ASKS = {  # what a message asks for, and the command that it has to name: the on
 def messages() -> list[tuple[str, str]]:
     """Where an error of ours is raised, and its message, what is expected and its hint, as the source has them."""
     kinds = {name for name, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, Exception)}
-    found = []
+    texts = []
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") in kinds and node.args:
@@ -71,8 +71,8 @@ def messages() -> list[tuple[str, str]]:
                 text = " ".join(map(ast.unparse, parts))
                 for name, words in (("MAKE_GRID", MAKE_GRID), ("MAKE_MODEL", errors.MAKE_MODEL)):
                     text = text.replace(name, words)
-                found.append((f"{path.relative_to(PACKAGE)}:{node.lineno}", text))
-    return found
+                texts.append((f"{path.relative_to(PACKAGE)}:{node.lineno}", text))
+    return texts
 
 
 @pytest.mark.parametrize("asked", ASKS)

@@ -159,7 +159,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
     """Read the official software's pickle, JSON, or the dots of a sensor's TOML file, and write them as ours."""
     (source,) = job.inputs
     if source.suffix == ".json":
-        calibration = read_calibration(source)
+        calibration = calibrated_gel.rearranged(read_calibration(source), params, str(source))
     elif source.suffix == sensor_file.SUFFIX:
         calibration = _of_sensor(source, params)
     else:

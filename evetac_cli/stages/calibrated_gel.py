@@ -4,6 +4,7 @@ What is known of it beforehand is an Evetac's size, what the flags say, and what
 dots are held against that. What they leave open is asked for: a wrong window makes wrong labels without a word.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -50,63 +51,70 @@ def check_options(params: Calibrate) -> None:
         raise _too_many(size, params.rows * params.columns)
     given = {"--gel": params.gel is not None, size: params.rows is not None, "--irregular": params.irregular}
     unused = [flag for flag in given if given[flag]]
-    suffix = "" if params.source is None else params.source.suffix
-    if params.refine is not None:
-        source = "--refine"
-    elif suffix in (".json", sensor_file.SUFFIX):
-        source = f"--import {params.source}"
-        unused = [flag for flag in unused if suffix == ".json" or flag != "--gel"]
-    else:
-        return
-    if unused:
+    of_sensor = params.source is not None and params.source.suffix == sensor_file.SUFFIX
+    if of_sensor:
+        unused = [flag for flag in unused if flag != "--gel"]
+    if unused and (of_sensor or params.refine is not None):
         raise InputError(
             "has no effect: the grid comes from a file that says it",
             where=", ".join(unused),
-            found=source,
+            found=f"--import {params.source}" if of_sensor else "--refine",
             hint=f"leave out {', '.join(unused)}",
         )
 
 
-def arranged(found: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
+def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
     """The dots of the whole gel, (rows, columns, 2), NaN where one is missing, and its window, None if it is closed.
 
     InputError if a part of the gel is missing, or if the dots do not say which gel it is.
     """
-    gel = params.gel or found.gel
+    gel = params.gel or seen.gel
     if params.irregular:
-        if len(found.places_px) > grid.MOST_DOTS:
-            raise _too_many(found.where, len(found.places_px))
-        dots = grid.one_row(found.places_px)
+        if len(seen.places_px) > grid.MOST_DOTS:
+            raise _too_many(seen.where, len(seen.places_px))
+        dots = grid.one_row(seen.places_px)
         if grid.pitch(dots) == 0.0:
-            raise InputError("several dots are at the same place", where=found.where)
-        return dots, _window(dots, gel, found)
-    told = None if params.rows is None or params.columns is None else (params.rows, params.columns)
-    size = told or SIZES.get(gel or "")
+            raise InputError("several dots are at the same place", where=seen.where)
+        return dots, _window(dots, gel, seen)
+    size_given = None if params.rows is None or params.columns is None else (params.rows, params.columns)
+    size = size_given or SIZES.get(gel or "")
     try:
-        dots = grid.lattice(found.places_px, size or (0, 0))
+        dots = grid.lattice(seen.places_px, size or (0, 0))
     except ValueError as error:
         raise InputError(
-            f"the dots do not form a grid: {error}", where=found.where, hint=_either(found.remedy, IRREGULAR)
+            f"the dots do not form a grid: {error}", where=seen.where, hint=_either(seen.remedy, IRREGULAR)
         ) from None
     if size is None:
-        if dots.shape[:2] != SIZES["closed"] or gel_layout.free_sides(dots, found.frame_px):
-            raise _which_gel(dots, found)
+        if dots.shape[:2] != SIZES["closed"] or gel_layout.free_sides(dots, seen.frame_px):
+            raise _which_gel(dots, seen)
         if _many_missing(dots):
-            raise _another_size(dots, SIZES["closed"], "closed", found, MANY_MISSING)
+            raise _another_size(dots, SIZES["closed"], "closed", seen, MANY_MISSING)
         return dots, None
     if gel == "cut" and dots.shape[:2] != size:
-        raise _another_size(dots, size, gel, found)
+        raise _another_size(dots, size, gel, seen)
     try:
-        whole = gel_layout.completed(dots, size, found.frame_px)
+        whole = gel_layout.completed(dots, size, seen.frame_px)
     except ValueError as error:
-        raise _another_size(dots, size, gel, found, str(error)) from None
+        raise _another_size(dots, size, gel, seen, str(error)) from None
     if _many_missing(whole):
-        raise _another_size(dots, size, gel, found, MANY_MISSING)
-    window = _window(whole, gel, found)
-    free = gel_layout.free_sides(whole, found.frame_px)
-    if told is None and len(free) > (window is not None):
-        raise _another_size(dots, size, gel, found, f"there is room for more dots: {', '.join(free)}")
+        raise _another_size(dots, size, gel, seen, MANY_MISSING)
+    window = _window(whole, gel, seen)
+    free = gel_layout.free_sides(whole, seen.frame_px)
+    if size_given is None and len(free) > (window is not None):
+        raise _another_size(dots, size, gel, seen, f"there is room for more dots: {', '.join(free)}")
     return whole, window
+
+
+def rearranged(calibration: Calibration, params: Calibrate, where: str) -> Calibration:
+    """The dots of a grid that was written by hand or by a program, arranged as the flags say; as it is without any."""
+    if params.gel is None and params.rows is None and not params.irregular:
+        return calibration
+    dots = calibration.dot_xy_px.reshape(-1, 2)
+    places = dots[np.isfinite(dots[:, 0])]
+    gel = None if calibration.window_px is None else "cut"
+    seen = FoundDots(places, calibration.dot_radius_px, calibration.frame_px, where, "", gel, calibration.window_px)
+    arranged_dots, window = arranged(seen, params)
+    return replace(calibration, dot_xy_px=arranged_dots, window_px=window)
 
 
 def notes(calibration: Calibration) -> list[str]:
@@ -134,22 +142,22 @@ def _as_a_grid(places_px: Grid) -> str:
     return f"these dots are in {rows} rows and {columns} columns: given as a grid, networks of dots could take them"
 
 
-def _window(dots: Grid, gel: str | None, found: FoundDots) -> Window | None:
+def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
     """Where the window is, None for a closed gel, also where nothing is said and there is no room; InputError."""
-    if gel == "closed" or (gel is None and not gel_layout.free_sides(dots, found.frame_px)):
+    if gel == "closed" or (gel is None and not gel_layout.free_sides(dots, seen.frame_px)):
         return None
-    if gel is not None and found.window_px is not None:
-        return found.window_px
+    if gel is not None and seen.window_px is not None:
+        return seen.window_px
     try:
-        side, window = gel_layout.window(dots, found.radius_px, found.frame_px)
+        side, window = gel_layout.window(dots, seen.radius_px, seen.frame_px)
     except ValueError as error:
         if gel is None:
             hint = f"--gel closed says that there is none; {BY_HAND}"
         else:
             hint = f"--gel closed if there is none, {BY_HAND}"
-        raise InputError(f"where the window is cannot be told: {error}", where=found.where, hint=hint) from None
+        raise InputError(f"where the window is cannot be told: {error}", where=seen.where, hint=hint) from None
     if gel is None:
-        raise _asked(dots, side, window, found)
+        raise _asked(dots, side, window, seen)
     return window
 
 
@@ -157,43 +165,43 @@ def _many_missing(dots: Grid) -> bool:
     return bool(np.isnan(dots[..., 0]).mean() > MOST_MISSING)
 
 
-def _which_gel(dots: Grid, found: FoundDots) -> InputError:
+def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
     """For dots that are not those of a closed Evetac, where nothing says what else they are."""
     rows, columns = dots.shape[:2]
     as_it_is = f"--rows {rows} --columns {columns}"
     if (rows, columns) == SIZES["cut"]:
         try:
-            side, window = gel_layout.window(dots, found.radius_px, found.frame_px)
+            side, window = gel_layout.window(dots, seen.radius_px, seen.frame_px)
         except ValueError:
             pass
         else:
-            return _asked(dots, side, window, found)
+            return _asked(dots, side, window, seen)
     elif (rows, columns) == SIZES["closed"]:
-        free = ", ".join(gel_layout.free_sides(dots, found.frame_px))
+        free = ", ".join(gel_layout.free_sides(dots, seen.frame_px))
         return InputError(
             "there is room for more dots than those of an Evetac",
-            where=found.where,
+            where=seen.where,
             expected="dots that fill the frame",
             found=f"{_in_words(dots)}; room: {free}",
             hint=f"{as_it_is} --gel closed says that these are all",
         )
     if (columns, rows) in SIZES.values():
-        return _turned(dots, found)
+        return _turned(dots, seen)
     try:
-        whole = gel_layout.completed(dots, SIZES["closed"], found.frame_px)
+        whole = gel_layout.completed(dots, SIZES["closed"], seen.frame_px)
         worn = "" if _many_missing(whole) else "--gel closed if the others are worn"
     except ValueError:
         worn = ""
     return InputError(
         "this is not the whole grid of an Evetac",
-        where=found.where,
+        where=seen.where,
         expected=_sizes(),
         found=_in_words(dots),
-        hint=_either(found.remedy, worn, f"{as_it_is} if the gel has no more", REFINE),
+        hint=_either(seen.remedy, worn, f"{as_it_is} if the gel has no more", REFINE),
     )
 
 
-def _turned(dots: Grid, found: FoundDots) -> InputError:
+def _turned(dots: Grid, seen: FoundDots) -> InputError:
     """For dots with the rows and columns of an Evetac exchanged."""
     rows, columns = dots.shape[:2]
     as_it_is = f"--rows {rows} --columns {columns}"
@@ -204,31 +212,31 @@ def _turned(dots: Grid, found: FoundDots) -> InputError:
         hint += " if a row does not show"
     return InputError(
         "these are the dots of an Evetac that is turned by 90 degrees",
-        where=found.where,
+        where=seen.where,
         expected=_sizes(),
         found=_in_words(dots),
         hint=hint,
     )
 
 
-def _asked(dots: Grid, side: str, window: Window, found: FoundDots) -> InputError:
+def _asked(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
     """For dots that leave room on one side."""
     what = "column" if side in ("left", "right") else "row"
     place = " ".join(map(str, window))
     return InputError(
         f"is the gel cut, or does a {what} of dots not show? There is room for either at the {side}",
-        where=found.where,
+        where=seen.where,
         expected=f"--gel cut for a window there (window_px {place}), --gel closed for a {what} that is worn or missing",
         found=_in_words(dots),
-        hint=_either("--gel cut or --gel closed", found.remedy and f"if the {what} was not pressed: {found.remedy}"),
+        hint=_either("--gel cut or --gel closed", seen.remedy and f"if the {what} was not pressed: {seen.remedy}"),
     )
 
 
-def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, found: FoundDots, why: str = "") -> InputError:
+def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: FoundDots, why: str = "") -> InputError:
     """For a grid that is not the one that was said or taken for granted."""
     shape = rows, columns = dots.shape[:2]
     if size in SIZES.values() and shape == size[::-1]:
-        return _turned(dots, found)
+        return _turned(dots, seen)
     lacks = rows < size[0] or columns < size[1] or _many_missing(dots)
     if shape == size:
         hint = REFINE
@@ -238,10 +246,10 @@ def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, found: Fou
         hint = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no other dots"
     return InputError(
         f"these are not the dots of the gel{f': {why}' if why else ''}",
-        where=found.where,
+        where=seen.where,
         expected=f"{size[0]} rows and {size[1]} columns" + (f" of a {gel} gel" if gel else ""),
         found=_in_words(dots),
-        hint=_either(found.remedy if lacks else "", hint),
+        hint=_either(seen.remedy if lacks else "", hint),
     )
 
 

@@ -216,10 +216,10 @@ WAYS = {  # how a sensor can be mounted: places and size of the frame from those
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_an_onset_does_not_depend_on_the_mounting(made: Made, tmp_path: Path, way: str) -> None:
+@pytest.mark.parametrize("mounting", WAYS)
+def test_an_onset_does_not_depend_on_the_mounting(made: Made, tmp_path: Path, mounting: str) -> None:
     """Assert that a recording is labelled alike wherever in the frame its window is."""
-    place, frame_px = WAYS[way]
+    place, frame_px = WAYS[mounting]
     with open_recording(made.recordings[0]) as upright:
         expected = label.compute(upright, Label(after_ms=15))
         window, gel = label.regions(upright)

@@ -45,13 +45,13 @@ def completed(dot_xy_px: Grid, size: tuple[int, int], frame_px: tuple[int, int])
     are more rows or columns already.
     """
     left, top, right, bottom = margins(dot_xy_px, frame_px)
-    found = dot_xy_px.shape[:2]
+    shown = dot_xy_px.shape[:2]
     first = (
-        _missing_before("row", size[0] - found[0], top, bottom),
-        _missing_before("column", size[1] - found[1], left, right),
+        _missing_before("row", size[0] - shown[0], top, bottom),
+        _missing_before("column", size[1] - shown[1], left, right),
     )
     whole = np.full((*size, 2), np.nan)
-    whole[first[0] : first[0] + found[0], first[1] : first[1] + found[1]] = dot_xy_px
+    whole[first[0] : first[0] + shown[0], first[1] : first[1] + shown[1]] = dot_xy_px
     return whole
 
 

@@ -124,13 +124,13 @@ def _next_door(offset: NDArray[np.float64], axis: int, step_px: float | None) ->
     step_px: None for the usual distance to the nearest place in that direction.
     """
     distance = np.linalg.norm(offset, axis=2)
-    ahead = offset[..., axis] > TURNED * distance
+    towards = offset[..., axis] > TURNED * distance
     if step_px is None:
-        nearest = np.where(ahead, distance, np.inf).min(axis=1)
+        nearest = np.where(towards, distance, np.inf).min(axis=1)
         if not np.isfinite(nearest).any():
-            return np.asarray(ahead, np.bool_)
+            return np.asarray(towards, np.bool_)
         step_px = float(np.median(nearest[np.isfinite(nearest)]))
-    return np.asarray(ahead & (np.abs(distance - step_px) < NEXT_DOOR * step_px), np.bool_)
+    return np.asarray(towards & (np.abs(distance - step_px) < NEXT_DOOR * step_px), np.bool_)
 
 
 def _largest_piece(
