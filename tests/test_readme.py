@@ -159,11 +159,13 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
 # What sentences of README and docs say, filled from a row of a table: page, table, what names the row, the words.
 QUOTES: tuple[tuple[str, str, dict[str, Any], str], ...] = (
     ("README.md", "grasps-shipped", {"setting": "paper"}, "paper's controller holds {success:.0%} of objects 1 to 20"),
-    ("README.md", "grasps-shipped", {"setting": "load-proportional"}, "(`load-proportional`) {success:.0%} (simulated"),
-    ("docs/results.md", "grasps", {"setting": "paper"}, "That {success:.2f} stands beside the paper's {paper_success}"),
+    ("README.md", "grasps-shipped", {"setting": "load-proportional"}, "(`load-proportional`) {success:.0%}, with a"),
+    ("README.md", "grasps-shipped", {"setting": "load-proportional"}, "grip ({force_end_n:.2f} N for "),
+    ("README.md", "grasps-shipped", {"setting": "paper"}, " N for {force_end_n:.2f} N at the end"),
+    ("docs/results.md", "grasps", {"setting": "paper"}, "that {success:.2f} stood beside the paper's {paper_success}"),
     (
         "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 12},
-        "object 12 (38 g) is held with {force_end_n:.1f} N",
+        "object 12 (38 g) was held with {force_end_n:.1f} N",
     ),
     (
         "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 18},
@@ -175,11 +177,11 @@ QUOTES: tuple[tuple[str, str, dict[str, Any], str], ...] = (
     ),
     (
         "docs/results.md", "grasp-robustness", {"setting": "load-proportional, second, closed gel"},
-        "gel it keeps {success:.2f}",
+        "gel it kept {success:.2f}",
     ),
     (
         "docs/results.md", "grasp-robustness", {"setting": "load-proportional, drop-100g"},
-        "slides by {moved_mm_median:.1f} mm",
+        "slid by {moved_mm_median:.1f} mm",
     ),
 )  # fmt: skip
 

@@ -26,7 +26,7 @@ class EvaluateSlip:
 
 @dataclass(frozen=True)
 class EvaluateDataRate:
-    """Compare the bytes a second of recordings with those of an RGB sensor: whole, in contact, and about slip."""
+    """Compare bytes a second with those of an RGB sensor: whole, in contact, about slip; all columns are counted."""
 
     event_bytes: int = parameter(5, "Size of an event: x, y and polarity.", unit="bytes", low=1, high=64)
     rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height, bytes a pixel.")
@@ -120,7 +120,8 @@ class EvaluateCost:
     )
     seed: int = parameter(
         10000,
-        "Seed of the first trial; no constant was chosen on seeds from 10,000 on.",
+        "Seed of the first trial; constants were chosen on seeds below 10,000, with exceptions that docs/results.md"
+        " names.",
         low=0,
         high=2**31 - 1 - 10000,
     )

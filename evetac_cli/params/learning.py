@@ -137,7 +137,8 @@ class Train:
         None,
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
         " on normalised features, samples made stronger and weaker, and the average of the weights over training;"
-        " default: paper, or with --adapt, which takes no other, adamw with small steps.",
+        " on simulated features it also learns, from the simulation's truth, which share of the contact slips."
+        " Default: paper, or with --adapt, which takes no other, adamw with small steps.",
         choices=("paper", "adam", "adamw"),
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)

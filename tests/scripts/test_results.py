@@ -1,13 +1,63 @@
 """scripts/results.py: tables say how they were made, the summary takes their cells, run times find their place."""
 
 import json
+import re
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
+from evetac_cli.kernels.labelling import event_flow
+from evetac_cli.kernels.slip.training import PRESETS
+from evetac_cli.params.learning import Train
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results
+
+WITH_TRUTH = 3  # method of featurize from which features of simulated recordings hold the share that slips
+
+DOCS = results.ROOT / "docs"
+
+
+def test_a_training_that_learns_truth_says_so() -> None:
+    """Assert that presets which learn from the simulation's truth say it: in help, in concepts, beside each table."""
+    learn_truth = [name for name, preset in PRESETS.items() if preset.share_weight]
+    assert learn_truth
+    (said,) = (item.metadata["help"] for item in fields(Train) if item.name == "preset")
+    concepts = (DOCS / "concepts.md").read_text()
+    shown = 0
+    for name in learn_truth:
+        assert "truth" in said.partition(f"{name}:")[2]
+        assert "truth" in next(line for line in concepts.splitlines() if line.startswith(f"| | `{name}` |"))
+        for path in sorted((DOCS / "results").glob("*.json")):
+            result = json.loads(path.read_text())
+            rows = json.dumps(result.get("rows", []))
+            if f" {name}," in rows and result["methods"].get("featurize", 0) >= WITH_TRUTH:
+                shown += 1
+                assert any(f"`{name}`" in note and "truth" in note for note in result["notes"]), path.name
+    assert shown == 3
+
+
+def test_the_seeds_that_constants_of_the_labels_saw_are_named() -> None:
+    """Assert that the page of results names each seed that the labels were tuned on, some of which it tests on."""
+    text = event_flow.__doc__ or ""
+    tuned = {int(seed) for seed in re.findall(r"\d+", text.partition("with seeds ")[2].partition(".")[0])}
+    assert tuned == {0, 20, 1000, 1500}
+    page = (DOCS / "results.md").read_text().partition("## Make them again")[0]
+    for seed in tuned:
+        assert re.search(rf"\b{seed}\b", page)
+    for name in ("slip-training-objects", "slip-unseen-objects"):
+        seeds = json.loads((DOCS / "results" / f"{name}.json").read_text())["sizes"]["recording_seeds"]
+        assert set(seeds) <= tuned  # once they are others, the page has to say something else
+
+
+def test_grasps_say_how_long_they_lasted() -> None:
+    """Assert that the summary's grasps name lift and balance as the table does, and the paper's."""
+    title = json.loads((DOCS / "results" / "grasps-shipped.json").read_text())["title"]
+    assert "3.5 s of lift and 1 s of balance" in title
+    (line,) = (one.what for one in results.SUMMARY if one.table == "grasps-shipped" and one.row == {"setting": "paper"})
+    assert all(words in line for words in ("3.5 s", "1 s", "10 s", "20 s"))
 
 
 def test_rows_are_put_into_a_page(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def evaluated(command: str = "", simulated: bool = True, scene: str = "", preset
         ("evaluate vibration", "share", {"method": "default"}, evaluated(scene="vibration"), OTHER),
         ("evaluate data-rate", "share_mean", {}, evaluated(scene="data-rate"), FITTED),
         ("evaluate data-rate", "share_mean", {}, evaluated(scene="slip"), None),
-        ("evaluate data-rate", "share_mean", {}, evaluated(simulated=False), SAME),
+        ("evaluate data-rate", "share_mean", {}, evaluated(simulated=False), OTHER),
     ],
 )
 def test_marks(command: str, key: str, row: dict[str, Any], report_: Found, mark: str | None) -> None:
