@@ -77,7 +77,7 @@ def measure(results: Path) -> None:
 @contextmanager
 def busy_loops(count: int) -> Iterator[None]:
     """So many programs beside us that always want a core."""
-    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    loops = [subprocess.Popen([sys.executable, "-P", "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
     finally:

@@ -30,6 +30,7 @@ DOORS = {
     "kernel_cache.py": {"TemporaryDirectory", "gettempdir", "mkdtemp"},
     "numerics/labels.py": {"TemporaryDirectory"},
     "numerics/pipeline/cost.py": {"TemporaryDirectory"},
+    "realtime/last_words.py": {"RawArray"},
     "realtime/live_page/server.py": {"bind_sockets"},
     "realtime/live_page/shared_view.py": {"RawArray"},
     "realtime/shared_status.py": {"RawArray"},

@@ -224,7 +224,7 @@ def dask(stage: Stage) -> Iterator[Row]:
     """A cluster of `--engine dask`."""
     stage.others("lay_scratch", folder=str(stage.temporary))
     with stage.owners("record --scene slip --object 1-20 --count 3 -o dask --engine dask --jobs 2 -q") as program:
-        program.until(lambda: len(list(stage.work.glob("dask/*.part"))) >= 2)
+        program.until(lambda: len(list(stage.work.glob("dask/.*obj*.tmp"))) >= 2)
         yield from stage.others("dask", owner=OWNER)
         yield from stage.others("files", owner=OWNER, folder=str(stage.temporary), seconds=3.0)
         yield from stage.others("memory", owner=OWNER)
@@ -370,7 +370,7 @@ def output(stage: Stage) -> Iterator[Row]:
 
     for number, how in enumerate(("a folder", "a link")):
         name = f"part{number}.recording"
-        command = f"record --scene slip --object 8 -o {stage.shared / name}.h5 -q"
+        command = f"record --camera virtual:prepared=10000 --gripper none --seconds 1 -o {stage.shared / name}.h5 -q"
         if how == "a folder":
             with (
                 stage.meanwhile("lay_part_folder", folder=str(stage.shared), name=name, precious=str(stage.precious)),

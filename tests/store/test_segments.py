@@ -252,17 +252,17 @@ def test_folders_of_others_are_not_deleted(tmp_path: Path) -> None:
     assert precious.is_dir()
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "000000.txt", "1.h5", "lock.bak", ".hidden", "a.recording.h5"])
+@pytest.mark.parametrize("name", ["notes.txt", "static.txt", "late.h5.old", "lock.bak", ".hidden", "a.recording.h5"])
 def test_files_of_others_are_not_deleted(tmp_path: Path, name: str) -> None:
     """Assert that a file that no recording makes is named and stays, and so does all beside it."""
     folder = tmp_path / "a.recording.part"
     folder.mkdir()
-    for file in (name, "000000.tmp"):
+    for file in (name, "static.tmp"):
         (folder / file).write_text("x")
     with pytest.raises(InputError, match="not from a recording") as refused:
-        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert name in str(refused.value)
-    assert everything(folder) == sorted(["lock", name, "000000.tmp"])
+    assert everything(folder) == sorted(["lock", name, "static.tmp"])
 
 
 def test_a_link_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ def test_a_link_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     for target in (precious, tmp_path / "nothing", precious / "keys"):
         link.symlink_to(target)
         with pytest.raises(InputError):
-            RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+            RecordingWriter(tmp_path / "a.recording.h5", STATIC)
         assert link.is_symlink()
         link.unlink()
     assert everything(tmp_path) == ["precious", "precious/keys"]
@@ -287,7 +287,7 @@ def test_a_folder_of_another_user_is_not_recorded_into(tmp_path: Path) -> None:
     folder.mkdir()
     os.chown(folder, 64002, 64002)
     with pytest.raises(InputError, match="another user"):
-        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert everything(folder) == []
 
 
@@ -295,7 +295,7 @@ def test_a_link_in_place_of_a_segment_is_not_followed(tmp_path: Path) -> None:
     """Assert that a segment is written into a new file, and what a link of its name leads to stays as it is."""
     precious = tmp_path / "precious"
     precious.write_text("x")
-    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+    writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     (writer.folder / "000000.tmp").symlink_to(precious)
     writer.append(some_events(0, 3))
     with pytest.raises(InputError, match="cannot be written"):
