@@ -1,19 +1,30 @@
 """What can go wrong, and the exit code it ends with.
 
     EvetacError (1)
+      UnavailableError    a file cannot be read now, whatever it holds: another program has it, or the system refuses
+      MissingLibrary      a library that only some commands need is not installed
       InputError (2)      a file, flag or value given by the user is not what was expected
+        ForeignFile       an HDF5 file that another program made
         SchemaError       a file does not hold what its schema says
         SceneError        a scene names what does not exist, or a value out of range
       DeviceError (3)     a camera or gripper failed
         DeviceTimeout     ... or did not answer in time
+
+Why UnavailableError is no InputError: whoever takes an InputError for "this file is wrong" may replace the file, leave
+it out or call it invalid. Of a file that could not be looked at nothing is known.
 
 Kernels raise ValueError; the stage that calls them knows where the value came from and says so.
 
 Where files were made all the same, an error or Ctrl-C takes along what came of them: `attach_outcome`.
 """
 
+import errno
+import os
+import shlex
+import shutil
 import signal
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,6 +43,7 @@ EXTRAS = {
     "log": ("tensorboard",),
     "robot": ("mujoco", "gymnasium", "cma"),
 }
+PACKAGE = Path(__file__).resolve().parent
 # What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
 INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}
 # The commands that make each kind of file; a recording is made by grasp, trim and repair, too.
@@ -102,6 +114,18 @@ class InputError(EvetacError):
     exit_code = 2
 
 
+class UnavailableError(EvetacError):
+    """A file cannot be read now, whatever it holds: another program has it, or the system refuses (exit code 1)."""
+
+
+class MissingLibrary(EvetacError):
+    """A library that only some commands need is not installed (exit code 1)."""
+
+
+class ForeignFile(InputError):
+    """An HDF5 file that another program made (exit code 2)."""
+
+
 class SchemaError(InputError):
     """A file does not hold what its schema says (exit code 2)."""
 
@@ -120,6 +144,90 @@ class DeviceTimeout(DeviceError, TimeoutError):
     """A device did not answer in time (exit code 3)."""
 
 
+# What the system refuses ----------------------------------------------------------------------------------------------
+
+# The name that was given is wrong; every other reason may pass, and says nothing of the file.
+WRONG_NAME = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG)
+BUSY = (errno.EAGAIN, errno.EBUSY, errno.ETXTBSY)
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+MOST_PROGRAMS = 3  # that are named
+NETWORK = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "glusterfs", "afs", "9p", "fuse.sshfs")
+READ_WITHOUT_LOCKS = "HDF5_USE_FILE_LOCKING=FALSE before the command reads it without one"
+
+
+def unreadable(error: OSError, path: Path) -> EvetacError:
+    """What it means that the system does not let a file be opened or read.
+
+    InputError where the name is wrong, UnavailableError in all other cases; a hint where one is true.
+    """
+    where, said = str(path), error.strerror or str(error)
+    if error.errno is not None and error.strerror is not None:
+        said = os.strerror(error.errno)  # h5py puts its own words there
+    number = error.errno
+    if number in WRONG_NAME:
+        return InputError(f"cannot be opened: {said}", where=where)
+    if number in BUSY:
+        return _busy(path)
+    found = hint = ""
+    if number in NO_LOCKS:
+        hint = f"this storage has no locks; where no program writes the file, {READ_WITHOUT_LOCKS}"
+    elif number in (errno.EACCES, errno.EPERM):
+        found = _rights(path)
+        hint = "ask its owner, or whoever keeps this computer, for the right to read it"
+    elif number == errno.ESTALE:
+        hint = "the network folder changed on its server: try again, or mount it again"
+    elif number in (errno.EMFILE, errno.ENFILE):
+        hint = "`ulimit -n` says how many files may be open, `ulimit -n NUMBER` allows more"
+    elif number == errno.EIO:
+        hint = "the disk, or the network behind it, fails: `dmesg` may say more"
+    return UnavailableError(f"cannot be opened: {said}", where=where, found=found, hint=hint)
+
+
+def _busy(path: Path) -> UnavailableError:
+    named = programs_using(path)
+    hint = "close it there, or wait until it is done"
+    if not named and _is_on_network(path):
+        hint += f"; where no program writes it, on no computer, the lock is a left-over: {READ_WITHOUT_LOCKS}"
+    more = f" and {len(named) - MOST_PROGRAMS} more" if len(named) > MOST_PROGRAMS else ""
+    found = f"used by {', '.join(named[:MOST_PROGRAMS])}{more}" if named else ""
+    return UnavailableError("another program has this file open for writing", where=str(path), found=found, hint=hint)
+
+
+def programs_using(path: Path, proc: Path = Path("/proc")) -> list[str]:
+    """Programs of this user, other than this one, that have a file open, as `name (pid)`; nobody can see the others."""
+    wanted = path.resolve()
+    users = []
+    for entry in proc.glob("[0-9]*"):
+        with suppress(OSError):
+            if entry.name != str(os.getpid()) and any(link.readlink() == wanted for link in (entry / "fd").iterdir()):
+                users.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
+    return sorted(users)
+
+
+def _rights(path: Path) -> str:
+    """What owner, group and others may do with a file, in octal digits, and whose it is; empty where that is hidden."""
+    with suppress(OSError, KeyError):
+        status = path.stat()
+        return f"mode {status.st_mode & 0o777:04o}, owner {path.owner()}"
+    return ""
+
+
+def _is_on_network(path: Path, mounts: Path = Path("/proc/mounts")) -> bool:
+    """Whether a file lies in a folder of another computer, as far as this one knows."""
+    kind, longest = "", -1
+    with suppress(OSError):
+        inside = os.fsencode(path.resolve())
+        for line in mounts.read_bytes().splitlines():
+            _, place, type_, *_ = line.split(b" ")
+            place = place.replace(b"\\040", b" ")
+            if len(place) > longest and (inside + b"/").startswith(place.rstrip(b"/") + b"/"):
+                kind, longest = type_.decode(errors="replace"), len(place)
+    return kind.startswith(NETWORK)
+
+
+# What is not installed ------------------------------------------------------------------------------------------------
+
+
 def missing_library(error: BaseException | None) -> EvetacError | None:
     """A library of somebody else's that is not installed, in words; None for every other error."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
@@ -128,19 +236,96 @@ def missing_library(error: BaseException | None) -> EvetacError | None:
     if name == __package__:
         return None
     extra = next((extra for extra, names in EXTRAS.items() if name in names), "")
-    return EvetacError(f"the library {name} is not installed", hint=install_hint(extra))
+    return missing_extra(f"the library {name} is not installed", extra)
+
+
+def missing_extra(
+    message: str, extra: str, *, where: str = "", error: Exception | None = None, found: str = "", otherwise: str = ""
+) -> MissingLibrary:
+    """That a library of one of EXTRAS is not there, or does not load (`error`), and how to install it.
+
+    otherwise: what can be done without it.
+    """
+    hint = install_hint(extra) + (f", or {otherwise}" if otherwise else "")
+    return MissingLibrary(message, where=where, found=found or (str(error) if error else ""), hint=hint)
 
 
 def install_hint(extra: str = "") -> str:
     """How to install evetac, and one of EXTRAS with it, into the environment that it runs in.
 
-    From a clone, for there is no distribution of this name on the package index. pipx and uv make the environment anew,
-    so that extras which are there are named too.
+    From where it came: a clone that is at hand, the address that pip wrote down, else the package index by name. pipx
+    and uv make the environment anew, so that extras which are there are named too.
     """
-    way = next((way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file()), None)
+    way = next((way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file()), "")
     there = [name for name, modules in EXTRAS.items() if all(map(find_spec, modules))] if way else []
-    extras = ",".join(dict.fromkeys([*there, extra] if extra else there))
-    return f"in the clone: {way or 'pip install'} " + (f"'.[{extras}]'" if extras else ".")
+    listed = ",".join(dict.fromkeys([*there, extra] if extra else there))
+    extras = f"[{listed}]" if listed else ""
+    origin = _origin()
+    local = _local(str(origin.get("url", "")))
+    clone = next((one for one in (PACKAGE.parent, local) if one and (one / "pyproject.toml").is_file()), None)
+    editable = "--editable " if not way and clone == local and origin.get("dir_info", {}).get("editable") else ""
+    way = way or pip("install")
+    if clone is not None and not _is_here(clone):
+        return f"{way} {editable}{shlex.quote(f'{clone}{extras}')}"
+    if clone is not None or not origin or (local is not None and not local.is_file()):
+        which = "the clone" if clone is not None else "a clone of evetac"
+        return f"in {which}: {way} {editable}{shlex.quote(f'.{extras}')}"
+    return f"{way} {shlex.quote(f'evetac{extras}{_address(origin)}')}"
+
+
+def _is_here(folder: Path) -> bool:
+    try:
+        return folder.samefile(os.curdir)
+    except OSError:  # the working folder is gone
+        return False
+
+
+def pip(action: str) -> str:
+    """How to call pip so that it works on the environment in which this program runs."""
+    found, python = shutil.which("pip"), shlex.quote(sys.executable)
+    if found is not None and Path(found).parent == Path(sys.executable).parent:
+        return f"pip {action}"
+    if find_spec("pip") is None and shutil.which("uv"):
+        return f"uv pip {action} --python {python}"
+    return f"{python} -m pip {action}"
+
+
+def _origin() -> dict[str, Any]:
+    """Where this very package was installed from, as pip writes it down (direct_url.json); nothing if it was not.
+
+    Of a package index it is {"index": True}, for which pip writes nothing.
+    """
+    import json  # with what follows, for an error that is about to be said: `evetac --help` does without
+    from importlib import metadata
+
+    with suppress(metadata.PackageNotFoundError, ValueError, OSError):
+        distribution = metadata.distribution("evetac")
+        text = distribution.read_text("direct_url.json")
+        origin: dict[str, Any] = json.loads(text) if text else {"index": True}
+        # Where another copy comes first on the path, what is said of the installed one does not hold.
+        if _local(str(origin.get("url", ""))) == PACKAGE.parent or (
+            Path(str(distribution.locate_file(PACKAGE.name))).resolve() == PACKAGE
+        ):
+            return origin
+    return {}
+
+
+def _local(url: str) -> Path | None:
+    """The file or folder that an address names; None for one elsewhere."""
+    from urllib.parse import unquote
+
+    return Path(unquote(url.removeprefix("file://"))).resolve() if url.startswith("file:///") else None
+
+
+def _address(origin: dict[str, Any]) -> str:
+    """An address as pip takes it behind a name (PEP 508), ` @ URL`; empty for a package index."""
+    if "url" not in origin:
+        return ""
+    version = origin.get("vcs_info", {})
+    system = f"{version['vcs']}+" if "vcs" in version else ""
+    wanted = version.get("requested_revision") or version.get("commit_id")
+    place = f"#subdirectory={origin['subdirectory']}" if "subdirectory" in origin else ""
+    return f" @ {system}{origin['url']}{f'@{wanted}' if wanted else ''}{place}"
 
 
 def made_by(kind: str) -> str:

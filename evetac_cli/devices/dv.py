@@ -15,7 +15,7 @@ import numpy as np
 
 from evetac_cli.devices.device_slices import DeviceSlices
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
-from evetac_cli.errors import DeviceError, install_hint
+from evetac_cli.errors import DeviceError, missing_extra
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 
 POLL_S = 0.0005
@@ -126,13 +126,11 @@ class DvCamera:
 
 
 def _library(where: str) -> Any:
-    """The module dv_processing; DeviceError if it is not installed."""
+    """The module dv_processing; MissingLibrary if it is not installed."""
     try:
         import dv_processing
     except ImportError as error:
-        raise DeviceError(
-            "dv-processing is not installed", where=where, found=str(error), hint=install_hint("camera")
-        ) from error
+        raise missing_extra("dv-processing is not installed", "camera", where=where, error=error) from error
     return dv_processing
 
 

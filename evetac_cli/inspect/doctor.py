@@ -20,7 +20,7 @@ from evetac_cli.devices.probe import FTDI, Host, SerialPort
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.devices.rh_p12_rn.measurements import BEYOND_TICKS
-from evetac_cli.errors import EXTRAS, DeviceError, install_hint
+from evetac_cli.errors import EXTRAS, DeviceError, install_hint, pip
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.inspection import Doctor
@@ -143,7 +143,7 @@ def check(device: str, check: str, ok: bool | None, result: str, expected: str =
 
 def _software(host: Host) -> Iterator[Row]:
     loads = host.has_libusb()
-    fix = "" if loads else "pip install --force-reinstall libusb-package"
+    fix = "" if loads else f"{pip('install')} --force-reinstall libusb-package"
     yield check("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
     missing = host.missing_libraries()
     state = f"without {', '.join(missing)}" if missing else "installed"
@@ -162,7 +162,7 @@ def _software(host: Host) -> Iterator[Row]:
         "one alone: they overwrite each other",
         ""
         if len(installed) == 1
-        else f"pip uninstall {' '.join(name.split()[0] for name in installed)}; pip install {OPENCV[-1]}",
+        else f"{pip('uninstall')} {' '.join(name.split()[0] for name in installed)}; {pip('install')} {OPENCV[-1]}",
     )
 
 

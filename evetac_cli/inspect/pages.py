@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import EvetacError, InputError, install_hint
+from evetac_cli.errors import EvetacError, InputError, missing_extra
 from evetac_cli.jobs import require_possible_name
 from evetac_cli.resources import DATA
 from evetac_cli.store.disk import taking_the_place_of
@@ -26,10 +26,10 @@ LONGEST_TEXT = 300
 
 
 def check_libraries(names: Iterable[str]) -> None:
-    """EvetacError, before any work is done, where a library that draws is missing."""
+    """MissingLibrary, before any work is done, where a library that draws is missing."""
     for name in names:
         if find_spec(name) is None:
-            raise EvetacError(f"{name}, which draws the page, is not installed", hint=install_hint("plot"))
+            raise missing_extra(f"{name}, which draws the page, is not installed", "plot")
 
 
 # Where a page goes ----------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.store.hdf5_text import TextTooLong, attribute_text, dataset_text
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
@@ -219,14 +219,11 @@ class CheckedHdf5:
             if not h5z.filter_avail(number):
                 with suppress(ImportError):
                     importlib.import_module("hdf5plugin")  # registers its filters
+            message = f"{name} is compressed with a filter that is not installed here"
+            if not h5z.filter_avail(number) and number == PROPHESEE_FILTER:
+                raise InputError(message, where=self.where, found=spoken, hint="convert it with Prophesee's tools")
             if not h5z.filter_avail(number):
-                prophesee = number == PROPHESEE_FILTER
-                raise InputError(
-                    f"{name} is compressed with a filter that is not installed here",
-                    where=self.where,
-                    found=spoken,
-                    hint="convert it with Prophesee's tools" if prophesee else install_hint("convert"),
-                )
+                raise missing_extra(message, "convert", where=self.where, found=spoken)
         if len({number for number, *_ in used}) < len(used):
             self._refuse(f"{name} is compressed twice with the same filter", "a filter that is named twice")
 

@@ -22,7 +22,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
-from evetac_cli.errors import DeviceTimeout
+from evetac_cli.errors import DeviceTimeout, install_hint
 from evetac_cli.inspect import doctor
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.inspection import Doctor
@@ -181,11 +181,11 @@ def test_software_and_disk(machine: Made, monkeypatch: pytest.MonkeyPatch) -> No
     assert list(faulty) == ["libusb", "libraries", "opencv", "free space"]
     assert (faulty["libraries"]["found"], faulty["libraries"]["fix"]) == (
         "without torch, onnx",
-        "in the clone: pip install .",
+        install_hint(),
     )
     assert "pip uninstall opencv-python opencv-contrib-python-headless" in faulty["opencv"]["fix"]
     extra = rows_of_device(result, "software")["extra convert"]
-    assert (extra["ok"], extra["fix"]) == (None, "in the clone: pip install '.[convert]'")
+    assert (extra["ok"], extra["fix"]) == (None, install_hint("convert"))
     assert extra["found"].startswith("without faery: no AEDAT4")
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
@@ -63,8 +63,7 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
     try:
         import pyarrow
     except ImportError as error:
-        hint = install_hint("convert")
-        raise InputError("CSV and Parquet need pyarrow", where=where, found=str(error), hint=hint) from None
+        raise missing_extra("CSV and Parquet need pyarrow", "convert", where=where, error=error) from None
     with _in_words(where, pyarrow.ArrowException):
         names, types, batches = _parquet(path) if is_parquet(path) else _csv(path)
         if len(names) > MOST_COLUMNS:

@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.aedat.aedat4_packets import is_whole
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
@@ -28,8 +28,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
     try:
         import faery
     except ImportError as error:
-        hint = install_hint("convert")
-        raise InputError("AEDAT4 needs faery", where=where, found=str(error), hint=hint) from None
+        raise missing_extra("AEDAT4 needs faery", "convert", where=where, error=error) from None
     offset_us = t_offset_us(recording)
     if recording.event_count and int(recording.events(0, 1).t[0]) + offset_us < 0:
         raise InputError(

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.read.bags.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
 from evetac_cli.formats.write.pieces import note_for, t_offset_us
@@ -134,8 +134,7 @@ def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[An
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
-        hint = install_hint("convert")
-        raise InputError("MCAP needs mcap and rosbags", where=where, found=str(error), hint=hint) from None
+        raise missing_extra("MCAP needs mcap and rosbags", "convert", where=where, error=error) from None
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(DEFINITION, PACKET))
 

@@ -23,7 +23,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.slice_columns import (
     Columns,
     Opener,
@@ -42,14 +42,13 @@ COMPRESSION = "zstd"
 
 
 def load_pyarrow(where: str) -> Any:
-    """The module pyarrow with all that is used of it; InputError that says how to install it where it is missing."""
+    """The module pyarrow with all that is used of it; MissingLibrary where it is not installed."""
     try:
         import pyarrow
         import pyarrow.csv
         import pyarrow.parquet
     except ImportError as error:
-        hint = install_hint("convert")
-        raise InputError("tables need pyarrow", where=where, found=str(error), hint=hint) from None
+        raise missing_extra("tables need pyarrow", "convert", where=where, error=error) from None
     return pyarrow
 
 

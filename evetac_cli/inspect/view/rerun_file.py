@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import EvetacError, InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK, shown_colour
 from evetac_cli.inspect.view.trial_files import Trial
@@ -44,11 +44,11 @@ BEHIND = 29.0  # true places, of points that rerun draws at 30
 
 
 def load_rerun() -> Any:
-    """The module rerun; EvetacError where it is not installed."""
+    """The module rerun; MissingLibrary where it is not installed."""
     try:
         import rerun
-    except ImportError:
-        raise EvetacError("rerun, which writes the file, is not installed", hint=install_hint("view")) from None
+    except ImportError as error:
+        raise missing_extra("rerun, which writes the file, is not installed", "view", error=error) from None
     return rerun
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from evetac_cli import console
 from evetac_cli.devices import losses
-from evetac_cli.errors import DeviceError, InputError, install_hint
+from evetac_cli.errors import DeviceError, missing_extra
 from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
@@ -183,15 +183,12 @@ def opened(asked: str, title: Title, open_detector: "OpenDetector") -> Iterator[
 def place(asked: str) -> str:
     """BROWSER or TERMINAL, as asked for; else the browser where there is a display, and what serves the page.
 
-    InputError where a page is asked for that cannot be served.
+    MissingLibrary where a page is asked for that cannot be served.
     """
     can_serve = find_spec(LIBRARY) is not None
     if asked == BROWSER and not can_serve:
-        raise InputError(
-            f"the page needs the library {LIBRARY}",
-            where="--live-in browser",
-            hint=f"{install_hint('plot')}, or --live-in terminal",
-        )
+        message, otherwise = f"the page needs the library {LIBRARY}", "--live-in terminal"
+        raise missing_extra(message, "plot", where="--live-in browser", otherwise=otherwise)
     if asked in (BROWSER, TERMINAL):
         return asked
     return BROWSER if can_serve and _has_display() else TERMINAL

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import Events, SliceStarts, empty
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.params.recording import Record
@@ -102,7 +102,7 @@ def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
     """Remove folders that were made for a recording of a file that turned out to be unusable; no other job is there."""
     try:
         yield
-    except InputError:
+    except EvetacError:
         remove_empty(folders)
         raise
 

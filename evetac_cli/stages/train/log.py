@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import EvetacError, install_hint
+from evetac_cli.errors import missing_extra
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile
 
@@ -21,13 +21,11 @@ def log_folder(model: Path) -> Path:
 
 
 def require_tensorboard() -> None:
-    """EvetacError, before any work, where torch's writer for TensorBoard cannot be loaded."""
+    """MissingLibrary, before any work, where torch's writer for TensorBoard cannot be loaded."""
     try:
         import torch.utils.tensorboard  # noqa: F401
     except ImportError as error:
-        raise EvetacError(
-            "the library tensorboard is not installed", where="--log", found=str(error), hint=install_hint("log")
-        ) from None
+        raise missing_extra("the library tensorboard is not installed", "log", where="--log", error=error) from None
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import missing_extra
 
 MOST_BYTES = 1 << 28  # of a packet, decompressed
 PIECE_BYTES = 1 << 20  # that are decompressed at once: the library takes memory for as many
@@ -50,13 +50,12 @@ class Frame(NamedTuple):
 
 
 def check_libraries(where: str) -> None:
-    """InputError that names the extra where the libraries are missing that decompress packets."""
+    """MissingLibrary where the libraries are missing that decompress packets."""
     try:
         importlib.import_module("lz4.frame")
         importlib.import_module("zstandard")
     except ImportError as error:
-        hint = install_hint("convert")
-        raise InputError("AEDAT4 needs lz4 and zstandard", where=where, found=str(error), hint=hint) from None
+        raise missing_extra("AEDAT4 needs lz4 and zstandard", "convert", where=where, error=error) from None
 
 
 def content(kind: str, compression: int, payload: bytes) -> Any:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import EvetacError, InputError, missing_extra
 from evetac_cli.formats.read.bags import bag_files
 from evetac_cli.formats.read.bags.bag_chunks import Connection
 from evetac_cli.formats.read.bags.rosbag_unpacking import unpack_message, zstd_module
@@ -84,8 +84,7 @@ def open_bag(path: Path) -> Bag:
     except ImportError as error:
         missing = [error.name or str(error)]
     if missing:
-        hint = install_hint("convert")
-        raise InputError("ROS bags need rosbags and mcap", where=where, found=f"no {missing[0]}", hint=hint)
+        raise missing_extra("ROS bags need rosbags and mcap", "convert", where=where, found=f"no {missing[0]}")
     with bag_in_words(where, "the bag"):
         return Bag(path)
 
@@ -95,7 +94,7 @@ def bag_in_words(where: str, what: str) -> Iterator[None]:
     """Damaged bags make libraries, and the parsers below them, raise anything."""
     try:
         yield
-    except (MemoryError, OSError, InputError):
+    except (MemoryError, OSError, EvetacError):
         raise
     except Exception as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.bags.bag_chunks import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
 from evetac_cli.formats.read.bags.open_bag import bag_in_words, open_bag
@@ -242,8 +242,7 @@ class _Images(_Reader):
         try:
             from PIL import Image
         except ImportError as error:
-            hint = install_hint("plot")
-            raise InputError("packed images need pillow", where=self.where, found=str(error), hint=hint) from None
+            raise missing_extra("packed images need pillow", "plot", where=self.where, error=error) from None
         with bag_in_words(self.where, f"the image of message {self.number}"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
         self._check_size(*opened.size)  # before it is unpacked

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, install_hint
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.lerobot.data_card import data_card
 from evetac_cli.formats.write.lerobot.episode_files import Numbered, Place, Tables, Videos
 from evetac_cli.formats.write.lerobot.episodes import (
@@ -62,7 +62,7 @@ def write(
     task: str | None = None,
     tactile_key: str = "observation.tactile",
 ) -> WrittenFolder:
-    """Write all trials as one data set; InputError where they do not go together, or a library is missing."""
+    """Write all trials as one data set; InputError where they do not go together, MissingLibrary."""
     arrow, av = load_pyarrow(str(folder.parent)), _load_av(str(folder.parent))
     outlines = []
     for source in sources:
@@ -149,7 +149,7 @@ def _load_av(where: str) -> Any:
     try:
         import av
     except ImportError as error:
-        raise InputError("video needs av", where=where, found=str(error), hint=install_hint("convert")) from None
+        raise missing_extra("video needs av", "convert", where=where, error=error) from None
     return av
 
 
