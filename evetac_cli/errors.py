@@ -146,70 +146,98 @@ class DeviceTimeout(DeviceError, TimeoutError):
 
 # What the system refuses ----------------------------------------------------------------------------------------------
 
-# The name that was given is wrong; every other reason may pass, and says nothing of the file.
-WRONG_NAME = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG)
+# Reasons that may pass, and say nothing of the file; others come from its name, or from damaged bytes in it.
 BUSY = (errno.EAGAIN, errno.EBUSY, errno.ETXTBSY)
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+NO_RIGHT = (errno.EACCES, errno.EPERM)
+TOO_MANY = (errno.EMFILE, errno.ENFILE)
+DISK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.ENOTCONN, errno.ETIMEDOUT, errno.EHOSTDOWN)
+PASSING = (*BUSY, *NO_LOCKS, *NO_RIGHT, *TOO_MANY, *DISK, errno.ESTALE, errno.ENOMEM, errno.ENOSPC, errno.EINTR)
 MOST_PROGRAMS = 3  # that are named
 NETWORK = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "glusterfs", "afs", "9p", "fuse.sshfs")
 READ_WITHOUT_LOCKS = "HDF5_USE_FILE_LOCKING=FALSE before the command reads it without one"
 
 
-def unreadable(error: OSError, path: Path) -> EvetacError:
+def cannot_read(error: OSError, path: Path) -> EvetacError:
     """What it means that the system does not let a file be opened or read.
 
-    InputError where the name is wrong, UnavailableError in all other cases; a hint where one is true.
+    UnavailableError where the reason may pass, InputError where it lies in the name or in the file.
     """
     where, said = str(path), error.strerror or str(error)
     if error.errno is not None and error.strerror is not None:
         said = os.strerror(error.errno)  # h5py puts its own words there
     number = error.errno
-    if number in WRONG_NAME:
-        return InputError(f"cannot be opened: {said}", where=where)
+    if number not in PASSING:
+        return InputError(f"cannot be read: {said}", where=where)
     if number in BUSY:
         return _busy(path)
     found = hint = ""
     if number in NO_LOCKS:
         hint = f"this storage has no locks; where no program writes the file, {READ_WITHOUT_LOCKS}"
-    elif number in (errno.EACCES, errno.EPERM):
-        found = _rights(path)
-        hint = "ask its owner, or whoever keeps this computer, for the right to read it"
+    elif number in NO_RIGHT:
+        found, hint = _rights(path)
     elif number == errno.ESTALE:
         hint = "the network folder changed on its server: try again, or mount it again"
-    elif number in (errno.EMFILE, errno.ENFILE):
+    elif number in TOO_MANY:
         hint = "`ulimit -n` says how many files may be open, `ulimit -n NUMBER` allows more"
-    elif number == errno.EIO:
+    elif number in DISK:
         hint = "the disk, or the network behind it, fails: `dmesg` may say more"
-    return UnavailableError(f"cannot be opened: {said}", where=where, found=found, hint=hint)
+    return UnavailableError(f"cannot be read: {said}", where=where, found=found, hint=hint)
 
 
 def _busy(path: Path) -> UnavailableError:
-    named = programs_using(path)
+    found = _used_by(path)
     hint = "close it there, or wait until it is done"
-    if not named and _is_on_network(path):
+    if not found and _is_on_network(path):
         hint += f"; where no program writes it, on no computer, the lock is a left-over: {READ_WITHOUT_LOCKS}"
-    more = f" and {len(named) - MOST_PROGRAMS} more" if len(named) > MOST_PROGRAMS else ""
-    found = f"used by {', '.join(named[:MOST_PROGRAMS])}{more}" if named else ""
     return UnavailableError("another program has this file open for writing", where=str(path), found=found, hint=hint)
 
 
-def programs_using(path: Path, proc: Path = Path("/proc")) -> list[str]:
-    """Programs of this user, other than this one, that have a file open, as `name (pid)`; nobody can see the others."""
+def changed_meanwhile(path: Path) -> UnavailableError:
+    """That a file changed while it was read, so that what was read of it is of no one moment."""
+    hint = "wait until the program that writes it is done"
+    return UnavailableError("changed while it was read", where=str(path), found=_used_by(path), hint=hint)
+
+
+def _used_by(path: Path) -> str:
+    named = programs_using(path, writing=True)
+    more = f" and {len(named) - MOST_PROGRAMS} more" if len(named) > MOST_PROGRAMS else ""
+    return f"used by {', '.join(named[:MOST_PROGRAMS])}{more}" if named else ""
+
+
+def programs_using(path: Path, proc: Path = Path("/proc"), *, writing: bool = False) -> list[str]:
+    """Programs of this user, other than this one, that have a file open, as `name (pid)`; nobody can see the others.
+
+    writing: only those that may write to it.
+    """
     wanted = path.resolve()
     users = []
     for entry in proc.glob("[0-9]*"):
-        with suppress(OSError):
-            if entry.name != str(os.getpid()) and any(link.readlink() == wanted for link in (entry / "fd").iterdir()):
+        with suppress(OSError, ValueError):
+            opened = [link for link in (entry / "fd").iterdir() if link.readlink() == wanted]
+            if writing:
+                opened = [link for link in opened if _may_write(entry / "fdinfo" / link.name)]
+            if opened and entry.name != str(os.getpid()):
                 users.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
     return sorted(users)
 
 
-def _rights(path: Path) -> str:
-    """What owner, group and others may do with a file, in octal digits, and whose it is; empty where that is hidden."""
+def _may_write(info: Path) -> bool:
+    """Whether an open file is open for writing, as /proc/PID/fdinfo says it: flags in octal digits."""
+    flags = next(line.split()[1] for line in info.read_text().splitlines() if line.startswith("flags:"))
+    return int(flags, 8) & os.O_ACCMODE != os.O_RDONLY
+
+
+def _rights(path: Path) -> tuple[str, str]:
+    """Who may do what with a file, and what to do where one may not read it; nothing where that is hidden."""
     with suppress(OSError, KeyError):
-        status = path.stat()
-        return f"mode {status.st_mode & 0o777:04o}, owner {path.owner()}"
-    return ""
+        status, owner = path.stat(), path.owner()
+        own = status.st_uid == os.geteuid()
+        hint = (
+            f"chmod u+r {shlex.quote(str(path))}" if own else f"ask {owner}, whose file it is, for the right to read it"
+        )
+        return f"mode {status.st_mode & 0o777:04o}, owner {owner}", hint
+    return "", "you may not look into its folder"
 
 
 def _is_on_network(path: Path, mounts: Path = Path("/proc/mounts")) -> bool:

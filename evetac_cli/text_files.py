@@ -10,10 +10,11 @@ import re
 import stat
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, cannot_read, changed_meanwhile
 
 MOST_TOML_BYTES = 1 << 18  # a config file or scene has a few kB; tomllib reads this in half a second
 MOST_JSON_BYTES = 1 << 22  # a calibration has 10 kB; this is one of ten thousand dots
@@ -37,11 +38,14 @@ _STRUCTURE = re.compile(r"[\[\]{},=:]")
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading; OSError where that fails, InputError for a pipe, socket or device, which might wait."""
-    kind = os.stat(path).st_mode
-    if not stat.S_ISDIR(kind) and not stat.S_ISREG(kind):
-        raise _not_regular(path, kind)
-    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC), "rb")
+    """Open a file for reading; InputError for a pipe, socket or device, which might wait; errors.cannot_read else."""
+    try:
+        kind = os.stat(path).st_mode
+        if not stat.S_ISDIR(kind) and not stat.S_ISREG(kind):
+            raise _not_regular(path, kind)
+        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC), "rb")
+    except OSError as error:
+        raise cannot_read(error, path) from None
     kind = os.fstat(file.fileno()).st_mode
     if not stat.S_ISREG(kind):  # another took its place
         file.close()
@@ -56,15 +60,49 @@ def _not_regular(path: Path, kind: int) -> InputError:
 
 
 def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """The whole of a regular file; InputError where it cannot be read or is larger."""
-    try:
-        with open_regular(path) as file:
+    """The whole of a regular file; InputError where it is larger, errors.cannot_read where it cannot be read."""
+    with open_regular(path) as file:
+        try:
             content = file.read(most_bytes + 1)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", where=str(path)) from None
+        except OSError as error:
+            raise cannot_read(error, path) from None
     if len(content) > most_bytes:
         raise InputError("the file is too large", where=str(path), expected=f"at most {most_bytes:,} bytes")
     return content
+
+
+class Steady:
+    """Whether a file, or what lies in a folder, is still as it was: another program may write what is being read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._before = path, self._stamps(path)
+
+    @staticmethod
+    def _stamps(path: Path) -> list[tuple[str, int, int]]:
+        """Name, size and time of change of each file; nothing of what cannot be looked at, which its reader says."""
+        try:
+            inside = [path] if not path.is_dir() else [Path(entry.path) for entry in os.scandir(path)]
+            looked = [(one.name, one.stat()) for one in sorted(inside)]
+        except OSError:
+            return []
+        return [(name, stat.st_size, stat.st_mtime_ns) for name, stat in looked]
+
+    def check(self) -> None:
+        """Raise UnavailableError if it changed since this was made; of a path that reading alone does not change."""
+        if self._stamps(self._path) != self._before:
+            raise changed_meanwhile(self._path)
+
+
+@contextmanager
+def steady(path: Path) -> Iterator[None]:
+    """UnavailableError where a file changed while the block read it, also where the block found fault with it."""
+    before = Steady(path)
+    try:
+        yield
+    except InputError:
+        before.check()
+        raise
+    before.check()
 
 
 def read_text(path: Path, most_bytes: int) -> str:

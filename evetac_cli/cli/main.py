@@ -14,7 +14,7 @@ from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
-from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
 OF_FOLDERS = ("index", "repair")  # inspectors that take folders, not the files in them
@@ -153,6 +153,8 @@ def _inspector(name: str, help_: str, files_help: str, unit: str = "files") -> C
             _show(name, module, result, running)
             if result.summary.get("invalid"):
                 raise typer.Exit(InputError.exit_code)
+            if result.summary.get("not_checked"):
+                raise typer.Exit(UnavailableError.exit_code)
 
     call.__doc__ = help_
     return call

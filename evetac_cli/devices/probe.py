@@ -4,7 +4,6 @@ Everything goes through one object, so that tests put folders in the place of /s
 place of real ones.
 """
 
-import os
 import re
 import shutil
 from collections.abc import Iterable
@@ -23,6 +22,7 @@ from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import CONTROL_TIMEOUT_MS, FoundCamera, find_cameras
 from evetac_cli.devices.rh_p12_rn.control_table import SDK_RATES
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, Bus, BusDevice, latency_timer_ms, scan
+from evetac_cli.errors import programs_using
 
 FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
 # Asked for, of a gripper that answers.
@@ -123,15 +123,7 @@ class Host:
 
     def programs_using(self, path: Path) -> list[str]:
         """Programs of this user that have a file open, as `name (pid)`; those of others cannot be seen."""
-        wanted = path.resolve()
-        users = []
-        for entry in self.proc.glob("[0-9]*"):
-            with suppress(OSError):
-                if entry.name != str(os.getpid()) and any(
-                    link.readlink() == wanted for link in (entry / "fd").iterdir()
-                ):
-                    users.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
-        return sorted(users)
+        return programs_using(path, self.proc)
 
     def scan(self, port: Path, id_: int = 1) -> list[BusDevice]:
         """Grippers on a port: that of this id at any rate, and those of other ids at the same rate, else at all."""

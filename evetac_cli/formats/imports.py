@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.formats.read import read_numpy, read_prophesee
 from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
@@ -32,6 +32,7 @@ from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.disk import leave_if_interrupted
 from evetac_cli.store.streams import Stream, free_name
+from evetac_cli.text_files import Steady
 
 EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -169,12 +170,13 @@ class EventFile:
         time_unit: s, ms, us or ns, where the file does not say it; without it, us if all times are whole, else s.
         """
         self._path, self._where = Path(path), str(path)
+        self._steady = Steady(self._path)
         self._order = OrderOptions(sort, drop_late, from_restart)
         self._frames, self._folder, self._progress = frames, folder, progress
         options = {"stream": stream, "columns": columns, "time_unit": time_unit}
         said = {name: value for name, value in options.items() if value is not None}
         self._stream = stream
-        with _reading(self._where):
+        with _reading(self._path, self._steady):
             try:
                 self._foreign = _open(self._path, frame_px, said)
             except FrameUnknown as unknown:
@@ -193,7 +195,7 @@ class EventFile:
         blocks = normalise(foreign, normal, order=self._order, where=self._where, folder=self._folder)
         try:
             while True:
-                with _reading(self._where):
+                with _reading(self._path, self._steady):
                     block = next(blocks, None)
                 if block is None:
                     break
@@ -202,6 +204,7 @@ class EventFile:
             if isinstance(batches, Generator):  # a refusal leaves it with its file open
                 batches.close()
         self.facts = self._facts(normal)
+        self._steady.check()
 
     def _facts(self, normal: Normal) -> Facts:
         foreign, note = self._foreign, self._foreign.note
@@ -214,7 +217,7 @@ class EventFile:
         if note and not foreign.cut_short and not _lacks_events(foreign, normal):
             slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
         t_offset_us = normal.first_us + foreign.clock_us if normal.size or note else 0
-        with _reading(self._where):
+        with _reading(self._path, self._steady):
             if self._order.from_restart is None:
                 options = {"frames": self._frames, "folder": self._folder, "topic": self._stream}
                 streams, said = _kept(self._path, foreign, t_offset_us, slices, options)
@@ -245,13 +248,17 @@ def read_events(path: str | Path, **options: Any) -> Imported:
 
 
 @contextmanager
-def _reading(where: str) -> Iterator[None]:
+def _reading(path: Path, before: Steady) -> Iterator[None]:
+    """What goes wrong while a file is read, in words; a fault of one that is being written is none of its own."""
     try:
         yield
+    except InputError:
+        before.check()
+        raise
     except OSError as error:
-        raise InputError("cannot be read", where=where, found=error.strerror or str(error)) from error
+        raise cannot_read(error, path) from error
     except MemoryError as error:
-        raise InputError("does not fit in memory", where=where, hint="import it in parts") from error
+        raise InputError("does not fit in memory", where=str(path), hint="import it in parts") from error
 
 
 def _kept(

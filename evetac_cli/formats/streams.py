@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.imports import BAG
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
@@ -16,7 +16,7 @@ from evetac_cli.formats.read.bags.host_clock import clock_of_bag, on_sensor_cloc
 from evetac_cli.formats.read.bags.read_bag_stream import read_bag_stream
 from evetac_cli.formats.read.read_table import read_table
 from evetac_cli.store.streams import Stream
-from evetac_cli.text_files import open_regular
+from evetac_cli.text_files import open_regular, steady
 
 
 def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Stream, list[str]]:
@@ -26,14 +26,15 @@ def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Str
     """
     path, topic = _parted(source)
     try:
-        if _is_bag(path):
-            stream, notes = read_bag_stream(path, topic, folder)
-        elif topic:
-            raise InputError("only a bag has topics", where=str(path), found=topic)
-        else:
-            stream, notes = read_table(path, folder)
+        with steady(path):
+            if _is_bag(path):
+                stream, notes = read_bag_stream(path, topic, folder)
+            elif topic:
+                raise InputError("only a bag has topics", where=str(path), found=topic)
+            else:
+                stream, notes = read_table(path, folder)
     except OSError as error:
-        raise InputError("cannot be read", where=str(path), found=error.strerror or str(error)) from error
+        raise cannot_read(error, path) from error
     except MemoryError as error:
         raise InputError("does not fit in memory", where=str(path), hint="a damaged file?") from error
     back = np.flatnonzero(stream.t_us[1:] < stream.t_us[:-1])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.console import print_table
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.checked_hdf5 import DAMAGE
@@ -27,7 +27,7 @@ def run(folders: list[Path], progress: Progress = silent) -> Outcome:
         progress(number, len(leftovers))
         try:
             row, from_simulation = _repair(folder)
-        except (InputError, *DAMAGE) as error:  # a disk that fails while it is joined, say
+        except (InputError, UnavailableError, *DAMAGE) as error:  # a disk that fails while it is joined, say
             fault = " ".join(str(error).split()) or type(error).__name__
             row, from_simulation = _row(folder, "not repaired", fault=fault), False
         rows.append(row)
@@ -89,8 +89,10 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
 
 
 def _check(output: Path) -> None:
-    """Validate the result, as `evetac validate` does; InputError with its faults."""
+    """Validate the result, as `evetac validate` does; InputError with its faults, UnavailableError if it cannot be."""
     (row,) = validate.run([output]).rows
+    if row["not_checked"] is not None:
+        raise UnavailableError("the result could not be checked", where=str(output), found=str(row["not_checked"]))
     if row["faults"] is not None:
         raise InputError("the result is not valid", where=str(output), found=str(row["faults"]))
 

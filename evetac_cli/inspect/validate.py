@@ -8,7 +8,7 @@ from typing import Any
 import jsonschema
 
 from evetac_cli.console import print_table
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.resources import schemas
 from evetac_cli.store import contents
@@ -20,20 +20,28 @@ EVENTS = 1 << 18  # that are read together
 
 
 def run(files: list[Path], progress: Progress = silent) -> Outcome:
-    """A row for every file: whether it is valid, and its faults."""
+    """A row for every file: whether it is valid, and its faults; neither is known where it cannot be looked at now."""
     rows: list[dict[str, Any]] = []
     simulated = False
     for number, path in enumerate(files):
         progress(number, len(files))
+        kind, faults, not_checked = None, list[str](), None
         try:
             with StageFile(path) as file:
                 faults = _faults(file)
                 kind = file.kind
                 simulated |= bool(file.header["simulated"])
         except InputError as error:
-            kind, faults = None, [" ".join(str(error).split())]
-        rows.append({"file": str(path), "kind": kind, "valid": not faults, "faults": "; ".join(faults) or None})
-    return Outcome(rows, simulated, {"files": len(rows), "invalid": sum(not row["valid"] for row in rows)})
+            faults = [" ".join(str(error).split())]
+        except UnavailableError as error:
+            not_checked = " ".join(str(error).split())
+        valid = None if not_checked else not faults
+        faulty = "; ".join(faults) or None
+        rows.append({"file": str(path), "kind": kind, "valid": valid, "faults": faulty, "not_checked": not_checked})
+    counts = {
+        name: sum(row["valid"] is found for row in rows) for name, found in (("invalid", False), ("not_checked", None))
+    }
+    return Outcome(rows, simulated, {"files": len(rows), **counts})
 
 
 def show(result: Outcome) -> None:

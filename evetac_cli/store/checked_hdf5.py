@@ -9,6 +9,7 @@ Other people's files may hold what we do not read; of their datasets only those 
 import importlib
 import math
 import os
+import shlex
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -19,7 +20,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import PASSING, InputError, UnavailableError, cannot_read, missing_extra
 from evetac_cli.store.hdf5_text import TextTooLong, attribute_text, dataset_text
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
@@ -56,7 +57,10 @@ class CheckedHdf5:
     """An HDF5 file, open for reading, of which only what was checked is handed out."""
 
     def __init__(self, path: Path, expected: str = "an HDF5 file", hint: str = "") -> None:
-        """Open a regular file; InputError if it is none, or no HDF5. `hint`: what to do with a file that is none."""
+        """Open a regular file; InputError if it is none, or no HDF5, UnavailableError if it cannot be looked at now.
+
+        hint: what to do with a file that is no HDF5.
+        """
         self.path, self.where = path, str(path)
         self.dimensions: dict[str, int] = {}  # length of each by its path, once `datasets` has been asked
         _refuse_irregular(path, expected)
@@ -64,8 +68,13 @@ class CheckedHdf5:
             self.size = os.stat(path).st_size
             self.h5 = h5py.File(path, "r")
         except OSError as error:
-            if error.errno:
-                raise InputError(f"cannot be opened: {os.strerror(error.errno)}", where=self.where) from None
+            if error.errno in PASSING:
+                raise cannot_read(error, path) from None
+            if "already open for write" in str(error):
+                # A mark in the file, not a lock: the program that set it may have been killed.
+                hint = f"close it there; if no program writes it: h5clear -s {shlex.quote(self.where)}"
+                message = "marked as open for writing by another program"
+                raise UnavailableError(message, where=self.where, hint=hint) from None
             reason = "it is truncated" if "truncated" in str(error) else "it is not an HDF5 file"
             raise InputError(f"cannot be opened: {reason}", where=self.where, expected=expected, hint=hint) from None
         except DAMAGE as error:
@@ -331,6 +340,8 @@ def damage_in_words(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except DAMAGE as error:
+        if isinstance(error, OSError) and error.errno in PASSING:
+            raise cannot_read(error, path) from None
         reason = (str(error).strip("'\"").splitlines() or [type(error).__name__])[0][:200]
         raise InputError(
             f"{what} cannot be read: {reason}", where=str(path), hint="the file is damaged; make it again"

@@ -714,7 +714,7 @@ def test_validate(report: Path, files: list[str]) -> None:
     assert result.exit_code == 2
     shown = json.loads(result.stdout)
     assert [row["valid"] for row in shown["rows"]] == [True, False, False]
-    assert shown["summary"] == {"files": 3, "invalid": 2}
+    assert shown["summary"] == {"files": 3, "invalid": 2, "not_checked": 0}
     assert "no such file" in shown["rows"][2]["faults"]
 
 

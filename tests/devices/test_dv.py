@@ -1,6 +1,5 @@
 """The second camera backend, against a stand-in for the maker's library; with the library itself, as far as it goes."""
 
-import sys
 import time
 from collections import deque
 from contextlib import closing
@@ -206,13 +205,6 @@ def test_camera_that_cannot_be_opened(error: Exception) -> None:
 
     with pytest.raises(DeviceError, match="evetac doctor"):
         DvCamera(library=library(refuse))
-
-
-def test_library_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing extra is said, with the command that installs it."""
-    monkeypatch.setitem(sys.modules, "dv_processing", None)
-    with pytest.raises(DeviceError, match=r"pip install '\.\[camera\]'"):
-        DvCamera()
 
 
 def test_the_library_itself() -> None:

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import events_on_disk, read_text
@@ -638,9 +638,7 @@ def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> 
     assert "events/p is incomplete" in refusal(dsec(contiguous, p=None), frame_px=FRAME)
 
 
-@pytest.mark.parametrize(
-    ("number", "words"), [(32001, "pip install '.[convert]'"), (0x8ECF, "Prophesee"), (511, "HDF5 filter 511")]
-)
+@pytest.mark.parametrize(("number", "words"), [(32001, "[convert]'"), (0x8ECF, "Prophesee"), (511, "HDF5 filter 511")])
 def test_a_missing_filter_is_named(
     dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, number: int, words: str
 ) -> None:
@@ -657,7 +655,9 @@ def test_a_missing_filter_is_named(
 
     path = dsec(compressed, p=None)
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
-    assert words in refusal(path, frame_px=FRAME)
+    with pytest.raises((InputError, MissingLibrary)) as refused:
+        read_events(path, frame_px=FRAME)
+    assert words in str(refused.value)
 
 
 def test_compressed_with_a_plugin(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.inspect.view.event_images import picture
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.grip.paper import Phase
@@ -183,7 +183,7 @@ def _read_report(study: Study, path: str) -> None:
             command = str(file.read("command"))
             texts = [json.loads(file.read(name)) for name in ("rows", "summary")]
             study.evaluations.append(Found(path, command, file.header, *texts))
-    except InputError as error:
+    except (InputError, UnavailableError) as error:
         study.unreadable.append((path, error.message))
 
 
@@ -209,7 +209,7 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)
-    except InputError as error:
+    except (InputError, UnavailableError) as error:
         trial.broken = error.message
 
 

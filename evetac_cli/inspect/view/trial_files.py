@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import MAKE_MODEL, InputError, made_by
+from evetac_cli.errors import MAKE_MODEL, InputError, UnavailableError, made_by
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import recording_of
@@ -88,7 +88,7 @@ def open_trial(paths: list[Path]) -> Iterator[Trial]:
                 continue
             try:
                 file = stack.enter_context(_open(path))
-            except InputError as error:
+            except (InputError, UnavailableError) as error:
                 trial.notes.append(f"Left out: {str(error).splitlines()[0].removeprefix(f'{path.parent}/')}")
                 continue
             if file.kind == _kind_of(path) and _recording_id(file) == trial.recording_id:
@@ -179,6 +179,6 @@ def _search_recording(trial: Trial, folder: Path, stack: ExitStack) -> None:
             if same:
                 trial.recording = stack.enter_context(Recording(path))
                 return
-        except InputError:
+        except (InputError, UnavailableError):
             continue
     trial.notes.append(f"The recording {trial.recording_id[:12]} is not beside these files: no event images.")

@@ -293,14 +293,6 @@ def test_damaged_bags_are_refused_or_read(write: Write, bag: str, tmp_path: Path
     assert refused > 25
 
 
-def test_bags_need_the_convert_extra(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing library is named with the command that installs it."""
-    types = Types("ros1")
-    path = write("ros1", types, {"/e": [types.array([(START_S * 10**6, 1, 2, 1)])]})
-    monkeypatch.setitem(__import__("sys").modules, "rosbags.typesys", None)
-    assert "pip install '.[convert]'" in refusal(path)
-
-
 def test_checksums_are_those_of_the_definitions() -> None:
     """Assert that the checksums in the table are what ROS computes from the published definitions."""
     store = Types("ros1").store
