@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         simulate,
         tracker_presets,
     )
-    from evetac_cli.errors import EvetacError, InputError
+    from evetac_cli.errors import EvetacError, InputError, UnavailableError
     from evetac_cli.events import Events, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
@@ -54,6 +54,7 @@ __all__ = [
     "SlipWindows",
     "Touch",
     "TouchSensor",
+    "UnavailableError",
     "architectures",
     "objects",
     "open_features",
@@ -73,7 +74,7 @@ __all__ = [
 _MODULES = {
     **dict.fromkeys(("Events", "Slicer"), "events"),
     "Sensitivity": "kernels.sensitivity",
-    **dict.fromkeys(("EvetacError", "InputError"), "errors"),
+    **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.read"),
 }

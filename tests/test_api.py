@@ -26,7 +26,7 @@ from evetac_cli.stages.record import jobs, run
 from tests.conftest import Made
 from tests.patience import PATIENCE_S
 
-NAMES = [name for name in evetac.__all__ if name not in ("EvetacError", "InputError")]
+NAMES = [name for name in evetac.__all__ if name not in ("EvetacError", "InputError", "UnavailableError")]
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,9 @@ from evetac_cli.formats.write import (
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
-from evetac_cli.store.disk import folder_taking_the_place_of, require_replaceable, taking_the_place_of
+from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
+from evetac_cli.store.made_folders import new_folder
 from evetac_cli.store.read import Recording
 
 
@@ -152,13 +153,12 @@ def export_folder(
 ) -> dict[str, Any]:
     """Write many recordings as one data set in a folder, all or nothing; returns what was written and what left out.
 
-    options: of the format. InputError if the folder exists, unless `force` and it holds nothing else.
+    options: of the format. InputError if the folder exists, unless `force` and it is as evetac made it.
     """
     require_possible_name(folder)
     row = FORMATS[format_]
     assert row.write_folder is not None
-    require_replaceable(folder, row.suffixes, force=force)
-    with folder_taking_the_place_of(folder) as temporary:
+    with new_folder(folder, force=force) as temporary:
         written = row.write_folder(sources, opened, temporary, progress, **options)
         sizes = [path.stat().st_size for path in temporary.rglob("*") if path.is_file()]
     return {

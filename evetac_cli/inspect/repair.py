@@ -1,7 +1,6 @@
 """repair: make a valid recording of the segments that an interrupted recording left behind."""
 
-import shutil
-from glob import escape
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,9 @@ from evetac_cli.console import print_table
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.store import part_folder
 from evetac_cli.store.checked_hdf5 import DAMAGE
+from evetac_cli.store.disk import remove_unfinished
 from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, read_leftover, recording_path, was_joined
 from evetac_cli.store.segments import join
 
@@ -58,8 +59,7 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
     with held(folder):
         if was_joined(folder):
             _check(output)
-            shutil.rmtree(folder)
-            return _row(folder, "was complete"), False
+            return _row(folder, "was complete", strange=part_folder.remove(folder)), False
         left = read_leftover(folder)
         if not left.parts:
             raise InputError(
@@ -80,12 +80,9 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
         except InputError:
             output.unlink()
             raise
-        shutil.rmtree(folder)
-        for unfinished in output.parent.glob(
-            f".{escape(output.name)}.*.tmp"
-        ):  # of a recorder that was killed while it joined
-            unfinished.unlink()
-    return _row(folder, "repaired", left), left.recipe.simulated
+        remove_unfinished(output)  # of a recorder that was killed while it joined
+        strange = part_folder.remove(folder)
+    return _row(folder, "repaired", left, strange=strange), left.recipe.simulated
 
 
 def _check(output: Path) -> None:
@@ -97,8 +94,13 @@ def _check(output: Path) -> None:
         raise InputError("the result is not valid", where=str(output), found=str(row["faults"]))
 
 
-def _row(folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None) -> dict[str, Any]:
-    """The row of one folder; how much is missing at the end cannot be known from it."""
+def _row(
+    folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None, strange: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The row of one folder; how much is missing at the end cannot be known from it.
+
+    strange: what no recorder wrote, and was left in the folder.
+    """
     return {
         "output": str(recording_path(folder)),
         "status": status,
@@ -109,5 +111,6 @@ def _row(folder: Path, status: str, left: Leftover | None = None, *, fault: str 
         "segments_unreadable": None if left is None else len(left.unreadable),
         "segments_left_out": None if left is None else left.left_out,
         "unreadable": None if left is None else "; ".join(left.unreadable) or None,
+        "left_in_folder": ", ".join(strange) or None,
         "fault": fault,
     }

@@ -25,7 +25,7 @@ def run(files: list[Path], progress: Progress = silent) -> Outcome:
     simulated = False
     for number, path in enumerate(files):
         progress(number, len(files))
-        kind, faults, not_checked = None, list[str](), None
+        kind, faults, why_not = None, list[str](), None
         try:
             with StageFile(path) as file:
                 faults = _faults(file)
@@ -34,14 +34,12 @@ def run(files: list[Path], progress: Progress = silent) -> Outcome:
         except InputError as error:
             faults = [" ".join(str(error).split())]
         except UnavailableError as error:
-            not_checked = " ".join(str(error).split())
-        valid = None if not_checked else not faults
+            why_not = " ".join(str(error).split())
+        valid = None if why_not else not faults
         faulty = "; ".join(faults) or None
-        rows.append({"file": str(path), "kind": kind, "valid": valid, "faults": faulty, "not_checked": not_checked})
-    counts = {
-        name: sum(row["valid"] is found for row in rows) for name, found in (("invalid", False), ("not_checked", None))
-    }
-    return Outcome(rows, simulated, {"files": len(rows), **counts})
+        rows.append({"file": str(path), "kind": kind, "valid": valid, "faults": faulty, "not_checked": why_not})
+    invalid, not_checked = (sum(row["valid"] is verdict for row in rows) for verdict in (False, None))
+    return Outcome(rows, simulated, {"files": len(rows), "invalid": invalid, "not_checked": not_checked})
 
 
 def show(result: Outcome) -> None:

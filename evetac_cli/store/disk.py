@@ -95,8 +95,14 @@ def require_room(path: Path, needed_bytes: float, hint: str) -> None:
 def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
     """A path to write to, which takes the place of `path` when the block ends well, and leaves no trace otherwise.
 
-    ending: what the name has to end in, for libraries that go by it. InputError if the disk does not take the file.
+    ending: what the name has to end in, for libraries that go by it. InputError if the disk does not take the file, or
+    where `path` is neither a file nor a link, which is replaced and not followed: a device, a pipe, a folder.
     """
+    with suppress(OSError):
+        kind = os.lstat(path).st_mode
+        if not stat.S_ISREG(kind) and not stat.S_ISLNK(kind):
+            what = "a folder" if stat.S_ISDIR(kind) else "a device, a pipe or a socket"
+            raise InputError(f"cannot be written: it is {what}, and is not replaced", where=str(path))
     temporary = temporary_name(path, ending)
     made = missing_folders(path.parent)
     try:
@@ -118,63 +124,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
             temporary.unlink()
 
 
-@contextmanager
-def folder_taking_the_place_of(path: Path) -> Iterator[Path]:
-    """A new folder to write into, which takes the place of `path` when the block ends well, and leaves no trace else.
-
-    Whether what is there may be replaced, whoever calls it asks before. InputError if the disk does not take it.
-    """
-    made = missing_folders(path.parent)
-    temporary = temporary_name(path)
-    before = temporary.with_name(f"{temporary.name.removesuffix('.tmp')}.before.tmp")
-    try:
-        temporary.mkdir(parents=True)
-        yield temporary
-        if path.is_dir():
-            path.replace(before)
-        temporary.replace(path)
-    except BaseException as error:
-        _remove(temporary)
-        remove_empty(made)
-        if isinstance(error, OSError):
-            raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
-        raise
-    finally:
-        if path.exists():
-            _remove(before)
-        elif before.exists():
-            before.replace(path)
-
-
-def require_replaceable(path: Path, endings: tuple[str, ...], *, force: bool) -> None:
-    """InputError where something is there already, but for an empty folder, and with `force` one of ours.
-
-    That is one in which all files end in one of `endings`: what somebody else keeps there is never removed.
-    """
-    if not os.path.lexists(path):
-        existing_folder(path.parent)
-        return
-    if path.is_symlink() or not path.is_dir():
-        raise InputError("the output is no folder", where=str(path))
-    inside = (entry for entry in path.rglob("*") if entry.is_symlink() or not entry.is_dir())
-    first = next(inside, None)
-    if first is None:
-        return
-    if not force:
-        raise InputError("the output exists", where=str(path), hint="--force replaces it, -o NAME writes elsewhere")
-    others = (entry for entry in (first, *inside) if entry.is_symlink() or entry.suffix not in endings)
-    other = next(others, None)
-    if other is not None:
-        raise InputError(
-            "the folder holds other files, and is not replaced",
-            where=str(path),
-            expected=f"nothing but {', '.join(endings)}",
-            found=other.name,
-            hint="-o NAME writes elsewhere",
-        )
-
-
-def _remove(path: Path) -> None:
+def remove_with_contents(path: Path) -> None:
     """Remove a file, or a folder with all that is in it, as far as that is possible."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
@@ -194,7 +144,7 @@ def remove_unfinished(path: Path, ending: str = "") -> None:
     """Remove what processes that no longer live left beside `path` while they wrote it."""
     for left in path.parent.glob(f"{escape(_start(path))}*.tmp{escape(ending)}"):
         if not _lives(left.name.removeprefix(_start(path)).partition(".")[0]):
-            _remove(left)
+            remove_with_contents(left)
 
 
 def _start(path: Path) -> str:

@@ -11,8 +11,6 @@ dataset carries its CRC-32 instead, so that damage is seen.
 
 import fcntl
 import json
-import re
-import shutil
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +22,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.store import schema
+from evetac_cli.store import part_folder, schema
 from evetac_cli.store.checked_hdf5 import CheckedHdf5, row_blocks
 from evetac_cli.store.chunks import RowWriter, put
 from evetac_cli.store.disk import make_own_folder, missing_folders, new_file, open_lock, remove_empty
@@ -46,7 +44,6 @@ BLOCK_ROWS = 1 << 16  # of lost slices, which are written at once
 FIRST_SLICE = "first_slice"
 CRC = "crc32"
 RECIPE = "recipe"
-_OF_A_RECORDING = re.compile(rf"(\d{{6,}}|{Path(STATIC).stem}|{Path(LATE).stem})\.(h5|tmp)|{JOINED}")  # beside LOCK
 
 
 class RecordingWriter:
@@ -97,17 +94,17 @@ class RecordingWriter:
             self._unlock()
             raise InputError("another process is recording here", where=str(self.folder)) from None
         try:
+            part_folder.refuse_strange(self.folder)
+        except InputError:
+            (self.folder / LOCK).unlink()
+            self._unlock()
+            raise
+        try:
             refuse_leftover(self.path)
         except InputError:
             self._unlock()
             raise
-        left = [file for file in self.folder.iterdir() if file.name != LOCK]
-        for file in left:
-            if not _OF_A_RECORDING.fullmatch(file.name) or (file.is_dir() and not file.is_symlink()):
-                self._unlock()
-                raise InputError("this is not from a recording", where=str(file), hint="move it away")
-        for file in left:
-            file.unlink()
+        part_folder.remove(self.folder, keep=LOCK)
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
         """Add one slice (its events may be none) and one row to each of the named datasets; arrays are not copied."""
@@ -160,7 +157,7 @@ class RecordingWriter:
 
     def discard(self) -> None:
         """Throw the folder away: of a recording that is joined, or that nobody wants."""
-        shutil.rmtree(self.folder, ignore_errors=True)  # before the lock is let go: the next may be waiting for it
+        part_folder.remove(self.folder)  # before the lock is let go: the next may be waiting for it
         remove_empty(self._made)
         self._unlock()
 

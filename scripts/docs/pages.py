@@ -80,7 +80,10 @@ def for_the_site(text: str) -> str:
 
 
 def write(folder: Path) -> list[Path]:
-    """Write all pages into a folder that holds nothing else, and return where they lie."""
+    """Write all pages into a folder that holds nothing else, and return where they lie; SystemExit if it does."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_symlink() or (path.is_file() and not path.read_bytes().startswith(MADE.encode())):
+            raise SystemExit(f"{path} was not made by this script: nothing was removed or written")
     shutil.rmtree(folder, ignore_errors=True)
     written = []
     for path, text in every_page().items():

@@ -303,14 +303,6 @@ def test_a_full_disk_is_said_and_leaves_nothing(source: Path, tmp_path: Path, fo
     assert list(target.parent.iterdir()) == []
 
 
-def test_aedat4_needs_the_convert_extra(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing library is named with the command that installs it."""
-    monkeypatch.setitem(sys.modules, "faery", None)
-    words = refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
-    assert "pip install '.[convert]'" in words
-    assert not (tmp_path / "x.aedat4").exists()
-
-
 def test_aedat4_has_no_times_before_0(tmp_path: Path) -> None:
     """Assert that a recording whose source's clock begins before 0 is refused rather than written with other times."""
     pytest.importorskip("faery")

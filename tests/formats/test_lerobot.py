@@ -294,12 +294,6 @@ def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:
     assert not [name for name in info["features"]["observation.tactile"]["names"] if name.startswith("force")]
 
 
-def test_av_is_named_where_it_is_missing(sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the command that installs it is named."""
-    monkeypatch.setitem(sys.modules, "av", None)
-    assert "pip install '.[convert]'" in refusal(tmp_path / "out", sources)
-
-
 @pytest.mark.slow
 def test_lerobot_from_the_command_line(sources: list[Path], tmp_path: Path) -> None:
     """Assert that options reach the data set, and that a folder has to be named."""

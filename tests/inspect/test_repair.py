@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -127,10 +128,30 @@ def test_folder_of_a_complete_recording_is_removed(tmp_path: Path) -> None:
 def test_kill_while_joining(tmp_path: Path) -> None:
     """Assert that what a join that was killed left goes too, and nothing else of that folder."""
     broken_off(tmp_path, [2])
-    (tmp_path / ".a.recording.h5.4711.tmp").write_bytes(b"half")
-    (tmp_path / ".b.recording.h5.4711.tmp").write_bytes(b"of another")
+    dead = f"{platform.node()}.{os.getpid()}-1.tmp"  # of a process whose number was given away again
+    (tmp_path / f".a.recording.h5.{dead}").write_bytes(b"half")
+    others = [f".b.recording.h5.{dead}", f".a.recording.h5.elsewhere.{os.getpid()}-1.tmp", ".a.recording.h5.notes.tmp"]
+    for name in others:
+        (tmp_path / name).write_bytes(b"of another")
     assert repair.run([tmp_path]).rows[0]["status"] == "repaired"
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".b.recording.h5.4711.tmp", "a.recording.h5"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "a.recording.h5"])
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "1-thesis.tex", "7.h5", "static.h5.bak", "plots/a.png", ".git/HEAD"])
+def test_what_no_recorder_wrote_stays(name: str, tmp_path: Path) -> None:
+    """Assert that a file of somebody else's in the folder outlives `repair` and a new recording, and is named."""
+    folder = broken_off(tmp_path, [2])
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text("mine")
+    (row,) = repair.run([folder]).rows
+    assert row["status"] == "repaired"
+    assert row["left_in_folder"] == name.partition("/")[0]
+    assert [path.name for path in folder.iterdir()] == [name.partition("/")[0]]
+    (tmp_path / "a.recording.h5").unlink()
+    with pytest.raises(InputError, match="not from a recording"):
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+    assert (folder / name).read_text() == "mine"
+    assert [path.name for path in folder.iterdir()] == [name.partition("/")[0]]
 
 
 def test_nothing_to_repair(tmp_path: Path) -> None:

@@ -189,10 +189,36 @@ def test_nothing_is_replaced_unasked(trials: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.tex").touch()
-    with pytest.raises(InputError, match="the output exists"):
+    (mine / "card.json").write_text("{}")  # of somebody else's
+    with pytest.raises(InputError, match="is not replaced"):
         shared(trials, out=mine, force=True)
-    assert (mine / "thesis.tex").exists()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a trial", "hub", "mine"]
+    assert (mine / "thesis.tex").exists() and (mine / "card.json").read_text() == "{}"
+    visible = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
+    assert sorted(visible) == ["a trial", "hub", "mine"]
+
+
+def test_a_shared_folder_that_is_worked_on_is_kept(trials: Path, tmp_path: Path) -> None:
+    """Assert that a repository in it, a note, and a card with a license written in by hand outlive `--force`."""
+    out = tmp_path / "hub"
+    shared(trials, out=out)
+    subprocess.run(["git", "init", "-q", str(out)], check=True)
+    with pytest.raises(InputError, match=r"is not replaced(.|\n)*found:    \.git/"):
+        shared(trials, out=out, force=True)
+    (out / "README.md").write_text((out / "README.md").read_text().replace("not-chosen", "my-own"))
+    with pytest.raises(InputError, match=r"README\.md \(changed\)"):
+        shared(trials, out=out, force=True)
+    assert (out / ".git" / "HEAD").exists() and "my-own" in (out / "README.md").read_text()
+    shutil.move(out / ".git", tmp_path / "repository")
+    shutil.move(out / "README.md", tmp_path / "card of my own")
+    shared(trials, out=out, force=True)
+    assert (out / "README.md").exists()
+
+
+def test_what_is_shared_is_not_replaced_by_it(trials: Path, tmp_path: Path) -> None:
+    """Assert that a model or data set inside the output is refused."""
+    with pytest.raises(InputError, match="lies in the output"):
+        shared(trials, out=tmp_path, force=True)
+    assert sorted(path.name for path in trials.glob("*.h5")) == ["a.recording.h5", "a.tracks.h5"]
 
 
 def test_what_cannot_be_shared(trials: Path, tmp_path: Path) -> None:

@@ -148,6 +148,19 @@ def test_snippets_that_nobody_ran_say_so(every: dict[str, str]) -> None:
         assert '=== "Julia (not run)"' in every[f"files/{kind}.md"]
 
 
+@pytest.mark.parametrize("name", ["thesis.tex", "deep/notes.md", "python.md"])
+def test_a_folder_of_other_things_is_not_written_over(name: str, tmp_path: Path) -> None:
+    """Assert that pages are written over pages alone, and that nothing of somebody else's is removed."""
+    pages.write(tmp_path)
+    assert len(pages.write(tmp_path)) > 30
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    before = sorted(path.name for path in tmp_path.rglob("*"))
+    with pytest.raises(SystemExit, match=name):
+        pages.write(tmp_path)
+    assert (tmp_path / name).read_text() == "mine" and sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
 def test_prose_stays_what_it_says() -> None:
     """Assert that flags become code and that Markdown's own signs are shown as they are."""
     assert page_text.prose("with --gripper PORT@BAUD or `a_b`, a_b <c>") == (

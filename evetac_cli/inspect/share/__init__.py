@@ -15,8 +15,8 @@ from evetac_cli.inspect.share import data_card, model_card
 from evetac_cli.inspect.share.card import Card
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.params.inspection import Share
-from evetac_cli.store.disk import existing_folder, folder_taking_the_place_of
 from evetac_cli.store.files import stem
+from evetac_cli.store.made_folders import new_folder, require_replaceable
 
 CARD = "card.json"
 README = "README.md"
@@ -36,7 +36,7 @@ def run(
     name = first.resolve().name if first.is_dir() else stem(first)
     target = out if out is not None else first.resolve().with_name(f"{name}-hub")
     _check_free(target, first, force)
-    size = _lay_out(target, card, progress)
+    size = _lay_out(target, card, progress, force=force)
     row = {
         "output": str(target),
         "what": card.about["what"],
@@ -48,23 +48,20 @@ def run(
 
 
 def _check_free(target: Path, source: Path, force: bool) -> None:
-    """InputError where the folder is there and may not be replaced: only one that `share` made ever is."""
+    """InputError where the folder is there and may not be replaced, or where one of both lies in the other."""
     require_possible_name(target)
-    existing_folder(target.parent)
     if source.is_dir() and source.resolve() in (target.resolve(), *target.resolve().parents):
         raise InputError("the output lies in the folder that is shared", where=str(target))
-    if not os.path.lexists(target):
-        return
-    if not force or not (target / CARD).is_file():
-        hint = "--force replaces it, -o NAME writes elsewhere" if (target / CARD).is_file() else "-o NAME"
-        raise InputError("the output exists", where=str(target), hint=hint)
+    if target.resolve() in source.resolve().parents and target.exists():
+        raise InputError("what is shared lies in the output, which would be replaced", where=str(target))
+    require_replaceable(target, force=force)
 
 
-def _lay_out(target: Path, card: Card, progress: Progress) -> int:
+def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> int:
     """Write or link all files of the folder; their bytes."""
     texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
     size = 0
-    with folder_taking_the_place_of(target) as folder:
+    with new_folder(target, force=force) as folder:
         for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)

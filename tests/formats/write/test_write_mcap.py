@@ -274,14 +274,6 @@ def test_lost_and_damaged_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "note that evetac left in it is damaged" in refusal(lambda: read_events(tmp_path / "a.mcap"))
 
 
-def test_mcap_needs_the_convert_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing library is named with the command that installs it."""
-    source = write(tmp_path / "a.recording.h5", drawn(5), 9)
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    assert "pip install '.[convert]'" in refusal(lambda: export(source, "mcap", tmp_path / "x.mcap"))
-    assert not (tmp_path / "x.mcap").exists()
-
-
 def test_the_node_of_the_docs_publishes_what_we_read(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the node, run with stand-ins for ROS 2 and a camera, publishes packets that decode to its slices."""
     page = (Path(__file__).resolve().parents[3] / "docs" / "ros2.md").read_text()

@@ -3,7 +3,6 @@
 import multiprocessing.process
 import struct
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
