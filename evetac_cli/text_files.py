@@ -161,6 +161,11 @@ def _toml_value(value: Any) -> str:
     return json.dumps(value) if isinstance(value, bool) else str(value)  # nan and inf are numbers of TOML
 
 
+def as_utf8(text: str) -> str:
+    """A text as files can hold it: what stands in a name for bytes that are no UTF-8 is spelt out, as `\\udcff`."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:
     """Parse JSON within the limits above, except for size; ValueError says in words what is wrong with it.
 

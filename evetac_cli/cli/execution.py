@@ -102,6 +102,8 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
             files.append(path)
             continue
         inside = sorted(entry for entry in path.glob(f"*.{kind}.h5") if entry.is_file())
+        if kind == "*":
+            inside = _without_foreign(path, inside)
         if not inside:
             below = next(iter(sorted(path.glob(f"*/*.{kind}.h5"))), None)
             hint = made_by(kind) if kind in MADE_BY else ""
@@ -115,6 +117,17 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
             )
         files += inside
     return files
+
+
+def _without_foreign(folder: Path, inside: list[Path]) -> list[Path]:
+    """The files of a folder without those of other programs, such as exports of ours, which are counted."""
+    from evetac_cli.store.files import is_foreign
+
+    foreign = set(filter(is_foreign, inside))
+    if foreign:
+        which = f"{len(foreign):,} HDF5 file{'s' if len(foreign) > 1 else ''} of other programs ({min(foreign).name})"
+        console.say(f"{folder}: passed over: {which}")
+    return [path for path in inside if path not in foreign]
 
 
 def _check_out(out: Path | None, suffix: str) -> None:

@@ -24,7 +24,7 @@ from evetac_cli.formats.write import (
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
-from evetac_cli.store.disk import taking_the_place_of
+from evetac_cli.store.disk import taking_the_place_of, utf8_path
 from evetac_cli.store.files import stem
 from evetac_cli.store.made_folders import new_folder
 from evetac_cli.store.read import Recording
@@ -115,7 +115,8 @@ def export(
         if target.exists() and target.samefile(source):
             raise InputError("the output would replace the recording", where=str(target))
         with taking_the_place_of(target, target.suffix) as temporary:
-            left_out = row.write(files if row.of_trial else recording, temporary, progress) or []
+            with utf8_path(temporary) as plain:
+                left_out = row.write(files if row.of_trial else recording, plain, progress) or []
             size = temporary.stat().st_size
         if row.events:
             left_out += _left_out(recording, row.holds)
@@ -159,7 +160,8 @@ def export_folder(
     row = FORMATS[format_]
     assert row.write_folder is not None
     with new_folder(folder, force=force) as temporary:
-        written = row.write_folder(sources, opened, temporary, progress, **options)
+        with utf8_path(temporary) as plain:
+            written = row.write_folder(sources, opened, plain, progress, **options)
         sizes = [path.stat().st_size for path in temporary.rglob("*") if path.is_file()]
     return {
         "recordings": len(sources),

@@ -17,6 +17,7 @@ from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import model_file
 from evetac_cli.sim.scene import numbers
 from evetac_cli.store.files import StageFile
+from evetac_cli.text_files import as_utf8
 
 OF_TRACKS = ("features", "forces")  # kinds that are made from tracks
 LEROBOT = ("fps", "per_frame", "test_objects", "task", "tactile_key")  # parameters of this format alone
@@ -66,6 +67,8 @@ def _options(params: Export) -> dict[str, Any]:
     if params.format != "lerobot" and given:
         named = [flag_of(item) for name, item in Export.__dataclass_fields__.items() if name in given]
         raise InputError("has no effect", where=", ".join(named), expected="--format lerobot", found=params.format)
+    if "task" in given:
+        given["task"] = as_utf8(given["task"])
     if "test_objects" in given:
         given["test_objects"] = numbers(given["test_objects"])
     return given

@@ -1,15 +1,18 @@
 """index: make the index of a data set, or bring it up to date; and what `info FOLDER` answers from it."""
 
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.console import print_table
+from evetac_cli.console import print_table, say
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.index import Index, Row, open_index
+from evetac_cli.text_files import as_utf8
 
 NAMES = tuple(name for name in Row._fields if name != "changed_ns")  # that --where knows, and a row shows
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
@@ -19,16 +22,39 @@ MISSING = "none"
 TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # as simulated is shown in a table
 
 
+# Stage files, broken ones among them; the others are HDF5 files of other programs, which are passed over.
+_OURS, _FOREIGN = "(kind IS NOT NULL OR error IS NOT NULL)", "kind IS NULL AND error IS NULL"
+_TOTALS = f"SELECT COUNT(CASE WHEN {_OURS} THEN 1 END), COUNT(error), MAX(simulated) FROM files"
+
+
+@contextmanager
+def indexed(folder: Path, progress: Progress) -> Iterator[Index]:
+    """The index of a folder, up to date; what lies in its place and is none is said."""
+    with open_index(folder, progress) as index:
+        if index.note:
+            say(f"{folder}: {index.note}")
+        yield index
+
+
+def foreign_note(index: Index) -> str:
+    """How many HDF5 files of other programs were passed over, in words; empty if there is none."""
+    names = [row.path for row in index.rows(_FOREIGN)]
+    if not names:
+        return ""
+    several = f"s of other programs ({names[0]}, ...)" if len(names) > 1 else f" of another program ({names[0]})"
+    return f"passed over: {len(names):,} HDF5 file{several}"
+
+
 def run(folders: list[Path], progress: Progress = silent) -> Outcome:
     """A row for every folder: how many files it has, and how many had to be read for that."""
     rows = []
     simulated = False
     for folder in folders:
-        with open_index(folder, progress) as index:
-            files, unreadable = _one(index, "SELECT COUNT(*), COUNT(error) FROM files")
-            simulated |= bool(_one(index, "SELECT MAX(simulated) FROM files")[0])
+        with indexed(folder, progress) as index:
+            files, unreadable, any_simulated = _one(index, _TOTALS)
+            simulated |= bool(any_simulated)
             row = {"folder": str(folder), "files": files, "read": index.read, "removed": index.removed}
-            rows.append({**row, "unreadable": unreadable, "stored": index.stored})
+            rows.append({**row, "unreadable": unreadable, "foreign": _foreign(index), "stored": index.stored})
     return Outcome(rows, simulated, {"folders": len(rows)})
 
 
@@ -40,11 +66,11 @@ def show(result: Outcome) -> None:
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
     """What a data set holds: counts of its files, or with conditions (`object=3`) a row for every file that fits."""
     where, values = _condition(conditions)
-    with open_index(folder, progress) as index:
+    with indexed(folder, progress) as index:
         rows = _files(index, where, values) if conditions else list(_counts(index))
-        files, unreadable = _one(index, "SELECT COUNT(*), COUNT(error) FROM files")
+        files, unreadable, _ = _one(index, _TOTALS)
         simulated = _one(index, f"SELECT MAX(simulated) FROM files WHERE {where}", values)[0]
-    summary = {"folder": str(folder), "files": files, "unreadable": unreadable}
+        summary = {"folder": str(folder), "files": files, "unreadable": unreadable, "foreign": _foreign(index)}
     if conditions:
         summary["fit"] = len(rows)
     return Outcome(rows, bool(simulated), summary)
@@ -58,11 +84,14 @@ def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _files(index: Index, where: str, values: list[Any]) -> list[dict[str, Any]]:
-    selected = index.table.execute(f"SELECT {', '.join(NAMES)} FROM files WHERE {where} ORDER BY path", values)
-    rows = [dict(zip(NAMES, row, strict=True)) for row in selected]
+    rows = [{name: getattr(row, name) for name in NAMES} for row in index.rows(where, values)]
     for row in rows:
         row["simulated"] = None if row["simulated"] is None else bool(row["simulated"])
     return rows
+
+
+def _foreign(index: Index) -> int:
+    return int(_one(index, f"SELECT COUNT(*) FROM files WHERE {_FOREIGN}")[0])
 
 
 def _counts(index: Index) -> list[dict[str, Any]]:
@@ -81,12 +110,12 @@ def _counts(index: Index) -> list[dict[str, Any]]:
         for value, kind, files in index.table.execute(groups):
             by_value.setdefault(value, {name: value, **dict.fromkeys(kinds, 0)})[kind] = files
         rows += by_value.values()
-    unreadable = "SELECT path AS unreadable, error AS reason FROM files WHERE error IS NOT NULL ORDER BY path LIMIT ?"
-    return rows + _dicts(index, unreadable, [MOST_UNREADABLE])
+    unreadable = index.rows("error IS NOT NULL")[:MOST_UNREADABLE]
+    return rows + [{"unreadable": row.path, "reason": row.error} for row in unreadable]
 
 
-def _dicts(index: Index, select: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
-    cursor = index.table.execute(select, values)
+def _dicts(index: Index, select: str) -> list[dict[str, Any]]:
+    cursor = index.table.execute(select)
     names = [column[0] for column in cursor.description]
     return [dict(zip(names, row, strict=True)) for row in cursor]
 
@@ -121,7 +150,9 @@ def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
                 ways.append(f"(typeof({name}) = 'integer' AND {name} BETWEEN ? AND ?)")
                 values += [int(limits[1]), int(limits[2])]
             else:
-                ways.append(f"{name} = ?" if name == "simulated" else f"CAST({name} AS TEXT) = ?")
-                values.append(TRUTH.get(value, value) if name == "simulated" else value)
+                # As bytes, for a path need not be text; what is stored of other texts has its odd bytes spelt out.
+                ways.append(f"{name} = ?" if name == "simulated" else f"CAST({name} AS BLOB) = ?")
+                wanted_bytes = os.fsencode(value) if name == "path" else as_utf8(value).encode()
+                values.append(TRUTH.get(value, as_utf8(value)) if name == "simulated" else wanted_bytes)
         parts.append(f"({' OR '.join(ways)})")
     return " AND ".join(parts) or "1", values

@@ -74,5 +74,5 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         own = [row for row in rows if row["part"] == scene and row["time_us_mean"] is not None][::-1]
         bars = axes.barh([row["setting"] for row in own], [row["time_us_mean"] for row in own], height=0.6)
         axes.bar_label(bars, fmt="%.0f", padding=3)
-        axes.set(title=f"scene {scene}", xlabel="run time of a simulated millisecond, mean [us]")
+        axes.set(title=picture.plain(f"scene {scene}"), xlabel="run time of a simulated millisecond, mean [us]")
         axes.margins(x=0.12)

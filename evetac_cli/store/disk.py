@@ -10,6 +10,7 @@ closed. For the same reason Ctrl-C waits until then; it would otherwise come up 
 """
 
 import errno
+import hashlib
 import io
 import os
 import platform
@@ -30,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.text_files import as_utf8
 
 # HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
 LIBVER = ("earliest", "v114")
@@ -148,7 +150,28 @@ def remove_unfinished(path: Path, ending: str = "") -> None:
 
 
 def _start(path: Path) -> str:
-    return f".{path.name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
+    name = path.name
+    if as_utf8(name) != name:  # libraries that write there may know no other names
+        name = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
+    return f".{name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
+
+
+@contextmanager
+def utf8_path(path: Path) -> Iterator[Path]:
+    """A name of UTF-8 for a file that is there, or is to be made, for libraries that take no other.
+
+    On Linux by way of the file, or its folder, held open meanwhile; elsewhere the path as it is.
+    """
+    if as_utf8(str(path)) == str(path) or not os.path.isdir("/proc/self/fd"):
+        yield path
+        return
+    is_there = path.exists()
+    held = os.open(path if is_there else path.parent, os.O_PATH | os.O_CLOEXEC)
+    try:
+        place = Path(f"/proc/self/fd/{held}")
+        yield place if is_there else place / path.name
+    finally:
+        os.close(held)
 
 
 def _started(process: int | str) -> str:

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import h5py
 
-from evetac_cli.errors import InputError, SchemaError, made_by
+from evetac_cli.errors import EvetacError, ForeignFile, InputError, SchemaError, made_by
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.store import contents, netcdf, schema
 from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
@@ -146,7 +146,7 @@ HEADER: dict[str, tuple[type, ...]] = {
 def _read_header(file: CheckedHdf5) -> Header:
     path, text = file.path, file.text_attribute("header")
     if text is None:
-        raise InputError("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
+        raise ForeignFile("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
     try:
         header = dict(parse_json(text, most_values=math.inf, whole_bits=SEED_BITS))
         canonical(header)
@@ -184,6 +184,15 @@ def _read_header(file: CheckedHdf5) -> Header:
             f"its header is not valid: {', '.join(wrong)}", where=str(path), expected="schemas/header.v1.json"
         )
     return header
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether a file is HDF5 of another program; of what cannot be read it is not known, and not said."""
+    try:
+        with CheckedHdf5(path) as file:
+            return file.text_attribute("header") is None
+    except EvetacError:
+        return False
 
 
 def _check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:

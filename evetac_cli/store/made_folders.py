@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import InputError, UnavailableError
+from evetac_cli.store import index
 from evetac_cli.store.disk import (
     existing_folder,
     missing_folders,
@@ -120,7 +121,10 @@ def _entries(folder: Path, inside: str = "") -> Iterator[tuple[str, bool]]:
 
 
 def _strange(folder: Path, listed: Listed) -> Iterator[str]:
-    """What is in a folder and not as it was listed; of a folder none of whose files is listed the folder alone."""
+    """What is in a folder and not as it was listed; of a folder none of whose files is listed the folder alone.
+
+    An index of ours is none of it: looking at a folder makes one.
+    """
     own = {name.partition("/")[0] for name in listed}
     said = set()
     for name, is_regular in _entries(folder):
@@ -128,6 +132,8 @@ def _strange(folder: Path, listed: Listed) -> Iterator[str]:
         if name in listed and is_regular:
             if not _is_as(folder / name, *listed[name]):
                 yield f"{name} (changed)"
+        elif name.rpartition("/")[2] == index.NAME and index.is_index(folder / name):
+            continue
         elif top in own:
             yield name
         elif top not in said:

@@ -33,7 +33,7 @@ def test_a_folder_is_counted(folder: Path) -> None:
     """Assert that there is a row for every kind, object, sensor, scene and outcome, and one for the broken file."""
     result = index.answer(folder, ())
     assert result.simulated
-    assert result.summary == {"folder": str(folder), "files": 5, "unreadable": 1}
+    assert result.summary == {"folder": str(folder), "files": 5, "unreadable": 1, "foreign": 0}
     kinds = {row["kind"]: row["files"] for row in result.rows if "slices" in row}
     assert kinds == {"labels": 2, "recording": 2}
     for name, value in (("sensor", "evetac"), ("scene", "short"), ("outcome", "slips")):
@@ -76,7 +76,7 @@ def test_the_commands(folder: Path, made: Made) -> None:
     code, result = run("index", folder)
     assert code == 0
     assert result["rows"] == [
-        {"folder": str(folder), "files": 5, "read": 5, "removed": 0, "unreadable": 1, "stored": True}
+        {"folder": str(folder), "files": 5, "read": 5, "removed": 0, "unreadable": 1, "foreign": 0, "stored": True}
     ]
     code, result = run("info", folder, "--where", "kind=labels", "--where", "outcome=slips")
     assert (code, result["summary"]["fit"], len(result["rows"])) == (0, 2, 2)

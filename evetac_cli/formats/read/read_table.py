@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.store.disk import joined_on_disk
+from evetac_cli.store.disk import joined_on_disk, utf8_path
 from evetac_cli.store.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
 
@@ -64,8 +64,8 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
         import pyarrow
     except ImportError as error:
         raise missing_extra("CSV and Parquet need pyarrow", "convert", where=where, error=error) from None
-    with _in_words(where, pyarrow.ArrowException):
-        names, types, batches = _parquet(path) if is_parquet(path) else _csv(path)
+    with _in_words(where, pyarrow.ArrowException), utf8_path(path) as place:
+        names, types, batches = _parquet(place, where) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:
             width = f"{len(names)} columns"
             raise InputError("too wide a table", where=where, expected=f"at most {MOST_COLUMNS} columns", found=width)
@@ -195,12 +195,11 @@ def _unit(name: str) -> tuple[str, str]:
     return plain, ENDINGS.get(plain.lower().rpartition("_")[2], "") if "_" in plain else ""
 
 
-def _csv(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
+def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Iterator[Any]]:
     """Names and types of the columns, and the rows in batches."""
     import pyarrow
     from pyarrow import csv
 
-    where = str(path)
     with open_regular(path) as file:
         head = file.readline(MOST_HEAD_BYTES)
     try:
@@ -215,7 +214,7 @@ def _csv(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
     if any(re.fullmatch(r"\s*[-+]?[.\d][\d.eE+-]*\s*", name) for name in names):
         raise InputError("its first line does not name the columns", where=where, found=line[:80])
     how = csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES), csv.ParseOptions(delimiter=delimiter)
-    with csv.open_csv(where, *how) as first:
+    with csv.open_csv(path, *how) as first:
         columns = first.schema
     times = _find_times(columns.names, where).columns
     # A column may begin with whole numbers and go on with others, so all but the times are read as floats.
@@ -227,13 +226,13 @@ def _csv(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
     types = [as_floats.get(name, kind) for name, kind in zip(columns.names, columns.types, strict=True)]
 
     def batches() -> Iterator[Any]:
-        with csv.open_csv(where, *how, csv.ConvertOptions(column_types=as_floats)) as reader:
+        with csv.open_csv(path, *how, csv.ConvertOptions(column_types=as_floats)) as reader:
             yield from reader
 
     return list(columns.names), types, batches()
 
 
-def _parquet(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
+def _parquet(path: Path, where: str) -> tuple[list[str], list[Any], Iterator[Any]]:
     """Names and types of the columns, and the rows in batches."""
     from pyarrow import parquet
 
@@ -243,7 +242,7 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Iterator[Any]]:
         if not 0 <= largest <= MOST_GROUP_BYTES:
             size = f"{largest / 1e6:,.0f} MB"
             expected = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB"
-            raise InputError("too much of it has to be read at once", where=str(path), expected=expected, found=size)
+            raise InputError("too much of it has to be read at once", where=where, expected=expected, found=size)
         schema = file.schema_arrow
 
     def batches() -> Iterator[Any]:

@@ -7,13 +7,15 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from evetac_cli.text_files import as_utf8
+
 TAGS = ("tactile", "event-camera", "robotics", "evetac")
 
 
 def card_text(fields: Mapping[str, Any], paragraphs: Sequence[str]) -> str:
     """README.md. JSON is YAML too, so values are written as JSON: nothing in a name can end a value."""
     lines = [f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
-    return "\n".join(["---", *lines, "---", "", "\n\n".join(paragraphs), ""])
+    return as_utf8("\n".join(["---", *lines, "---", "", "\n\n".join(paragraphs), ""]))
 
 
 def card_fields(simulated: bool, license_: str | None, *tags: str) -> dict[str, Any]:

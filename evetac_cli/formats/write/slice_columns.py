@@ -25,7 +25,7 @@ from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import describe
 from evetac_cli.store.read import Recording
 from evetac_cli.store.schema import Dataset
-from evetac_cli.text_files import parse_json
+from evetac_cli.text_files import as_utf8, parse_json
 
 Masked = np.ma.MaskedArray[Any, Any]
 KINDS = ("recording", "tracks", "labels", "forces", "features")  # of two columns of one name, the first stands
@@ -62,7 +62,7 @@ class TrialFiles(NamedTuple):
         if outcome is None and "labels" in self.by_kind:
             outcome = self._described("labels").outcome
         return {
-            "trial": stem(self.recording.path),
+            "trial": as_utf8(stem(self.recording.path)),
             "object": row.object,
             "sensor": row.sensor or None,
             "seed": row.seed,
@@ -209,7 +209,7 @@ def _unit_of_column(file: StageFile, group: str, column: str) -> str:
     """The unit of a column of a stream, which the text of its group says; empty for all other datasets."""
     if not group.startswith(f"{streams.GROUP}/"):
         return ""
-    return str(parse_json(file.read(f"{group}/about")).get("units", {}).get(column, ""))
+    return as_utf8(str(parse_json(file.read(f"{group}/about")).get("units", {}).get(column, "")))
 
 
 def _named(row: Dataset, shape: Sequence[int], prefix: str, dot: Callable[[int], str]) -> list[tuple[str, str]]:

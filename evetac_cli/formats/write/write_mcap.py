@@ -42,7 +42,7 @@ from evetac_cli.jobs import Progress
 from evetac_cli.store import streams
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import BLOCK_SLICES, Recording
-from evetac_cli.text_files import parse_json
+from evetac_cli.text_files import as_utf8, parse_json
 
 PACKET = "event_camera_msgs/msg/EventPacket"
 DEFINITION = """std_msgs/Header header
@@ -242,7 +242,8 @@ class _Messages:
             if columns:
                 units = dict(parse_json(about)).get("units")
                 units = units if isinstance(units, dict) else {}
-                label = ", ".join(f"{column} [{units[column]}]" if column in units else column for column in columns)
+                named = (f"{column} [{units[column]}]" if column in units else column for column in columns)
+                label = as_utf8(", ".join(named))
                 yield topic, "std_msgs/msg/Float64MultiArray", self._columns(recording, group, columns, label)
             if f"{group}/frames" in paths:
                 yield f"{topic}/image", "sensor_msgs/msg/Image", self._images(recording, group)

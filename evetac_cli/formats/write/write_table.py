@@ -16,7 +16,6 @@ import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -33,12 +32,14 @@ from evetac_cli.formats.write.slice_columns import (
     not_in_tables,
 )
 from evetac_cli.jobs import Progress
+from evetac_cli.store.disk import utf8_path
 from evetac_cli.store.index import LARGEST
-from evetac_cli.text_files import parse_json
+from evetac_cli.text_files import open_regular, parse_json
 
 BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
 PARTITIONS = ("object", "sensor")
 COMPRESSION = "zstd"
+MOST_LINE_BYTES = 1 << 20  # of CSV; ours have some 10 kB
 
 
 def load_pyarrow(where: str) -> Any:
@@ -77,13 +78,15 @@ def is_simulated(path: Path) -> bool:
     InputError where a Parquet file cannot be read.
     """
     if path.suffix == ".csv":
-        with path.open(encoding="utf-8", errors="replace", newline="") as file:
-            first = next(csv.DictReader(islice(file, 2)), {})
-        return first.get("simulated") == "true"
+        with open_regular(path) as file:
+            lines = [file.readline(MOST_LINE_BYTES).decode(errors="replace") for _ in range(2)]
+        return next(csv.DictReader(lines), {}).get("simulated") == "true"
     arrow = load_pyarrow(str(path))
     try:
-        said = parse_json((arrow.parquet.read_schema(path).metadata or {}).get(b"evetac", b"{}").decode())
-    except ValueError as error:  # Arrow's errors are such, too
+        with utf8_path(path) as plain:
+            metadata = arrow.parquet.read_schema(plain).metadata or {}
+        said = parse_json(metadata.get(b"evetac", b"{}").decode())
+    except (ValueError, OSError) as error:  # Arrow's errors are of both
         raise InputError("no Parquet that can be read", where=str(path), found=str(error)[:200]) from None
     return isinstance(said, dict) and said.get("simulated") is True
 

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError, UnavailableError
+from evetac_cli.inspect.index import foreign_note, indexed
 from evetac_cli.inspect.view.event_images import picture
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onset
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import Row, open_index, recording_of
+from evetac_cli.store.index import Row, recording_of
 from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.text_files import open_regular
 
 Rows = list[dict[str, Any]]
 
@@ -126,15 +128,17 @@ def read_study(folder: Path, progress: Progress) -> Study:
     if next(folder.rglob("*.h5"), None) is None:  # seen first: an index has no place in a folder of other things
         others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
         raise _nothing(folder, f"{others} other files and folders" if others else "an empty folder")
-    with open_index(folder, progress) as index:
-        rows = [Row(*row) for row in index.table.execute(f"SELECT {', '.join(Row._fields)} FROM files ORDER BY path")]
+    with indexed(folder, progress) as index:
+        rows, passed_over = index.rows(), foreign_note(index)
     files = Counter(row.kind for row in rows if row.kind is not None)
     unreadable = [(row.path, row.error) for row in rows if row.error is not None]
     if not files:
-        raise _nothing(folder, "; ".join(f"{path}: {reason}" for path, reason in unreadable[:3]))
+        raise _nothing(folder, "; ".join([*(f"{path}: {reason}" for path, reason in unreadable[:3]), passed_over]))
     study = Study(
         folder, folder.resolve().name or str(folder), [], [], files, unreadable, any(row.simulated for row in rows), []
     )
+    if passed_over:
+        study.notes.append(f"{passed_over[0].upper()}{passed_over[1:]}.")
     for row in rows:
         if row.kind == "report":
             _read_report(study, row.path)
@@ -216,9 +220,9 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
 def _is_view(path: Path) -> bool:
     """Whether a file is a page of `view`."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return VIEW_MARK in file.read(2000)
-    except OSError:
+    except (InputError, UnavailableError):
         return False
 
 

@@ -44,7 +44,8 @@ def run(
         "size_bytes": size,
         "license": card.about["license"] or "none chosen",
     }
-    return Outcome([row], bool(card.about["simulated"]), {"notes": "nothing was uploaded"})
+    notes = "; ".join(filter(None, ("nothing was uploaded", card.passed_over)))
+    return Outcome([row], bool(card.about["simulated"]), {"notes": notes})
 
 
 def _check_free(target: Path, source: Path, force: bool) -> None:

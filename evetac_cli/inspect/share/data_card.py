@@ -7,10 +7,10 @@ from typing import Any
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import card_fields, inline
 from evetac_cli.formats.write.write_table import is_simulated
+from evetac_cli.inspect.index import foreign_note, indexed
 from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.jobs import Progress
 from evetac_cli.params.inspection import Share
-from evetac_cli.store.index import Row, open_index
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 LARGER = "1M<n<10M"
@@ -33,8 +33,8 @@ opens it with `engine="h5netcdf"`."""
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
     """The card of a folder of stage files, and of tables exported from them; InputError where one cannot be read."""
-    with open_index(folder, progress) as index:
-        rows = [Row(*row) for row in index.table.execute(f"SELECT {', '.join(Row._fields)} FROM files ORDER BY path")]
+    with indexed(folder, progress) as index:
+        rows, passed_over = index.rows("kind IS NOT NULL OR error IS NOT NULL"), foreign_note(index)
     broken = next((row for row in rows if row.error is not None), None)
     if broken is not None:
         hint = "move it away, or make it again"
@@ -96,7 +96,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         "## How to read it",
         READ.replace("NAME", inline(Path(rows[0].path).name.split(".")[0])) if rows else "Tables, a row a slice.",
     ]
-    return Card(fields, page, about, links, {})
+    return Card(fields, page, about, links, {}, passed_over)
 
 
 def _listed(trials: Any, name: str) -> str:

@@ -28,8 +28,10 @@ from evetac_cli.inspect.pages import BLUE, GREEN, INK, ORANGE, PINK, shown_colou
 from evetac_cli.inspect.view.trial_files import Trial
 from evetac_cli.inspect.view.view_data import Lane, Panel, ViewData
 from evetac_cli.jobs import Progress
+from evetac_cli.store.disk import utf8_path
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import BLOCK_SLICES, Recording
+from evetac_cli.text_files import as_utf8
 
 TIMELINE = "t"
 MOST_EVENTS = 4_000_000
@@ -54,12 +56,17 @@ def load_rerun() -> Any:
 
 def write_rrd(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None:
     """Write the file; InputError if the disk does not take all of it."""
+    with utf8_path(path) as plain:
+        _write(trial, view, plain, progress)
+
+
+def _write(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None:
     rr = load_rerun()
     start, stop = view.span
     file = _File(rr, f"{trial.recording_id}-{start}-{stop}")
     # rerun says of a disk that is full only in its log: so the file is read again when it is done
     file.stream.save(path, default_blueprint=_blueprint(rr.blueprint, trial, view))
-    title = trial.files[0].path.name
+    title = as_utf8(trial.files[0].path.name)
     file.stream.send_recording_name(f"{title} (simulated)" if view.simulated else title)
     notes = []
     if trial.recording is not None:
@@ -197,7 +204,8 @@ class _File:
         parts = known + [("not examined", part) for lane in lanes for part in lane.unknown]
         changes = {start_s: ""} | {last: "" for _, (_, last) in parts} | {first: name for name, (first, _) in parts}
         t_us = np.rint(np.array(sorted(changes)) * 1e6)
-        self._columns(path, t_us, self._rr.StateChange.columns(state=[changes[at] for at in sorted(changes)]))
+        state = [as_utf8(changes[at]) for at in sorted(changes)]
+        self._columns(path, t_us, self._rr.StateChange.columns(state=state))
 
 
 def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
@@ -213,7 +221,7 @@ def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
     pictures += [rrb.Spatial2DView(origin=f"cameras/{_name(one.name)}", name=one.name) for one in view.cameras]
     for number, panel in enumerate(view.panels):
         words = [panel.title, f"[{panel.unit}]" if panel.unit else "", "(simulated)" if panel.simulated else ""]
-        name = " ".join(word for word in words if word)
+        name = as_utf8(" ".join(word for word in words if word))
         axis = None if panel.ends is None else rrb.ScalarAxis(range=panel.ends)
         charts.append(rrb.TimeSeriesView(origin=_chart(number, panel), name=name, axis_y=axis))
     if view.lanes:
@@ -251,7 +259,7 @@ def _about(title: str, trial: Trial, view: ViewData, notes: list[str]) -> str:
             )
         ),
     ]
-    return "\n\n".join(line for line in lines if line)
+    return as_utf8("\n\n".join(line for line in lines if line))
 
 
 def _chart(number: int, panel: Panel) -> str:

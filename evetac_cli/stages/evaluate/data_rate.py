@@ -227,6 +227,11 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
             if not spans[name].missing_because:
                 span = (spans[name].start / 1000, spans[name].stop / 1000)
                 axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=label)
-        axes.set(ylabel="data rate [MB/s]", xlim=(0, len(bytes_a_slice) / 1000), ylim=(0, None), title=path.name)
+        axes.set(
+            ylabel="data rate [MB/s]",
+            xlim=(0, len(bytes_a_slice) / 1000),
+            ylim=(0, None),
+            title=picture.plain(path.name),
+        )
     panels[-1].set_xlabel("time [s]")
     picture.legend(figure, panels)

@@ -239,7 +239,7 @@ def _draw(figure: Any, trials: list[TrialForce]) -> None:
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
             for name, (colour, words) in STYLES.items():
                 axes.plot(order, one.predicted_n[name][0][:, axis], color=colour, linewidth=1.0, label=words)
-            axes.set_title(f"dots in {sensor}, sensor {one.sensor_name}")
+            axes.set_title(picture.plain(f"dots in {sensor}, sensor {one.sensor_name}"))
             axes.set_ylabel(f"shear force {forces.AXES[axis]} [N]")
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")

@@ -262,5 +262,5 @@ def _draw(figure: Any, trial: Trial) -> None:
             axes.set_ylabel(f"{what} [N]" if column == 0 else "")
         panels[0, column].set_title(f"gel {name}")
         panels[-1, column].set_xlabel("time [s]")
-    figure.suptitle(f"Force from dots, {trial.sensor_name}, an unseen trajectory (simulated)")
+    figure.suptitle(picture.plain(f"Force from dots, {trial.sensor_name}, an unseen trajectory (simulated)"))
     picture.legend(figure, panels[0])

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.console import safe
 from evetac_cli.errors import install_hint
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.disk import taking_the_place_of
@@ -119,7 +120,13 @@ def legend(figure: Any, axes: Iterable[Any], **more: Any) -> None:
         entries |= {label: one for label, one in zip(labels, handles, strict=True) if label not in entries}
     if entries:
         columns = _legend_columns(list(entries), figure.bbox.width / figure.dpi)
-        figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns, **more)
+        words = [plain(label) for label in entries]
+        figure.legend(entries.values(), words, loc="outside lower center", ncols=columns, **more)
+
+
+def plain(text: str) -> str:
+    """A text from a file, or the name of one, as matplotlib draws it: no formula, and only signs that can be seen."""
+    return safe(text).replace("$", r"\$")
 
 
 def legend_height_in(labels: Sequence[str], width_in: float) -> float:

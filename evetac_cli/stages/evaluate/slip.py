@@ -199,7 +199,7 @@ def _draw(figure: Any, outcome: Outcome) -> None:
     for place, row in enumerate(settings):
         slips = sum(one["t_c_ms"] is not None for one in trajectories if one["setting"] == row["setting"])
         slips //= row["seeds"]
-        names.append(f"{_wrapped(row['setting'])}\nslips: {slips}, seeds: {row['seeds']}")
+        names.append(f"{picture.plain(_wrapped(row['setting']))}\nslips: {slips}, seeds: {row['seeds']}")
         _draw_timing(timing, place, row, slips)
         _draw_f1(f1, place, row, [one for one in outcome.rows if "object" in one and "trajectories" in one])
     for axes, key in ((timing, "slip_correct"), (f1, "f1")):
@@ -270,7 +270,7 @@ def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
     before = sum(value < SHOWN_MS[0] for value in late_by)
     after = len(slips) - before - len(shown)
     beyond = f"{before} before this range, {after} after it or never, of {len(slips)}"
-    axes.set_title(f"{_wrapped(setting)}\n{beyond}", fontsize=8.5)
+    axes.set_title(f"{picture.plain(_wrapped(setting))}\n{beyond}", fontsize=8.5)
 
 
 def _share_by(slips: Rows, steps: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -289,4 +289,6 @@ def _draw_consistent(axes: Any, rows: Rows) -> None:
             axes.plot(row["paper_consistent_share"], place - 0.2, label=label, **picture.PAPER)
     picture.share_axis(axes.xaxis)
     axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))
-    axes.set_yticks(range(len(presets)), [f"{row['preset']}\ntrajectories: {row['trajectories']}" for row in presets])
+    axes.set_yticks(
+        range(len(presets)), [f"{picture.plain(row['preset'])}\ntrajectories: {row['trajectories']}" for row in presets]
+    )

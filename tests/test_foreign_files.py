@@ -1,0 +1,128 @@
+"""HDF5 files of other programs in a folder, an export of ours among them, are passed over, and counted."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.formats.write import write_dsec
+from evetac_cli.jobs import silent
+from evetac_cli.store.read import open_recording
+from tests import small_files
+
+
+def dsec(path: Path) -> None:
+    with open_recording(path.parent / "a.recording.h5") as recording:
+        write_dsec.write(recording, path, silent)
+
+
+def arrays(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["x"] = np.arange(10)
+
+
+def other_header(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file.attrs["header"] = np.arange(3)
+
+
+def links_elsewhere(path: Path) -> None:
+    with h5py.File(path, "w", libver="latest") as file:
+        file["passwords"] = h5py.ExternalLink("/etc/passwd", "/")
+
+
+FOREIGN: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "our own export": ("a.dsec.h5", dsec),
+    "arrays of a notebook": ("results.h5", arrays),
+    "a name of ours": ("b.recording.h5", arrays),
+    "a header of numbers": ("c.other.h5", other_header),
+    "links to elsewhere": ("d.links.h5", links_elsewhere),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "data").mkdir()
+    header = small_files.recording(tmp_path / "data" / "a.recording.h5")
+    small_files.tracks(tmp_path / "data" / "a.tracks.h5", header)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "data"
+
+
+def run(*words: str) -> tuple[Any, str]:
+    result = CliRunner().invoke(app, [*words, "--json"])
+    assert result.exit_code == 0, result.output + result.stderr
+    return json.loads(result.stdout), result.stderr
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_they_are_passed_over_and_counted(name: str, folder: Path) -> None:
+    """Assert that every command that takes a folder works as without it, and says what it passed over."""
+    file, make = FOREIGN[name]
+    make(folder / file)
+    shown, _ = run("info", "data")
+    assert shown["summary"] == {"folder": "data", "files": 2, "unreadable": 0, "foreign": 1}
+    shown, _ = run("info", "data", "--where", "kind=none")
+    assert [(row["path"], row["error"]) for row in shown["rows"]] == [(file, None)]
+    shown, _ = run("index", "data")
+    assert {name: shown["rows"][0][name] for name in ("files", "read", "unreadable", "foreign")} == {
+        "files": 2,
+        "read": 0,  # it is not opened again
+        "unreadable": 0,
+        "foreign": 1,
+    }
+    shown, _ = run("report", "data")
+    assert shown["rows"][0]["unreadable"] == 0
+    assert f"Passed over: 1 HDF5 file of another program ({file})." in (folder / "report.html").read_text()
+    shown, _ = run("share", "data", "-o", "hub")
+    assert f"passed over: 1 HDF5 file of another program ({file})" in shown["summary"]["notes"]
+    assert sorted(path.name for path in Path("hub/data").iterdir()) == ["a.recording.h5", "a.tracks.h5"]
+    shown, said = run("validate", "data")
+    assert [row["valid"] for row in shown["rows"]] == [True, True]
+    assert (f"passed over: 1 HDF5 file of other programs ({file})" in said) == (file.count(".") > 1)
+    shown, _ = run("info", *(str(path) for path in folder.glob("a.*.h5") if path.name != file))
+    assert len(shown["rows"]) == 2
+
+
+def test_many_of_them_and_nothing_else(folder: Path) -> None:
+    """Assert that several are counted, and that a folder of them alone is none of ours, in words."""
+    for number in range(3):
+        arrays(folder / f"n{number}.other.h5")
+    shown, _ = run("index", "data")
+    assert shown["rows"][0]["foreign"] == 3
+    _, said = run("validate", "data")
+    assert "passed over: 3 HDF5 files of other programs (n0.other.h5)" in said
+    for path in folder.glob("a.*"):
+        path.unlink()
+    for words, expected in (
+        (("report", "data"), "no evetac files there"),
+        (("share", "data", "-o", "hub"), "nothing to"),
+    ):
+        result = CliRunner().invoke(app, [*words])
+        assert result.exit_code == 2 and expected in result.stderr
+    assert "other programs" in CliRunner().invoke(app, ["report", "data"]).stderr
+
+
+def test_a_file_that_is_named_is_still_refused(folder: Path) -> None:
+    """Assert that a foreign file among those named one by one is an error, with the way to import it."""
+    arrays(folder / "results.other.h5")
+    result = CliRunner().invoke(app, ["validate", "data/results.other.h5", "--json"])
+    assert result.exit_code == 2
+    assert "record --from" in json.loads(result.stdout)["rows"][0]["faults"]
+    result = CliRunner().invoke(app, ["info", "data/results.other.h5"])
+    assert result.exit_code == 2 and "was not made by evetac" in result.stderr
+
+
+def test_a_broken_file_is_not_taken_for_a_foreign_one(folder: Path) -> None:
+    """Assert that damage still stops what needs all files: only what is sound HDF5 is somebody else's."""
+    (folder / "b.recording.h5").write_bytes((folder / "a.recording.h5").read_bytes()[:5000])
+    shown, _ = run("info", "data")
+    assert (shown["summary"]["unreadable"], shown["summary"]["foreign"]) == (1, 0)
+    assert CliRunner().invoke(app, ["share", "data", "-o", "hub"]).exit_code == 2
+    assert CliRunner().invoke(app, ["validate", "data"]).exit_code == 2
