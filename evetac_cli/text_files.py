@@ -163,7 +163,7 @@ def _toml_value(value: Any) -> str:
 
 def as_utf8(text: str) -> str:
     """A text as files can hold it: what stands in a name for bytes that are no UTF-8 is spelt out, as `\\udcff`."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
 def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:

@@ -62,7 +62,7 @@ class Row(NamedTuple):
     error: str | None = None  # why it cannot be read
 
 
-ERROR = Row._fields.index("error")
+ERROR, SIMULATED, SLICES = map(Row._fields.index, ("error", "simulated", "slices"))
 Seen = dict[str, tuple[int, int]]  # size and time of change of files, by their paths
 _CREATE = f"CREATE TABLE files ({', '.join(Row._fields)}, PRIMARY KEY (path)) WITHOUT ROWID"
 _BEGINS, _ENDS = "CREATE TABLE files (path, ", ", PRIMARY KEY (path)) WITHOUT ROWID"  # of every format
@@ -98,11 +98,10 @@ def _name(path: str | bytes) -> str:
     return os.fsdecode(path) if isinstance(path, bytes) else path
 
 
-def _stored(row: Sequence[Any]) -> tuple[Any, ...]:
+def _stored(row: tuple[Any, ...]) -> tuple[Any, ...]:
     """A row as the table has it: SQLite has no text but UTF-8."""
-    path, *more = row
-    name: str | bytes = path if as_utf8(path) == path else os.fsencode(path)
-    return name, *(as_utf8(value) if isinstance(value, str) else value for value in more)
+    path = row[0]
+    return row if as_utf8(path) == path else (os.fsencode(path), *row[1:])
 
 
 @contextmanager
@@ -121,7 +120,8 @@ def open_index(folder: Path, progress: Callable[[int, int], None] = lambda done,
     try:
         for number, name in enumerate(stale):
             progress(number, len(stale))
-            rows[name] = tuple(describe(folder, name, *seen[name]))
+            _, *made = describe(folder, name, *seen[name])
+            rows[name] = (name, *(as_utf8(value) if isinstance(value, str) else value for value in made))
     except KeyboardInterrupt:
         if not lies.note:
             _store(path, rows.values())  # the next goes on from here
@@ -223,8 +223,13 @@ def _checked(table: sqlite3.Connection, seen: Seen) -> _Lies:
     try:
         if made[0][2] != _CREATE or table.execute("PRAGMA user_version").fetchone() != (FORMAT,):
             return _Lies()
+        possible: set[tuple[type, ...]] = set()
         for number, row in enumerate(table.execute(_SELECT)):
-            if number > most or not _is_possible(row):
+            types = tuple(map(type, row))
+            if types not in possible and not _are_possible(types):
+                return _Lies()
+            possible.add(types)
+            if number > most or row[SIMULATED] not in (None, 0, 1) or not 0 <= (row[SLICES] or 0) <= MOST_SLICES:
                 return _Lies()
             name = _name(row[0])
             if name in seen:
@@ -236,12 +241,9 @@ def _checked(table: sqlite3.Connection, seen: Seen) -> _Lies:
     return _Lies(rows, removed)
 
 
-def _is_possible(row: Sequence[Any]) -> bool:
-    """Whether each value of a row is of a type that its column may have, and in its range."""
-    if any(type(value) not in _TYPES[name] for name, value in zip(Row._fields, row, strict=True)):
-        return False
-    made = Row(*row)
-    return made.simulated in (None, 0, 1) and (made.slices is None or 0 <= made.slices <= MOST_SLICES)
+def _are_possible(types: Sequence[type]) -> bool:
+    """Whether each value of a row is of a type that its column may have."""
+    return all(kind in _TYPES[name] for name, kind in zip(Row._fields, types, strict=True))
 
 
 def _filled(table: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> sqlite3.Connection:

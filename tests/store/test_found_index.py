@@ -193,8 +193,8 @@ def test_any_damage_to_an_index(folder: Path) -> None:
         for at in rng.integers(0, 600 if rng.random() < 0.5 else len(damaged), 1 + rng.integers(8)):
             damaged[at] = rng.integers(256)
         path.write_bytes(damaged)
-        found = rows(folder)
-        assert [row[:3] for row in found] == [row[:3] for row in right]
+        now = rows(folder)
+        assert [row[:3] for row in now] == [row[:3] for row in right]
 
 
 def test_what_a_header_says_is_text_that_can_be_kept(tmp_path: Path) -> None:
