@@ -19,7 +19,7 @@ from tests import small_files
 
 # What is not there, the command that needs it ({f}: a recording, {o}: the folder of outputs), and the extra.
 NEEDED = {
-    "AEDAT4": ("faery", "record --from events.aedat4 -o {o}", "convert"),
+    "AEDAT4": ("lz4", "record --from events.aedat4 -o {o}", "convert"),
     "bag": ("rosbags", "record --from events.bag -o {o}", "convert"),
     "MCAP": ("rosbags", "record --from events.mcap -o {o}", "convert"),
     "filter of HDF5": ("hdf5plugin", "record --from packed.h5 -o {o}", "convert"),
