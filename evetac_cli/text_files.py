@@ -1,10 +1,13 @@
 """The one door for text files from elsewhere, TOML and JSON: regular files only, of a bounded size, depth and count.
 
+Numbers are plain behind it: finite, whole ones of 64 bits, and no 0 with a sign, which numpy takes for a negative one.
+
 Why the structure is looked at before the text is parsed: tomllib takes a minute for one key of 100,000 dotted parts,
 and both parsers run out of stack where lists are nested deep enough. Looking takes a time in proportion to the size.
 """
 
 import json
+import math
 import os
 import re
 import stat
@@ -35,6 +38,7 @@ _TOML_TEXT = re.compile(
 _JSON_TEXT = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)', re.DOTALL)
 _DOTTED = re.compile(rf"(?<![\w\-])[\w\-]++(?:[ \t]*+\.[ \t]*+[\w\-]++){{{MOST_DEPTH}}}")
 _STRUCTURE = re.compile(r"[\[\]{},=:]")
+_HUGE = re.compile(r"[eE]\+?[0-9]{3}|[0-9]{300}")  # what a number of JSON has that may be too large for a float
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -114,29 +118,43 @@ def read_text(path: Path, most_bytes: int) -> str:
 
 
 def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, Any]:
-    """A TOML file within the limits above, its whole numbers too; `refusal`, an InputError, for anything else."""
+    """A TOML file within the limits above, of plain numbers; `refusal`, an InputError, for anything else."""
     try:
-        return parse_toml(read_text(path, MOST_TOML_BYTES))
+        table = parse_toml(read_text(path, MOST_TOML_BYTES))
     except ValueError as error:
         raise refusal(f"not valid TOML: {error}", where=str(path)) from None
     except InputError as error:
         raise refusal(error.message, where=error.where, expected=error.expected, found=error.found) from None
+    require_finite(table, str(path), refusal)
+    return table
+
+
+def require_finite(table: Mapping[str, Any], where: str, refusal: type[InputError] = InputError) -> None:
+    """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
+    for place, value in _values(table):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise refusal(f"{place}: not a finite number", where=where, found=str(value))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML within the limits above; ValueError says in words what is wrong with it."""
+    """Parse TOML within the limits above; ValueError says in words what is wrong with it. Floats may be nan or inf."""
     outline = _TOML_TEXT.sub("a", text.replace("\r\n", "\n"))
     if _DOTTED.search(outline):
         raise ValueError(f"a key of more than {MOST_DEPTH} parts")
     _check_outline(outline)
     try:
-        table = tomllib.loads(text)
+        table = tomllib.loads(text, parse_float=lambda number: plain_number(float(number)))
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
-    for value in _values(table):
+    for _, value in _values(table):
         if type(value) is int and value.bit_length() >= WHOLE_BITS:
             raise ValueError(f"a whole number of more than {WHOLE_BITS} bits")
     return table
+
+
+def plain_number(value: float) -> float:
+    """A number without the sign that a 0 may have."""
+    return value + 0.0
 
 
 def as_toml(table: Mapping[str, Any]) -> str:
@@ -179,11 +197,20 @@ def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int =
                 return number
         raise ValueError(f"a whole number of more than {whole_bits} bits")
 
-    _check_outline(_JSON_TEXT.sub("a", text), most_values)
+    outline = _JSON_TEXT.sub("a", text)
+    _check_outline(outline, most_values)
     try:
-        return json.loads(text, parse_int=whole, parse_constant=_no_number)
+        huge = _finite if _HUGE.search(outline) else None
+        return json.loads(text, parse_int=whole, parse_float=huge, parse_constant=_no_number)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"{digits[:20]} is too large a number")
+    return value
 
 
 def _no_number(name: str) -> Any:
@@ -207,10 +234,13 @@ def _check_outline(outline: str, most_values: float = MOST_VALUES) -> None:
                 raise ValueError(f"it has more than {most_values:,} values")
 
 
-def _values(value: Any) -> Iterator[Any]:
-    """All that stands in tables and lists, which are not deep."""
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for item in inner:
-        yield from _values(item)
-    if not isinstance(value, (dict, list)):
-        yield value
+def _values(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """All that stands in tables and lists, which are not deep, each with its place: keys and numbers between dots."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _values(item, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            yield from _values(item, f"{place}.{number}")
+    else:
+        yield place, value

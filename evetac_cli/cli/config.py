@@ -16,7 +16,9 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.params.parameter import flag_of
-from evetac_cli.text_files import read_toml
+from evetac_cli.text_files import plain_number, read_toml
+
+MOST = 10**12  # of a number whose parameter has no limit of its own: a year in us, and no sum of such overflows
 
 # A table of a config file for each: [track], [evaluate.slip].
 COMMANDS = (
@@ -50,7 +52,8 @@ def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | No
     """Build the parameters of a command from flags that were given, a config file, and defaults; all checked."""
     table = _read_config(config, cls, command) if config else {}
     values = {**table, **{name: value for name, value in given.items() if value is not None}}
-    params = cls(**values)
+    plain = {name: plain_number(value) if isinstance(value, float) else value for name, value in values.items()}
+    params = cls(**plain)
     for item in fields(cls):
         _check(item, getattr(params, item.name))
     return params
@@ -128,6 +131,7 @@ def _check(item: "dataclasses.Field[Any]", value: Any) -> None:
         raise InputError("not a finite number", where=where, expected=f"a number{unit}", found=str(value))
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         low, high = about["low"], about["high"]
-        if (low is not None and value < low) or (high is not None and value > high):
-            limits = f"{low} to {high}" if high is not None and low is not None else f"at least {low}"
-            raise InputError("out of range", where=where, expected=f"{limits}{unit}", found=str(value))
+        least, most = -MOST if low is None else low, MOST if high is None else high
+        if not least <= value <= most:
+            limits = f"at least {low}" if high is None and value < least else f"{least} to {most}"
+            raise InputError("out of range", where=where, expected=f"{limits}{unit}", found=str(value)[:40])

@@ -28,7 +28,6 @@ def read(path: Path) -> tuple[str, dict[str, Any]]:
     """The name and the row of an object that is held; InputError for anything that is none."""
     where = str(path)
     table = read_toml(path)
-    sensor_file.check_finite(table, where, "")
     row = row_of(table, where, HELD)
     held_mm = row.get("grasped_width_mm", row["width_mm"])
     if held_mm > WIDEST_MM:

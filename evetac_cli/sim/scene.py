@@ -82,7 +82,6 @@ def load(name_or_path: str) -> dict[str, Any]:
                 hint=f"did you mean {near[0]}?" if near else "",
             )
     scene = read_toml(path, SceneError)
-    _check_finite(scene, str(path), "")
     _check(scene, str(path))
     return scene
 
@@ -119,18 +118,6 @@ def _check(scene: dict[str, Any], where: str) -> None:
         near = get_close_matches(unknown[0], known, n=1)
         hint = f"did you mean `{near[0]}`?" if near else f"known keys: {', '.join(known)}"
     raise SceneError(f"{place}: {error.message}", where=where, hint=hint)
-
-
-def _check_finite(value: Any, where: str, place: str) -> None:
-    """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _check_finite(item, where, f"{place}.{key}" if place else key)
-    elif isinstance(value, list):
-        for item in value:
-            _check_finite(item, where, place)
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise SceneError(f"{place}: not a finite number", where=where, found=str(value))
 
 
 def _check_needed(scene: dict[str, Any], where: str) -> None:

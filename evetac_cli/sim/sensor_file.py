@@ -6,7 +6,6 @@ for two files of the same content: names of files and `like` do not enter a reci
 
 import functools
 import json
-import math
 import re
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
@@ -45,7 +44,6 @@ def read(path: Path, named_row: Callable[[str], dict[str, Any]]) -> tuple[str, d
     """
     table = read_toml(path)
     where = str(path)
-    check_finite(table, where, "")
     if "dot_xy_px" in table:
         table = {**table, "dot_xy_px": _rows_of_dots(table["dot_xy_px"])}
     _check(table, where, whole=False)
@@ -274,15 +272,6 @@ def _meaning(rules: Mapping[str, Any]) -> str:
 
 def _of_what(rules: Mapping[str, Any]) -> str:
     return f" ({rules['description']})" if "description" in rules else ""
-
-
-def check_finite(value: Any, where: str, place: str) -> None:
-    """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, item in inner:
-        check_finite(item, where, f"{place}.{key}" if place else str(key))
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{place}: not a finite number", where=where, found=str(value))
 
 
 def with_floats(value: Any, rules: Mapping[str, Any]) -> Any:

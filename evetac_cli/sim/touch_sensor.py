@@ -28,13 +28,14 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.sensitivity import Sensitivity
-from evetac_cli.sim import object_file, sampling, scene, sensor_file
+from evetac_cli.sim import object_file, sampling, scene
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, friction_factor, friction_of, material, pad
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.solver import from_scene, resolve
+from evetac_cli.text_files import require_finite
 
 Floats = NDArray[np.float64]
 
@@ -418,7 +419,7 @@ def _object_row(given: int | str | Path | Mapping[str, Any]) -> dict[str, Any]:
         return scene.object_row(given)
     where = "TouchSensor(object=...)"
     table = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
-    sensor_file.check_finite(table, where, "")
+    require_finite(table, where)
     row = object_file.row_of(table, where, ("width_mm",) if table.get("shape") in ("cylinder", "sphere") else ())
     row = {"mass_g": 1.0, "width_mm": object_file.WIDEST_SURFACE_MM, **row}
     return {**row, "tilt_deg": row.get("tilt_deg", [0.0, 0.0])}

@@ -227,6 +227,11 @@ def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
     return masked
 
 
+def _are_numbers(values: Any) -> bool:
+    """Whether lists, in lists, hold nothing but numbers and null."""
+    return all(map(_are_numbers, values)) if isinstance(values, list) else values is None or _is_number(values)
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
@@ -240,10 +245,10 @@ def _whole(table: Any, key: str, count: int) -> tuple[int, ...]:
 
 
 def _dots(values: Any) -> NDArray[np.float64]:
-    """Centres as numbers, null for a missing dot; text is refused, though numpy would take it."""
-    if np.asarray(values).dtype.kind not in "iufO":
+    """Centres as numbers, null for a missing dot; text and truth values are refused, though numpy would take them."""
+    if not _are_numbers(values):
         raise ValueError("dot_xy_px holds something other than numbers")
-    dots = np.asarray(values, dtype=np.float64)
+    dots = np.asarray(values, dtype=np.float64) + 0.0  # a 0 without a sign
     if dots.size > 2 * grid.MOST_DOTS:
         raise ValueError(f"more than {grid.MOST_DOTS} dots")
     if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():
