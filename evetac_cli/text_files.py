@@ -235,7 +235,7 @@ def _check_outline(outline: str, most_values: float = MOST_VALUES) -> None:
 
 
 def _values(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """All that stands in tables and lists, which are not deep, each with its place: keys and numbers between dots."""
+    """All that stands in tables and lists, which are not deep, with its place, as in `a.b.0`."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _values(item, f"{place}.{key}" if place else key)

@@ -115,6 +115,9 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
             expected=f"dot_xy_px as (x, y) within {width} x {height} px",
             found=f"x up to {np.nanmax(arranged[..., 0]):.4g}, y up to {np.nanmax(arranged[..., 1]):.4g}",
         )
+    fault = grid.impossible(arranged, float(radius))
+    if fault:
+        raise InputError("dots that no gel can have", where=where, expected=fault[0], found=fault[1])
     if frame_px is not None and frame_px != (width, height):
         raise InputError(
             "the calibration is for another frame",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     LEAST_COLUMNS,
@@ -241,6 +242,10 @@ def _sensor(file: Contents, shapes: Shapes) -> Iterator[Fault]:
         yield "sensor/dot_xy_px", "at least one dot", "all of them NaN"
     if (missing[..., 0] != missing[..., 1]).any():
         yield "sensor/dot_xy_px", "NaN in both coordinates of a missing dot", "it in one"
+    known_px = float(file.read("sensor/dot_radius_px")) if "sensor/dot_radius_px" in shapes else None
+    fault = grid.impossible(file.read("sensor/dot_xy_px"), known_px)
+    if fault:
+        yield "sensor/dot_xy_px", *fault
     rows, columns = missing.shape[:2]
     for path in ("dot_xy_px", "truth/dot_xy_px"):
         if path in shapes and shapes[path][1][1] != rows * columns:

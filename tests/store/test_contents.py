@@ -1,18 +1,22 @@
 """Limits of the schema, block by block: what is read is checked, wherever the blocks are cut, and in bounded memory."""
 
+import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.errors import SchemaError
+from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import slice_starts
 from evetac_cli.inspect import validate
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import architectures, networks
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.store import contents, schema
+from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
@@ -127,3 +131,65 @@ def test_shapes_of_weights_are_those_of_the_networks(name: str, grid: tuple[int,
     network = networks.build(ARCHITECTURES[name], *grid)
     shapes = {layer: array.shape for layer, array in networks.weights(network).items()}
     assert architectures.weight_shapes(ARCHITECTURES[name], *grid) == shapes
+
+
+def lines(rows: int, columns: int, dx: float, dy: float, skew: float = 0.0) -> Any:
+    """A grid of dots with these steps to the right and down; skew: how far a step down leads to the right."""
+    y, x = np.mgrid[:rows, :columns]
+    return np.stack([100 + dx * x + skew * y, 100 + dy * y], axis=-1).astype(float)
+
+
+NO_GRIDS: dict[str, tuple[Any, float, str]] = {
+    "all at one place": (np.full((3, 4, 2), 100.0), 15.0, "two at"),
+    "two at one place": (np.concatenate([lines(2, 4, 50, 50), lines(1, 4, 50, 50)]), 15.0, "two at"),
+    "two nearly at one place": (lines(3, 4, 50, 0.5), 0.2, "two at"),
+    "all on one line": (lines(3, 4, 20, 1e-3, 70), 5.0, "all dots on one line"),
+    "a sloping line": (np.stack([np.arange(12.0).reshape(3, 4) * 9 + 100] * 2, axis=-1), 5.0, "all dots on one line"),
+    "a radius of a pitch": (lines(3, 4, 50, 50), 50.0, "radius 50 px"),
+    "a radius of a frame": (lines(3, 4, 50, 50), 600.0, "radius 600 px"),
+    "beside the frame": (lines(3, 4, 500, 50), 15.0, "row 0"),
+    "far beside the frame": (lines(3, 4, 50, 50) + 1e9, 15.0, "1000000100"),
+    "no radius": (lines(3, 4, 50, 50), 0.0, "0.0"),
+}
+
+
+@pytest.mark.parametrize("name", NO_GRIDS)
+@pytest.mark.parametrize("kind", ["recording", "tracks"])
+def test_dots_that_no_gel_can_have(name: str, kind: str, tmp_path: Path) -> None:
+    """Assert that a file with such dots is neither opened nor called valid, nor written."""
+    dots, radius_px, said = NO_GRIDS[name]
+    path = tmp_path / "a.recording.h5"
+    header = small_files.recording(path)
+    if kind == "tracks":
+        path = tmp_path / "a.tracks.h5"
+        small_files.tracks(path, header)
+    with h5py.File(path, "r+") as file:
+        file["sensor/dot_xy_px"][...] = dots
+        file["sensor/dot_radius_px"][...] = radius_px
+    with pytest.raises(SchemaError, match="sensor/dot_(xy|radius)_px is impossible") as refused:
+        StageFile(path)
+    assert said in refused.value.found
+    (row,) = validate.run([path]).rows
+    assert row["valid"] is False
+    table = {"frame_px": [640, 480], "radius_px": radius_px, "dot_xy_px": dots.tolist()}
+    (tmp_path / "gel.json").write_text(json.dumps(table))
+    with pytest.raises(InputError):
+        read_calibration(tmp_path / "gel.json")
+
+
+GRIDS: dict[str, tuple[Any, float]] = {
+    "a row of dots": (lines(1, 12, 40, 40), 10.0),
+    "a row of dots in no grid": (np.random.default_rng(1).permutation(lines(3, 4, 60, 50).reshape(-1, 2))[None], 10.0),
+    "a column of dots": (lines(12, 1, 40, 30), 10.0),
+    "dots that touch": (lines(3, 4, 20, 20), 10.0),
+    "a steep grid": (lines(3, 4, 60, 60, 30), 10.0),
+    "two dots of a grid": (np.where(np.arange(12).reshape(3, 4, 1) < 2, lines(3, 4, 60, 60), np.nan), 10.0),
+    "a diagonal of a grid": (np.where(np.eye(3, 4)[..., None] > 0, lines(3, 4, 60, 60), np.nan), 10.0),
+    "one dot": (np.where(np.arange(12).reshape(3, 4, 1) < 1, lines(3, 4, 60, 60), np.nan), 10.0),
+}
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_odd_grids_that_a_gel_can_have(name: str) -> None:
+    """Assert that rows, columns, dense, steep and nearly empty grids are none of those."""
+    assert grid.impossible(*GRIDS[name]) is None

@@ -13,6 +13,7 @@ NEXT_DOOR = 0.3  # how far a step to the next dot may be from the usual one, in 
 OFF_LATTICE = 0.35  # ... and a dot from the plane of all
 TURNED = 0.8  # cosine of the most that a step to the right may point up or down
 OBLIQUE = 0.34  # ... and of the most that rows and columns may be off a right angle, 20 degrees
+LEAST_APART_PX = 1.0  # two dots that are closer are at one place
 MOST_DOTS = 256  # of a gel: what tracker and features have room for
 MAX_NEIGHBOURS = 8
 NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
@@ -106,6 +107,30 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     if min(grid.shape[:2]) < 2:
         raise too_few
     return grid
+
+
+def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -> tuple[str, str] | None:
+    """Expected and found of what the dots of no gel can be, where these are that; None where they can be.
+
+    dot_xy_px: (rows, columns, 2), NaN for a missing dot. radius_px: of a dot, where it is known.
+    """
+    there = np.isfinite(dot_xy_px).all(axis=2)
+    dots = dot_xy_px[there]
+    if there.size > MOST_DOTS:
+        return f"at most {MOST_DOTS} dots", "{} x {}".format(*there.shape)
+    distance = np.linalg.norm(dots[:, None] - dots[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    nearest = float(distance.min(initial=np.inf))
+    if nearest < LEAST_APART_PX:
+        place = dots[int(np.argmin(distance) // len(dots))]
+        return f"dots at least {LEAST_APART_PX:g} px apart", f"two at ({place[0]:.4g}, {place[1]:.4g})"
+    if radius_px is not None and radius_px >= nearest:
+        return "dots further apart than their radius", f"{nearest:.4g} px apart, radius {radius_px:.4g} px"
+    if (there.sum(axis=1) > 1).any() and (there.sum(axis=0) > 1).any():  # a line of dots is one row of them
+        across = np.linalg.svd(dots - dots.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(dots))
+        if across < LEAST_APART_PX:
+            return "rows and columns", "all dots on one line"
+    return None
 
 
 def one_row(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
