@@ -38,6 +38,7 @@ _TOML_TEXT = re.compile(
 _JSON_TEXT = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)', re.DOTALL)
 _DOTTED = re.compile(rf"(?<![\w\-])[\w\-]++(?:[ \t]*+\.[ \t]*+[\w\-]++){{{MOST_DEPTH}}}")
 _STRUCTURE = re.compile(r"[\[\]{},=:]")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _HUGE = re.compile(r"[eE]\+?[0-9]{3}|[0-9]{300}")  # what a number of JSON has that may be too large for a float
 
 
@@ -182,6 +183,16 @@ def _toml_value(value: Any) -> str:
 def as_utf8(text: str) -> str:
     """A text as files can hold it: what stands in a name for bytes that are no UTF-8 is spelt out, as `\\udcff`."""
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
+
+
+def csv_text(text: str) -> str:
+    """A text as a cell of CSV that no spreadsheet runs: an apostrophe stands before what it would take for a formula.
+
+    That is a text whose first sign, blanks aside, is one of = + - @, also in full width, or one that begins with a tab
+    or the end of a line. A number is a number, also with a sign.
+    """
+    formula = text[:1] in ("\t", "\r", "\n") or text.lstrip()[:1] in tuple("=+-@\uff1d\uff0b\uff0d\uff20")
+    return f"'{text}" if formula and not _NUMBER.fullmatch(text) else text
 
 
 def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:

@@ -1,5 +1,6 @@
 """Tables of trials: pandas and duckdb read of them what the files hold, with units, times and where it comes from."""
 
+import csv
 import json
 import re
 from collections.abc import Sequence
@@ -18,11 +19,14 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export, export_folder, target_path
 from evetac_cli.formats.write import slice_columns, write_table
 from evetac_cli.inspect.export import trial_files
+from evetac_cli.resources import PACKAGE
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store import disk
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.schema import load
+from evetac_cli.text_files import csv_text
 from tests import small_files
 from tests.conftest import Made
 from tests.formats.trials import trial
@@ -205,6 +209,57 @@ def test_csv_has_the_same_numbers(source: Path, table: Path) -> None:
         else:
             assert text[name].tolist() == values.tolist()
     assert "nan" not in target.read_text()
+
+
+FORMULAS = ("=cmd|' 'C'!A0", "=1+1", "+SUM(A1)", "-2+3", "@x", "\t=1", "\r=1", " =1", "\uff1d1", "-inf", "+", "=")
+NO_FORMULAS = ("a=1", "-5", "+1.5e-3", "-.5", "12", "a-b", "'=1", "", "e5", "(=1)")
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_no_text_of_a_csv_is_a_formula(text: str, tmp_path: Path) -> None:
+    """Assert that names of trial, sensor and object that a spreadsheet would run stand behind an apostrophe."""
+    name = text.replace("/", "-")
+    path = tmp_path / f"{name}.recording.h5"
+    small_files.recording(path)
+    with StageFile(path) as file:
+        arrays = {item: file.read(item) for item in file.contents()}
+    parameters = {"sensor": text, "object": text}
+    write_stage(path, Recipe("recording", 1, parameters, seed=-3, simulated_source=True), arrays)
+    target = tmp_path / "out.csv"
+    export(path, "csv", target)
+    with target.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["trial"], row["sensor"], row["object"], row["seed"]) for row in rows} == {
+        (f"'{name}", f"'{text}", f"'{text}", "-3")
+    }
+    export(path, "parquet", tmp_path / "out.parquet")  # which no spreadsheet runs
+    assert set(pq.read_table(tmp_path / "out.parquet")["sensor"].to_pylist()) == {text}
+
+
+@pytest.mark.parametrize("text", NO_FORMULAS)
+def test_a_number_with_a_sign_is_no_formula(text: str) -> None:
+    """Assert that numbers and all other texts are as they are."""
+    assert csv_text(text) == text
+
+
+def test_numbers_of_a_csv_keep_their_sign(tmp_path: Path) -> None:
+    """Assert that a negative number in a column of numbers is a number in the file."""
+    small_files.recording(tmp_path / "a.recording.h5")
+    with h5py.File(tmp_path / "a.recording.h5", "r+") as file:
+        file["truth/shear_force_n"][...] = -1.5
+    export(tmp_path / "a.recording.h5", "csv", tmp_path / "a.csv")
+    table = pd.read_csv(tmp_path / "a.csv")
+    assert (table["truth_shear_force_x_n"] == -1.5).all()
+    assert "'" not in (tmp_path / "a.csv").read_text()
+
+
+def test_every_writer_of_csv_is_known() -> None:
+    """Assert that texts go through one rule wherever CSV is written; a training's course has numbers, yes and no."""
+    writes = re.compile(r"csv\.writer|DictWriter|CSVWriter|write_csv\(|to_csv")
+    texts = {str(path.relative_to(PACKAGE)): path.read_text() for path in PACKAGE.rglob("*.py")}
+    writers = {name for name, text in texts.items() if writes.search(text)}
+    assert writers == {"formats/write/write_table.py", "stages/train/log.py"}
+    assert "csv_text" in texts["formats/write/write_table.py"]
 
 
 @pytest.mark.slow

@@ -88,7 +88,9 @@ def test_missing_dots(tmp_path: Path) -> None:
 def test_dots_in_no_grid(tmp_path: Path) -> None:
     """Assert that one row of up to 256 dots is taken in its order, and that a list of dots in no grid is refused."""
     places = np.random.default_rng(0).uniform(0, 400, (256, 2))
-    np.testing.assert_array_equal(read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [places.tolist()]}).dot_xy_px, places[None])
+    np.testing.assert_array_equal(
+        read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [places.tolist()]}).dot_xy_px, places[None]
+    )
     with pytest.raises(InputError, match="more than 256 dots"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [[*places.tolist(), [1.0, 1.0]]]})
     with pytest.raises(InputError, match="dots in no grid are one row"):

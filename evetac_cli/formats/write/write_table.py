@@ -34,7 +34,7 @@ from evetac_cli.formats.write.slice_columns import (
 from evetac_cli.jobs import Progress
 from evetac_cli.store.disk import utf8_path
 from evetac_cli.store.index import LARGEST
-from evetac_cli.text_files import open_regular, parse_json
+from evetac_cli.text_files import csv_text, open_regular, parse_json
 
 BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
 PARTITIONS = ("object", "sensor")
@@ -62,9 +62,10 @@ def write_parquet(files: TrialFiles, path: Path, progress: Progress) -> list[str
 
 
 def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
-    """One trial as CSV, whose first line has the names; returns what could not be shown."""
+    """One trial as CSV, whose first line has the names; returns what could not be shown. No text in it is a formula."""
     arrow = load_pyarrow(str(path.parent))
-    columns, facts = columns_of(files), files.facts()
+    columns = columns_of(files)
+    facts = {name: csv_text(value) if isinstance(value, str) else value for name, value in files.facts().items()}
     table = _schema(arrow, columns, typed([facts]))
     with arrow.csv.CSVWriter(path, table) as writer:
         for batch in _batches(arrow, table, files, columns, facts, progress):
