@@ -6,15 +6,17 @@ which. What is no number is left out, and named.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.formats.read.parquet_pages import unpacked_bytes
 from evetac_cli.store.disk import joined_on_disk, utf8_path
 from evetac_cli.store.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
@@ -24,6 +26,10 @@ BATCH_ROWS = 1 << 16
 BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
 MOST_COLUMNS = 512
 MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
+# Of numbers that a Parquet file unpacks to, as of arrays in an npz: so many times its size, or so many bytes.
+MOST_TIMES = 100
+MOST_UNPACKED_BYTES = 64 << 20
+NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
 MOST_US = 1 << 60  # 36,000 years: two such times can be added
 NAMED_LEFT_OUT = 5
@@ -38,6 +44,9 @@ YEARS_S = (946_684_800, 4_102_444_800)  # 2000 to 2100, as Unix counts
 # Units that a name may end in, as in `force_n`.
 ENDINGS = {"m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "n": "N", "nm": "N m", "ma": "mA", "hz": "Hz", "pa": "Pa"}
 NAMES = "t_us, t_ms, t_s, t_ns, timestamp, time, stamp or header.stamp"
+
+
+Batches = Callable[[Sequence[int], str], Iterator[Any]]  # columns by their places, in this order; where it is
 
 
 class _Times(NamedTuple):
@@ -65,11 +74,15 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
     except ImportError as error:
         raise missing_extra("CSV and Parquet need pyarrow", "convert", where=where, error=error) from None
     with _in_words(where, pyarrow.ArrowException), utf8_path(path) as place:
-        names, types, batches = _parquet(place, where) if is_parquet(path) else _csv(place, where)
+        names, types, batches_of = _parquet(place) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:
             width = f"{len(names)} columns"
             raise InputError("too wide a table", where=where, expected=f"at most {MOST_COLUMNS} columns", found=width)
         times = _find_times(names, where)
+        for at in times.columns:
+            if not _is_time(types[at]):
+                what = f"{times.clock} holds {types[at]}"
+                raise InputError("the times are no numbers", where=where, found=what)
         numbers = [
             at
             for at, kind in enumerate(types)
@@ -78,6 +91,8 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
         ]
         if not numbers:
             raise InputError("no column of numbers beside the times", where=where, found=", ".join(names)[:200])
+        # Only these are read: a text of a few bytes may stand for gigabytes of rows.
+        batches = batches_of([*times.columns, *numbers], where)
         read = _Rows(times, numbers, names, where)
         t_us, *values = joined_on_disk(folder, map(read.batch, batches)) or (np.empty(0, np.int64),)
     if not len(t_us):
@@ -102,12 +117,13 @@ class _Rows:
         self._done = 0  # rows
 
     def batch(self, batch: Any) -> tuple[NDArray[Any], ...]:
-        """Times in us and the numbers of the next rows."""
-        t_us = self._t_us([batch.column(at) for at in self._times.columns])
+        """Times in us and the numbers of the next rows, whose columns are those of the times, then the others."""
+        count = len(self._times.columns)
+        t_us = self._t_us([batch.column(place) for place in range(count)])
         self._refuse("a time that cannot be", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
         columns = []
-        for at in self._numbers:
-            values = batch.column(at).cast("float64", safe=False).to_numpy(zero_copy_only=False)
+        for place, at in enumerate(self._numbers, count):
+            values = batch.column(place).cast("float64", safe=False).to_numpy(zero_copy_only=False)
             if np.isinf(values).any():
                 self._refuse(f"an infinite value in the column {self._names[at]}", np.isinf(values), values)
             columns.append(values)
@@ -125,9 +141,6 @@ class _Rows:
             self.clock = f"{self._times.clock}, whose type says its unit"
             stamps = columns[0].cast(pyarrow.timestamp("us", columns[0].type.tz), safe=False)
             return np.asarray(stamps.cast("int64").to_numpy(zero_copy_only=False))
-        if not (pyarrow.types.is_integer(columns[0].type) or pyarrow.types.is_floating(columns[0].type)):
-            what = f"{self._times.clock} holds {columns[0].type}"
-            raise InputError("the times are no numbers", where=self._where, found=what)
         if len(columns) > 1:
             seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
             self._refuse("a time that cannot be", np.abs(seconds) > MOST_US // 10**6, seconds)
@@ -151,6 +164,13 @@ class _Rows:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(message, where=f"{self._where}: row {self._done + row + 1}", found=str(values[row])[:60])
+
+
+def _is_time(kind: Any) -> bool:
+    import pyarrow
+
+    of = pyarrow.types
+    return bool(of.is_integer(kind) or of.is_floating(kind) or of.is_timestamp(kind) or of.is_null(kind))  # no row
 
 
 def _find_times(names: list[str], where: str) -> _Times:
@@ -195,8 +215,8 @@ def _unit(name: str) -> tuple[str, str]:
     return plain, ENDINGS.get(plain.lower().rpartition("_")[2], "") if "_" in plain else ""
 
 
-def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Iterator[Any]]:
-    """Names and types of the columns, and the rows in batches."""
+def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches]:
+    """Names and types of the columns, and what reads some of them in batches."""
     import pyarrow
     from pyarrow import csv
 
@@ -225,31 +245,66 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Iterator[Any]]:
     }
     types = [as_floats.get(name, kind) for name, kind in zip(columns.names, columns.types, strict=True)]
 
-    def batches() -> Iterator[Any]:
+    def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
         with csv.open_csv(path, *how, csv.ConvertOptions(column_types=as_floats)) as reader:
-            yield from reader
+            for batch in reader:
+                yield batch.select(list(wanted))
 
-    return list(columns.names), types, batches()
+    return list(columns.names), types, batches
 
 
-def _parquet(path: Path, where: str) -> tuple[list[str], list[Any], Iterator[Any]]:
-    """Names and types of the columns, and the rows in batches."""
+def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
+    """Names and types of the columns, and what reads some of them, which are no lists and no tables, in batches."""
     from pyarrow import parquet
 
     with parquet.ParquetFile(path) as file:
-        groups = (file.metadata.row_group(number).total_byte_size for number in range(file.metadata.num_row_groups))
-        largest = max(groups, default=0)
-        if not 0 <= largest <= MOST_GROUP_BYTES:
-            size = f"{largest / 1e6:,.0f} MB"
-            expected = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB"
-            raise InputError("too much of it has to be read at once", where=where, expected=expected, found=size)
         schema = file.schema_arrow
+    first = list(accumulate(map(_leaves, schema.types), initial=0))  # column in the file of each of the schema's
 
-    def batches() -> Iterator[Any]:
+    def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
+        columns = [first[at] for at in wanted]
         with parquet.ParquetFile(path) as file:
-            yield from file.iter_batches(BATCH_ROWS, use_threads=False)
+            _check_size(path, file.metadata, columns, where)
+            place = {at: number for number, at in enumerate(sorted(columns))}  # in a batch they stand as in the file
+            groups = range(file.metadata.num_row_groups)
+            for batch in file.reader.iter_batches(BATCH_ROWS, groups, columns, use_threads=False):
+                yield batch.select([place[at] for at in columns])
 
-    return list(schema.names), list(schema.types), batches()
+    return list(schema.names), list(schema.types), batches
+
+
+def _leaves(kind: Any) -> int:
+    """How many columns of the file a column of the schema is: a table in a column is several."""
+    return sum(_leaves(kind.field(at).type) for at in range(kind.num_fields)) if kind.num_fields else 1
+
+
+def _check_size(path: Path, metadata: Any, columns: Sequence[int], where: str) -> None:
+    """InputError unless columns of a Parquet file unpack to what memory holds, and to what a file of its size may."""
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    rows = max(metadata.num_rows, sum(max(group.num_rows, *_values(group, columns)) for group in groups))
+    unpacked, size = rows * len(columns) * NUMBER_BYTES, path.stat().st_size
+    if unpacked > max(MOST_UNPACKED_BYTES, MOST_TIMES * size):
+        expected = f"at most {MOST_TIMES} times its size"
+        raise InputError("it unpacks to too much", where=where, expected=expected, found=f"{unpacked / 1e6:,.0f} MB")
+    with open_regular(path) as file:
+        for group in groups:
+            try:
+                pages = sum(sum(_pages(file, group.column(at))) for at in columns)
+            except ValueError as error:
+                raise InputError("the table cannot be read", where=where, found=str(error)) from None
+            if pages > MOST_GROUP_BYTES:
+                expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{pages / 1e6:,.0f} MB"
+                raise InputError("too much of it has to be read at once", where=where, expected=expected, found=size_mb)
+
+
+def _values(group: Any, columns: Sequence[int]) -> list[int]:
+    return [group.column(at).num_values for at in columns]
+
+
+def _pages(file: BinaryIO, chunk: Any) -> Iterator[int]:
+    """What each page of a column unpacks to; the first may be a table of its values."""
+    first = min(filter(None, (chunk.dictionary_page_offset, chunk.data_page_offset)), default=0)
+    return unpacked_bytes(file, first, chunk.total_compressed_size)
 
 
 def _some(names: list[str]) -> str:

@@ -1,0 +1,162 @@
+"""Tables of other programs: what a small Parquet file may unpack to is bounded, and only what is wanted is read."""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read import parquet_pages, read_table
+from evetac_cli.resources import PACKAGE
+
+pa = pytest.importorskip("pyarrow")
+import pyarrow.parquet as pq  # noqa: E402  (not installed everywhere)
+
+ROWS = 5000
+RNG = np.random.default_rng(3)
+X = RNG.normal(size=ROWS)
+
+
+def written(path: Path, columns: dict[str, Any], **options: Any) -> Path:
+    pq.write_table(pa.table(columns), path, **options)
+    return path
+
+
+def read(path: Path) -> Any:
+    return read_table.read_table(path, None)[0]
+
+
+def same_rows(count: int) -> dict[str, Any]:
+    return {"t_ms": pa.array(np.zeros(count, np.int64)), "x": pa.array(np.zeros(count))}
+
+
+def texts(count: int, size: int) -> Any:
+    """As many rows of one long text, which the file holds once."""
+    return pa.DictionaryArray.from_arrays(pa.array(np.zeros(count, np.int32)), pa.array(["x" * size]))
+
+
+def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
+    """Assert that rows by runs are refused by what they would take on disk, before one is read; a plain table is not."""
+    path = written(tmp_path / "a.parquet", same_rows(8_000_000), compression="zstd")
+    assert path.stat().st_size < 1e6
+    with pytest.raises(InputError, match=r"it unpacks to too much(.|\n)*128 MB"):
+        read(path)
+    columns = {"t_ms": np.arange(ROWS), "x": X, **{f"c{at}": np.zeros(ROWS) for at in range(100)}}
+    assert len(read(written(tmp_path / "b.parquet", columns)).columns) == 101
+
+
+def test_a_text_is_not_read(tmp_path: Path) -> None:
+    """Assert that a column that is left out costs neither memory nor time: here 20 GB of one text."""
+    columns = {"t_ms": np.arange(2000), "s": texts(2000, 10_000_000), "x": np.arange(2000.0)}
+    path = written(tmp_path / "a.parquet", columns, compression="zstd", store_schema=False)
+    assert path.stat().st_size < 1e5
+    program = "import sys; from pathlib import Path; from evetac_cli.formats.read.read_table import read_table\n" \
+              "print(len(read_table(Path(sys.argv[1]), None)[0].t_us))"  # fmt: skip
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+
+    command = [sys.executable, "-c", program, str(path)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, preexec_fn=limit, env={"PYTHONPATH": str(PACKAGE.parent)}
+    )
+    assert done.stdout.strip() == "2000", done.stderr[-500:]
+
+
+def test_a_text_for_a_time_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    """Assert that times of text, lists and tables are no numbers, in words, and that none of them is unpacked."""
+    for number, column in enumerate((texts(2000, 10_000_000), [[1]] * 2000, [{"a": 1}] * 2000)):
+        path = written(tmp_path / f"{number}.parquet", {"t_ms": column, "x": np.arange(2000.0)}, store_schema=False)
+        with pytest.raises(InputError, match="the times are no numbers"):
+            read(path)
+
+
+def test_pages_say_what_they_unpack_to(tmp_path: Path) -> None:
+    """Assert that the sum over the pages is what the footer of an honest file says, for any way of writing it."""
+    for number, options in enumerate(
+        (
+            {"compression": "none"},
+            {"compression": "zstd", "data_page_version": "2.0"},
+            {"compression": "gzip", "use_dictionary": False, "data_page_size": 1000},
+            {"compression": "snappy", "write_statistics": True, "write_page_checksum": True},
+            {"compression": "lz4", "use_byte_stream_split": ["x"], "use_dictionary": False},
+        )
+    ):
+        path = written(
+            tmp_path / f"{number}.parquet", {"t_ms": np.arange(ROWS), "x": X}, row_group_size=2000, **options
+        )
+        metadata = pq.read_metadata(path)
+        with path.open("rb") as file:
+            for group in range(metadata.num_row_groups):
+                for at in range(2):
+                    chunk = metadata.row_group(group).column(at)
+                    pages = list(read_table._pages(file, chunk))
+                    headers = chunk.total_uncompressed_size - sum(pages)
+                    assert pages and 0 < headers < 200 * len(pages)
+        assert read(path).columns["x"].tolist() == X.tolist()
+
+
+def test_a_footer_that_lies_about_its_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what pages unpack to is asked of the pages: with a lower limit an honest file is too large."""
+    path = written(tmp_path / "a.parquet", {"t_ms": np.arange(ROWS), "x": X}, compression="none", use_dictionary=False)
+    monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 - 1)
+    with pytest.raises(InputError, match="too much of it has to be read at once"):
+        read(path)
+    monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 + 100)
+    assert len(read(path).t_us) == ROWS
+
+
+def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
+    """Assert that lists, tables, texts and columns of one name beside them do not shift the numbers."""
+    arrays = [
+        pa.array([{"a": at, "b": {"c": at}} for at in range(5)]),
+        pa.array([float(at) for at in range(5)]),
+        pa.array([[at, at] for at in range(5)]),
+        pa.array(range(5)),
+        pa.array(["text"] * 5),
+        pa.array([10.0 * at for at in range(5)]),
+        pa.array([at % 2 == 0 for at in range(5)]),
+    ]
+    names = ["struct", "x", "list", "t_us", "words", "x", "flag"]
+    pq.write_table(pa.Table.from_arrays(arrays, names=names), tmp_path / "a.parquet")
+    stream, notes = read_table.read_table(tmp_path / "a.parquet", None)
+    assert stream.t_us.tolist() == [0, 1, 2, 3, 4]
+    assert {name: values.tolist() for name, values in stream.columns.items()} == {
+        "x": [0.0, 1.0, 2.0, 3.0, 4.0],
+        "x_2": [0.0, 10.0, 20.0, 30.0, 40.0],
+        "flag": [1.0, 0.0, 1.0, 0.0, 1.0],
+    }
+    assert notes == ["left out: columns struct, list, words, which are not of numbers"]
+
+
+def test_damaged_page_headers_end_in_words(tmp_path: Path) -> None:
+    """Assert that any byte of a file may be another: what is read is refused in words, or as long as it was."""
+    path = written(tmp_path / "a.parquet", {"t_ms": np.arange(ROWS), "x": X}, compression="zstd")
+    whole = path.read_bytes()
+    outcomes = set()
+    for _ in range(150):
+        damaged = bytearray(whole)
+        for at in RNG.integers(4, 200 if RNG.random() < 0.5 else len(damaged), 1 + RNG.integers(4)):
+            damaged[at] = RNG.integers(256)
+        path.write_bytes(damaged)
+        try:
+            outcomes.add(len(read(path).t_us) <= ROWS)
+        except InputError as error:
+            outcomes.add(type(error))
+    assert InputError in outcomes and False not in outcomes
+
+
+@pytest.mark.parametrize(
+    "header",
+    [b"", b"\x15", b"\xff" * 40, b"\x19\xfc\xff\xff\xff\xff\x0f", b"\x1c" * 40, b"\x18\xff\xff\xff\xff\x0f", b"\x1b\x00",
+     b"\x15\x80\x80\x80\x80\x80\x80\x80\x80\x80\x80\x01\x00", b"\x15\x00\x15\x01\x15\x02\x00", b"\x15\x00\x15\x02\x15\x01\x00"],
+)  # fmt: skip
+def test_headers_that_are_none(header: bytes, tmp_path: Path) -> None:
+    """Assert that bytes which are no page header are refused as a ValueError, and no loop is without an end."""
+    (tmp_path / "a").write_bytes(header)
+    with (tmp_path / "a").open("rb") as file, pytest.raises(ValueError):
+        list(parquet_pages.unpacked_bytes(file, 0, max(1, len(header))))
