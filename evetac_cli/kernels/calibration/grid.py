@@ -114,10 +114,10 @@ def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -
 
     dot_xy_px: (rows, columns, 2), NaN for a missing dot. radius_px: of a dot, where it is known.
     """
-    there = np.isfinite(dot_xy_px).all(axis=2)
-    dots = dot_xy_px[there]
-    if there.size > MOST_DOTS:
-        return f"at most {MOST_DOTS} dots", "{} x {}".format(*there.shape)
+    present = np.isfinite(dot_xy_px).all(axis=2)
+    dots = dot_xy_px[present]
+    if present.size > MOST_DOTS:
+        return f"at most {MOST_DOTS} dots", "{} x {}".format(*present.shape)
     distance = np.linalg.norm(dots[:, None] - dots[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     nearest = float(distance.min(initial=np.inf))
@@ -126,7 +126,7 @@ def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -
         return f"dots at least {LEAST_APART_PX:g} px apart", f"two at ({place[0]:.4g}, {place[1]:.4g})"
     if radius_px is not None and radius_px >= nearest:
         return "dots further apart than their radius", f"{nearest:.4g} px apart, radius {radius_px:.4g} px"
-    if (there.sum(axis=1) > 1).any() and (there.sum(axis=0) > 1).any():  # a line of dots is one row of them
+    if (present.sum(axis=1) > 1).any() and (present.sum(axis=0) > 1).any():  # a line of dots is one row of them
         across = np.linalg.svd(dots - dots.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(dots))
         if across < LEAST_APART_PX:
             return "rows and columns", "all dots on one line"

@@ -40,7 +40,7 @@ def texts(count: int, size: int) -> Any:
 
 
 def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
-    """Assert that rows by runs are refused by what they would take on disk, before one is read; a plain table is not."""
+    """Assert that rows by runs are refused by what they would take, before one is read; a plain table is not."""
     path = written(tmp_path / "a.parquet", same_rows(8_000_000), compression="zstd")
     assert path.stat().st_size < 1e6
     with pytest.raises(InputError, match=r"it unpacks to too much(.|\n)*128 MB"):
@@ -152,9 +152,19 @@ def test_damaged_page_headers_end_in_words(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "header",
-    [b"", b"\x15", b"\xff" * 40, b"\x19\xfc\xff\xff\xff\xff\x0f", b"\x1c" * 40, b"\x18\xff\xff\xff\xff\x0f", b"\x1b\x00",
-     b"\x15\x80\x80\x80\x80\x80\x80\x80\x80\x80\x80\x01\x00", b"\x15\x00\x15\x01\x15\x02\x00", b"\x15\x00\x15\x02\x15\x01\x00"],
-)  # fmt: skip
+    [
+        b"",
+        b"\x15",
+        b"\xff" * 40,
+        b"\x19\xfc\xff\xff\xff\xff\x0f",
+        b"\x1c" * 40,
+        b"\x18\xff\xff\xff\xff\x0f",
+        b"\x1b\x00",
+        b"\x15" + b"\x80" * 10 + b"\x01\x00",
+        b"\x15\x00\x15\x01\x15\x02\x00",
+        b"\x15\x00\x15\x02\x15\x01\x00",
+    ],
+)
 def test_headers_that_are_none(header: bytes, tmp_path: Path) -> None:
     """Assert that bytes which are no page header are refused as a ValueError, and no loop is without an end."""
     (tmp_path / "a").write_bytes(header)
