@@ -17,6 +17,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.formats import exports
+from evetac_cli.formats.read.bags import read_bag_stream
 from evetac_cli.inspect import info, validate, view
 from evetac_cli.params.inspection import View
 from evetac_cli.params.recording import Attach, Trim
@@ -296,6 +297,17 @@ def test_the_commands_of_the_page(recording: Path, tmp_path: Path, monkeypatch: 
     names: dict[str, Any] = {}
     exec(python, names)
     assert names["frame"]["x_m"].tolist() == [(at + 2) / 8 for at in range(10)]
+
+
+def test_a_packed_image_is_bounded_by_its_pixels(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a JPEG or PNG is refused by its size before it is unpacked, and a plain image is not."""
+    path = bag(tmp_path, "ros1")
+    monkeypatch.setattr(read_bag_stream, "MOST_PACKED_PX", 6 * 8 - 1)
+    with pytest.raises(InputError, match=r"too large a packed image(.|\n)*8 x 6"):
+        attached(recording, f"wrist={path}:/packed")
+    attached(recording, f"wrist={path}:/image")
 
 
 REFUSED = {

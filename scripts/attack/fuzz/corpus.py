@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import event_files
 import numpy as np
+import tables
 import wire
 
 from evetac_cli.resources import SCENES
@@ -189,6 +190,16 @@ KINDS = (
     ),
     Kind("CSV of a stream", "pose.csv", "text", _ATTACH, ("piece.recording.h5",)),
     Kind("Parquet of a stream", "pose.parquet", "bytes", _ATTACH, ("piece.recording.h5",)),
+    Kind("Parquet, written anew", "pose.parquet", "parquet", _ATTACH, ("piece.recording.h5",)),
+    Kind("index of a folder", "data", "index", (
+        "info {f}", "index {f}", "info {f} --where kind=recording",
+        "report {f} --out {o}/a.html", "share {f} --out {o}/hub",
+    )),
+    Kind("sensor", "own.sensor.toml", "text", (
+        "record --scene short.toml --sensor {f} --dry-run",
+        "record --scene short.toml --sensor {f} --out {o}/a.recording.h5",
+        "record --sensor {f} --scene press --dry-run",
+    ), ("short.toml",)),
     Kind("bag of streams", "trial.bag", "bytes", (
         *(f"{_ATTACH[0].replace('{f}', '{f}:')}{topic}" for topic in ("/pose", "/image", "/packed")),
     ), ("piece.recording.h5",)),
@@ -221,6 +232,7 @@ def make(folder: Path) -> None:
     _write_dat(folder / "events.dat", *(column[:20_000] for column in events))
     event_files.write(folder, events.part(0, event_files.EVENTS))
     _write_streams(folder)
+    tables.write(folder)
     attach = ("attach", "piece.recording.h5", "--stream", "arm=pose.csv", "--stream", "wrist=trial.bag:/image")
     command = [sys.executable, "-P", "-m", "evetac_cli", *attach, "--out", "attached.recording.h5", "--quiet"]
     subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)

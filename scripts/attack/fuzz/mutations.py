@@ -11,6 +11,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import tables
 
 Rng = np.random.Generator
 BYTES = (
@@ -358,4 +359,5 @@ FAMILIES: dict[str, Callable[[Path, Rng], str]] = {
     "text": damage_text,
     "hdf5": damage_hdf5,
     "segments": damage_segments,
+    **tables.FAMILIES,
 }

@@ -26,6 +26,7 @@ from evetac_cli.store.streams import LARGEST_FRAME_PX, Stream, free_name
 MESSAGES_AT_ONCE = 1000  # of numbers
 MOST_NUMBERS = 512  # of a message
 MOST_NAMED = 12  # topics
+MOST_PACKED_PX = 1 << 26  # of a JPEG or PNG: some kB may unpack to four bytes for each, and memory holds two copies
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 # Encodings of images: channels, and which of them are shown, in our order: grey, or red, green, blue.
 ENCODINGS = {
@@ -246,6 +247,9 @@ class _Images(_Reader):
         with bag_in_words(self.where, f"the image of message {self.number}"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
         self._check_size(*opened.size)  # before it is unpacked
+        if math.prod(opened.size) > MOST_PACKED_PX:
+            found = "{} x {}".format(*opened.size)
+            self.refuse("too large a packed image", f"at most {MOST_PACKED_PX:,} px", found)
         with bag_in_words(self.where, f"the image of message {self.number}"):
             pixels = np.asarray(opened.convert("L" if opened.mode in ("L", "1") else "RGB"))
         return pixels.reshape(*pixels.shape[:2], -1)

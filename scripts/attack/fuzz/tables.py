@@ -1,0 +1,222 @@
+"""A data set with its index, a Parquet table and a sensor's file, for damaging as their readers see them.
+
+An index is damaged by SQLite's own means, as somebody would who sends a folder; a Parquet table is written anew with
+other types, rows, pages and names; of both also single bytes.
+"""
+
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from evetac_cli.sim.scene import sensor_row
+from evetac_cli.store import index
+from evetac_cli.text_files import as_toml
+
+Rng = np.random.Generator
+DATA = ("first.recording.h5", "first.tracks.h5", "first.labels.h5", "piece.recording.h5", "events.h5")
+ENDLESS = "WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many) SELECT"
+VALUES = ("NULL", "-1", "0", "0.5", "1e308", "9223372036854775807", "x'00ff'", "''", "'x'", "zeroblob(5000)",
+          "printf('%.*c', 70000, 'x')", "CAST(x'fffe' AS TEXT)", "char(27) || '[2J'", "'../../etc/passwd'")  # fmt: skip
+TYPES = ("int8", "uint64", "float16", "float32", "float64", "bool", "string", "binary", "timestamp[ns]", "date32",
+         "decimal128(38, 10)", "duration[us]", "large_string", "null")  # fmt: skip
+
+
+def write(folder: Path) -> None:
+    """The folder `data` with its index, and a whole sensor as TOML."""
+    (folder / "data").mkdir()
+    for name in DATA:
+        shutil.copy(folder / name, folder / "data")
+    with index.open_index(folder / "data"):
+        pass
+    (folder / "own.sensor.toml").write_text(as_toml({"name": "own", **sensor_row("evetac")}))
+
+
+def damage_index(path: Path, rng: Rng) -> str:
+    """Damage the index of a folder that is up to date: its values, what is in its place, or its bytes."""
+    place = path / index.NAME
+    if rng.random() < 0.9 and place.is_file() and not place.is_symlink():
+        with index.open_index(path):  # a copy of the folder has other times of change
+            pass
+    change = INDEX[rng.integers(len(INDEX))]
+    try:
+        return f"{change.__name__.strip('_')} {change(place, rng)}"
+    except (sqlite3.Error, OSError) as error:
+        return f"{change.__name__.strip('_')}: not possible ({error})"
+
+
+def _sql(place: Path, *commands: str) -> None:
+    table = sqlite3.connect(place, isolation_level=None, timeout=0)
+    try:
+        table.execute("PRAGMA writable_schema = ON")
+        for command in commands:
+            table.execute(command)
+    finally:
+        table.close()
+
+
+def _cell(place: Path, rng: Rng) -> str:
+    column, value = str(rng.choice(index.Row._fields)), VALUES[rng.integers(len(VALUES))]
+    where = "" if rng.random() < 0.5 else " WHERE kind = 'recording'"
+    _sql(place, f"UPDATE OR REPLACE files SET {column} = {value}{where}")
+    return f"{column} = {value}{where}"
+
+
+def _view(place: Path, rng: Rng) -> str:
+    first = str(rng.choice(["'a' || n", "zeroblob(500000000)", f"({ENDLESS} COUNT(*) FROM many)", "n"]))
+    columns = ", ".join(f"{first if name == 'path' else 1} AS {name}" for name in index.Row._fields)
+    place.unlink()
+    _sql(place, f"CREATE VIEW files AS {ENDLESS} {columns} FROM many", f"PRAGMA user_version = {index.FORMAT}")
+    return first
+
+
+def _schema(place: Path, rng: Rng) -> str:
+    commands = (
+        "CREATE TABLE more (x)",
+        "CREATE TRIGGER t AFTER INSERT ON files BEGIN DELETE FROM files; END",
+        "DROP TABLE files",
+        "ALTER TABLE files RENAME COLUMN scene TO stage",
+        "ALTER TABLE files ADD COLUMN more",
+        f"PRAGMA user_version = {int(rng.integers(-1, 9))}",
+        "UPDATE sqlite_master SET rootpage = rootpage + 1",
+        "UPDATE sqlite_master SET sql = replace(sql, ')', ', CHECK (length(zeroblob(900000000)) > 0))')",
+        "PRAGMA encoding = 'UTF-16le'",
+        "PRAGMA journal_mode = WAL",
+        "DELETE FROM files",
+    )
+    command = commands[rng.integers(len(commands))]
+    _sql(place, command)
+    return command
+
+
+def _rows(place: Path, rng: Rng) -> str:
+    count = int(10 ** rng.uniform(0, 5.3))
+    filled = ", ".join("n" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.Row._fields[1:])
+    _sql(place, f"INSERT OR IGNORE INTO files WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many"
+                f" LIMIT {count}) SELECT 'f' || n, {filled} FROM many")  # fmt: skip
+    return f"{count} rows"
+
+
+def _instead(place: Path, rng: Rng) -> str:
+    what = str(rng.choice(["pipe", "folder", "link", "device", "empty", "text", "itself", "nothing"]))
+    place.unlink(missing_ok=True) if not place.is_dir() else place.rmdir()
+    if what == "pipe":
+        os.mkfifo(place)
+    elif what == "folder":
+        place.mkdir()
+    elif what in ("empty", "text"):
+        place.write_text("" if what == "empty" else "notes\n" * 100)
+    elif what != "nothing":
+        place.symlink_to({"link": "/etc/passwd", "device": "/dev/zero", "itself": place.name}[what])
+    return what
+
+
+def _bytes(place: Path, rng: Rng) -> str:
+    from mutations import damage_bytes
+
+    return damage_bytes(place, rng)
+
+
+INDEX: tuple[Callable[[Path, Rng], str], ...] = (
+    _cell, _cell, _cell, _cell, _view, _schema, _schema, _rows, _instead, _bytes,
+)  # fmt: skip
+
+
+def damage_parquet(path: Path, rng: Rng) -> str:
+    """Write a table anew with one thing changed, or damage its bytes."""
+    from mutations import damage_bytes
+
+    if rng.random() < 0.3:
+        return damage_bytes(path, rng)
+    try:
+        table = pq.read_table(path)
+        if table.num_rows > 1_000_000:
+            return "large already"
+        change = PARQUET[rng.integers(len(PARQUET))]
+        table, said = change(table, rng)
+        pq.write_table(table, path, **_options(rng))
+    except (pa.ArrowException, OSError, ValueError, TypeError, NotImplementedError) as error:
+        return f"not possible ({type(error).__name__})"
+    return said
+
+
+def _options(rng: Rng) -> dict[str, object]:
+    return {
+        "compression": str(rng.choice(["none", "snappy", "gzip", "zstd", "lz4", "brotli"])),
+        "use_dictionary": bool(rng.random() < 0.5),
+        "data_page_version": str(rng.choice(["1.0", "2.0"])),
+        "data_page_size": int(rng.choice([1, 1000, 1 << 20, 1 << 30])),
+        "row_group_size": int(rng.choice([1, 7, 1 << 20])),
+        "store_schema": bool(rng.random() < 0.5),
+    }
+
+
+def _column(table: pa.Table, rng: Rng) -> int:
+    return int(rng.integers(table.num_columns))
+
+
+def _put(table: pa.Table, at: int, column: object) -> pa.Table:
+    return table.set_column(at, table.column_names[at], column)
+
+
+def _type(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    at, kind = _column(table, rng), str(rng.choice(TYPES))
+    wanted = pa.decimal128(38, 10) if kind.startswith("decimal") else pa.type_for_alias(kind)
+    return _put(table, at, table.column(at).cast(wanted, safe=False)), f"{table.column_names[at]} as {kind}"
+
+
+def _nested(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    at, rows = _column(table, rng), range(table.num_rows)
+    values: Sequence[object] = [[row] * int(rng.integers(4)) for row in rows] if rng.random() < 0.5 else [
+        {"a": row, "b": {"t_ms": row}} for row in rows]  # fmt: skip
+    return _put(table, at, pa.array(values)), f"{table.column_names[at]} nested"
+
+
+def _odd(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    at = _column(table, rng)
+    values = np.zeros(table.num_rows)
+    number = float(rng.choice([np.nan, np.inf, -np.inf, 1e308, -0.0, 2.0**63, -1.0]))
+    values[rng.integers(max(1, table.num_rows)) :] = number
+    return _put(table, at, pa.array(values)), f"{table.column_names[at]} = {number}"
+
+
+def _nulls(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    at = _column(table, rng)
+    mask = rng.random(table.num_rows) < 0.5
+    return _put(table, at, pa.array(np.arange(table.num_rows), mask=mask)), f"{table.column_names[at]} with nulls"
+
+
+def _many(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    count = int(10 ** rng.uniform(1, 7.2)) // max(1, table.num_columns)
+    columns = [pa.array(np.zeros(count, np.int64)) for _ in table.column_names]
+    return pa.Table.from_arrays(columns, names=table.column_names), f"{count} equal rows"
+
+
+def _text(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    size = int(10 ** rng.uniform(2, 7))
+    column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(table.num_rows, np.int32)), pa.array(["x" * size]))
+    return _put(table, _column(table, rng), column), f"a text of {size} in each row"
+
+
+def _names(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    names = list(table.column_names)
+    names[_column(table, rng)] = str(rng.choice([*names, "", "t_s", "a.b", "x" * 5000, "\x1b[2J", "t_ms [s]", "=1"]))
+    return table.rename_columns(names), f"names {[name[:10] for name in names]}"
+
+
+def _wide(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
+    count = int(rng.integers(1, 700))
+    columns = [table.column(_column(table, rng)) for _ in range(count)]
+    return pa.Table.from_arrays(columns, names=[f"c{at}_t_ms" for at in range(count)]), f"{count} columns"
+
+
+PARQUET: tuple[Callable[[pa.Table, Rng], tuple[pa.Table, str]], ...] = (
+    _type, _type, _nested, _odd, _odd, _nulls, _many, _text, _names, _wide,
+)  # fmt: skip
+
+FAMILIES: dict[str, Callable[[Path, Rng], str]] = {"index": damage_index, "parquet": damage_parquet}
