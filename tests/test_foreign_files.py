@@ -1,6 +1,7 @@
 """HDF5 files of other programs in a folder, an export of ours among them, are passed over, and counted."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -126,3 +127,18 @@ def test_a_broken_file_is_not_taken_for_a_foreign_one(folder: Path) -> None:
     assert (shown["summary"]["unreadable"], shown["summary"]["foreign"]) == (1, 0)
     assert CliRunner().invoke(app, ["share", "data", "-o", "hub"]).exit_code == 2
     assert CliRunner().invoke(app, ["validate", "data"]).exit_code == 2
+
+
+def test_pipes_and_devices_beside_the_files(folder: Path) -> None:
+    """Assert that what could wait for ever is not opened, whatever its name: a page, a table, a stage file, an index."""
+    for name in ("a.html", "b.csv", "c.parquet", "report.html.tmp"):
+        os.mkfifo(folder / name)
+    (folder / "d.csv").symlink_to("/dev/zero")
+    (folder / "e.html").symlink_to("/dev/zero")
+    for words in (("report", "data"), ("info", "data"), ("share", "data", "-o", "hub"), ("validate", "data")):
+        run(*words)
+    os.mkfifo(folder / "f.recording.h5")
+    shown, _ = run("info", "data")
+    assert shown["summary"]["unreadable"] == 1
+    result = CliRunner().invoke(app, ["validate", "data/f.recording.h5"])
+    assert result.exit_code == 2
