@@ -130,7 +130,7 @@ def test_a_broken_file_is_not_taken_for_a_foreign_one(folder: Path) -> None:
 
 
 def test_pipes_and_devices_beside_the_files(folder: Path) -> None:
-    """Assert that what could wait for ever is not opened, whatever its name: a page, a table, a stage file, an index."""
+    """Assert that what could wait for ever is not opened, whatever its name: a page, a table, a stage file."""
     for name in ("a.html", "b.csv", "c.parquet", "report.html.tmp"):
         os.mkfifo(folder / name)
     (folder / "d.csv").symlink_to("/dev/zero")
