@@ -9,7 +9,12 @@ from pathlib import Path
 
 from evetac_cli.errors import InputError
 
-OWN = re.compile(r"lock|joined|(static|late|[0-9]{6,})[.](h5|tmp)")
+STATIC = "static.h5"
+LATE = "late.h5"  # what was known only at the end, of a recording that was left to be joined later
+LOCK = "lock"
+JOINED = "joined"  # in a folder whose recording is complete, and which was only not removed
+SEGMENT = "([0-9]{6,})[.](h5|tmp)"  # its name; .tmp: closed, perhaps, but not yet renamed
+OWN = re.compile(rf"{LOCK}|{JOINED}|(static|late)[.](h5|tmp)|{SEGMENT}")
 MOST_NAMED = 3
 
 

@@ -23,12 +23,12 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.store import schema
 from evetac_cli.store.checked_hdf5 import DAMAGE, CheckedHdf5, row_blocks
 from evetac_cli.store.disk import open_lock
+from evetac_cli.store.part_folder import JOINED, LATE, LOCK, SEGMENT, STATIC
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, JOINED, LATE, LOCK, RECIPE, STATIC
+from evetac_cli.store.segments import COUNTS, CRC, FIRST_SLICE, RECIPE
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 SUFFIX = ".part"
-SEGMENT = "([0-9]{6,})[.](h5|tmp)"  # .tmp: closed, perhaps, but not yet renamed
 # `record` takes a day at most. Every slice costs a row, so a damaged number must not make billions of empty ones.
 LONGEST_SLICES = 25 * 3600 * 1000
 LARGEST_PX = 65535  # what an event's uint16 can say

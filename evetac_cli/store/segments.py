@@ -11,6 +11,7 @@ dataset carries its CRC-32 instead, so that damage is seen.
 
 import fcntl
 import json
+import re
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,15 +29,12 @@ from evetac_cli.store.chunks import RowWriter, put
 from evetac_cli.store.disk import make_own_folder, missing_folders, new_file, open_lock, remove_empty
 from evetac_cli.store.files import put_header, replacing
 from evetac_cli.store.netcdf import describe_dataset
+from evetac_cli.store.part_folder import JOINED, LATE, LOCK, SEGMENT, STATIC
 from evetac_cli.store.provenance import ContentDigest, Header, Recipe
 from evetac_cli.store.trial_writer import TrialBuffer
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
-STATIC = "static.h5"
-LATE = "late.h5"  # what was known only at the end, of a recording that was left to be joined later
-LOCK = "lock"
-JOINED = "joined"  # in a folder whose recording is complete, and which was only not removed
 COUNTS = "events_per_slice"
 STARTS = "ms_to_idx"
 BLOCK_ROWS = 1 << 16  # of lost slices, which are written at once
@@ -207,7 +205,7 @@ def refuse_leftover(path: Path) -> None:
     folder = _part_folder(path)
     if not folder.is_dir() or (folder / JOINED).exists():
         return
-    if any(file.name[0].isdigit() for file in folder.iterdir()):
+    if any(re.fullmatch(SEGMENT, file.name) for file in folder.iterdir()):
         raise InputError(
             "a recording broke off here and cannot be made again",
             where=str(folder),

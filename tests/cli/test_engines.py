@@ -32,6 +32,7 @@ from tests.patience import PATIENCE_S, until
 sys.path.insert(0, str(PACKAGE.parent / "scripts"))
 import compare_engines
 
+SILENCE_S = 5.0  # after which whoever asks without credentials gets no answer any more
 MADE = Outcome([{"output": "a"}], True)
 # A stage whose jobs do what their names say; the program below loads it, and so does every worker.
 STAGE = """
@@ -265,8 +266,8 @@ def test_no_stranger_gives_work_to_the_own_cluster(own_cluster: Any, credentials
     async def call(address: str) -> Any:
         to = address.replace("tls://", "tcp://") if credentials == "tcp" else address
         arguments = security.get_connection_args("client")
-        async with rpc(to, connection_args=arguments, timeout=5) as remote:
-            return await asyncio.wait_for(remote.identity(), 5)
+        async with rpc(to, connection_args=arguments, timeout=SILENCE_S) as remote:
+            return await asyncio.wait_for(remote.identity(), SILENCE_S)
 
     for address in addresses(own_cluster):
         with pytest.raises((OSError, TypeError, TimeoutError)):  # TypeError: tls:// without any certificate

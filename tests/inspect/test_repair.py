@@ -19,7 +19,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import segments
+from evetac_cli.store import part_folder
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
@@ -115,11 +115,11 @@ def test_folder_of_a_complete_recording_is_removed(tmp_path: Path) -> None:
     folder = broken_off(tmp_path, [2])
     repair.run([folder])
     folder = broken_off(tmp_path, [2])
-    (folder / segments.JOINED).touch()
+    (folder / part_folder.JOINED).touch()
     assert repair.run([folder]).rows[0]["status"] == "was complete"
     assert not folder.exists()
     folder = broken_off(tmp_path, [2])
-    (folder / segments.JOINED).touch()
+    (folder / part_folder.JOINED).touch()
     (tmp_path / "a.recording.h5").write_bytes(b"")
     assert repair.run([folder]).rows[0]["status"] == "not repaired"
     assert folder.is_dir()

@@ -11,6 +11,7 @@ import pytest
 
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from tests.patience import PATIENCE_S
 
 
 def fails(error: BaseException) -> None:
@@ -58,7 +59,7 @@ def test_how_a_process_ended(case: str) -> None:
     words = LastWords()
     process = multiprocessing.get_context("spawn").Process(target=telling, args=(words, target, *arguments))
     process.start()
-    process.join(60.0)
+    process.join(PATIENCE_S)
     told = exit_words(process, words)
     assert said in told
     assert "\n" not in told

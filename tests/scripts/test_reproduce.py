@@ -19,6 +19,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.params.evaluation import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
 from tests.conftest import Made
+from tests.patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import experiment_tables
@@ -372,7 +373,7 @@ def interrupt_when(
             time.sleep(0.02)
         for _ in range(times):
             os.killpg(process.pid, signal.SIGINT)
-        said, _ = process.communicate(timeout=300)
+        said, _ = process.communicate(timeout=PATIENCE_S)
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -11,7 +11,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.store import recovery, segments
+from evetac_cli.store import part_folder, recovery, segments
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.segments import RecordingWriter
 
@@ -182,7 +182,7 @@ def test_device_leftover_is_never_thrown_away(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="evetac repair"):
         RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert recovery.read_leftover(folder).slices == 2
-    (folder / segments.JOINED).touch()  # as if only removing it had failed
+    (folder / part_folder.JOINED).touch()  # as if only removing it had failed
     RecordingWriter(tmp_path / "a.recording.h5", STATIC).discard()
     assert not folder.exists()
 

@@ -8,13 +8,13 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
 import pytest
 
-from tests.patience import PATIENCE_S
+from tests.patience import PATIENCE_S, until
 
 pytest.importorskip("tornado")
 from tornado.httpclient import HTTPClientError, HTTPRequest
@@ -276,20 +276,13 @@ def unread_websocket(served: Served) -> socket.socket:
     return connection
 
 
-def until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
-
-
 @pytest.mark.parametrize("end", ["reset", "shut", "close frame"])
 def test_a_client_that_goes_while_a_picture_is_on_its_way(end: str) -> None:
     """Assert that nothing comes up on the terminal, however the connection ends, and that others are served."""
     served = Served(bytes(8 << 20))  # more than the system takes for a client that does not read
     try:
         connection = unread_websocket(served)
-        until(lambda: len(served.server.clients) == 1 and not served.server.is_asked)
+        assert until(lambda: len(served.server.clients) == 1 and not served.server.is_asked)
         connection.recv(1 << 10)
         if end == "reset":
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -298,7 +291,7 @@ def test_a_client_that_goes_while_a_picture_is_on_its_way(end: str) -> None:
         else:
             connection.sendall(bytes([0x88, 0x80]) + bytes(4))
         connection.close()
-        until(lambda: not served.server.clients)
+        assert until(lambda: not served.server.clients)
         assert answer(served, f"/{served.server.token}/")[0] == 200
     finally:
         served.close()
@@ -326,7 +319,7 @@ def test_a_connection_without_a_request_is_closed(said: bytes, monkeypatch: pyte
         connection = plain_socket(served)
         connection.sendall(said)
         assert is_closed(connection)
-        until(lambda: not served.server.waiting)
+        assert until(lambda: not served.server.waiting)
     finally:
         served.close()
     assert served.uncaught == []
@@ -364,7 +357,7 @@ def test_who_waits_in_hundreds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch)
             assert answer(served, f"/{served.server.token}/")[0] == 200
 
         first = silent(2 * server.MOST_WAITING)
-        until(lambda: len(served.server.waiting) == server.MOST_WAITING)
+        assert until(lambda: len(served.server.waiting) == server.MOST_WAITING)
         open_page()
 
         async def look_on() -> None:

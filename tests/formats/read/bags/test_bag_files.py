@@ -19,6 +19,7 @@ from evetac_cli.formats.read.bags.rosbag_unpacking import zstd_module
 from evetac_cli.formats.streams import read_stream
 from tests.formats.read.bags.bag_writing import Types, Write, drawn, listed, mono, shifted, write_mcap
 from tests.importing import event_rows, refusal
+from tests.patience import PATIENCE_S
 
 EVENTS = drawn(400)
 
@@ -376,7 +377,8 @@ from evetac_cli.formats.imports import read_events
 read_events({str(left)!r})
 os.kill(os.getpid(), 9)
 """
-    subprocess.run([sys.executable, "-c", code], env=os.environ | {"TMPDIR": str(scratch)}, check=False, timeout=300)
+    environment = os.environ | {"TMPDIR": str(scratch)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=False, timeout=PATIENCE_S)
     (of_dead,) = scratch.iterdir()
     assert (of_dead / "copy").is_file()
     read_events(left)
