@@ -15,7 +15,7 @@ from typing import Any
 from evetac_cli.errors import EvetacError, exit_code_words, shortened
 
 MOST_BYTES = 512
-PATIENCE_S = 1.0  # a pipe tells that a process ends a little before it has
+PATIENCE_S = 5.0  # a pipe tells that a process ends before it has: Python takes a while, on a busy computer seconds
 
 
 class LastWords:
@@ -53,6 +53,11 @@ def error_words(error: BaseException) -> str:
     if frames := traceback.extract_tb(error.__traceback__):
         place = f", in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
     return f"{type(error).__name__}{': ' if said else ''}{said[: MOST_BYTES // 2]}{place}"
+
+
+def with_reason(sentence: str, how: str) -> str:
+    """A sentence about the end of a process, with how it ended in brackets where that is known."""
+    return f"{sentence} ({how})" if how else sentence
 
 
 def exit_words(process: BaseProcess, words: LastWords | None = None, patience_s: float = PATIENCE_S) -> str:

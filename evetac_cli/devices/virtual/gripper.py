@@ -18,6 +18,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import baud_code
 from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.devices.virtual.servo_plant import Obstacle, SharedPlant
 from evetac_cli.errors import DeviceError, exit_code_words
+from evetac_cli.realtime.last_words import with_reason
 from evetac_cli.resources import PACKAGE
 
 END_S = 5.0
@@ -117,11 +118,8 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         if not line:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_S)
-            how = exit_code_words(self._process.returncode)
-            raise DeviceError(
-                f"the process of the virtual gripper died{f' ({how})' if how else ''}",
-                hint="its last messages, if any, are above",
-            )
+            words = with_reason("the process of the virtual gripper died", exit_code_words(self._process.returncode))
+            raise DeviceError(words, hint="its last messages, if any, are above")
         return json.loads(line)
 
 

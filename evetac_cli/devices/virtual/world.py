@@ -29,7 +29,7 @@ import numpy as np
 
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, ignore_interrupts, start_shielded
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
@@ -153,8 +153,7 @@ class VirtualWorld:
         """The error for a world whose process is gone; a copy in another process knows its last words at most."""
         words, process = self._last_words, self._process
         how = words.read() if process is None else exit_words(process, words)
-        sentence = f"the process of the virtual world died {when}".rstrip()
-        return DeviceError(f"{sentence} ({how})" if how else sentence)
+        return DeviceError(with_reason(f"the process of the virtual world died {when}".rstrip(), how))
 
     @property
     def has_died(self) -> bool:

@@ -20,7 +20,7 @@ from evetac_cli import console
 from evetac_cli.devices import losses
 from evetac_cli.errors import DeviceError, missing_extra
 from evetac_cli.events import Events
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, start_shielded
@@ -70,7 +70,9 @@ class LiveView:
             self.url = str(ready.recv())
         except EOFError:
             how = exit_words(self._process, self._last_words)
-            raise DeviceError(f"the live view died while it started ({how})", hint="leave out --live") from None
+            raise DeviceError(
+                with_reason("the live view died while it started", how), hint="leave out --live"
+            ) from None
         except BaseException:
             self._process.kill()
             raise
@@ -156,7 +158,7 @@ class LiveView:
         self._has_told = True
         how = exit_words(self._process, self._last_words)
         button = ", and its button with it: Ctrl-C lets go" if self._moves else ""
-        console.say(f"the live view died ({how}){button}; the recording goes on")
+        console.say(f"{with_reason('the live view died', how)}{button}; the recording goes on")
 
     def _send(self, message: Any) -> None:
         with suppress(BrokenPipeError):  # the view has gone, which ends no recording
