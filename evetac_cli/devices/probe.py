@@ -128,12 +128,12 @@ class Host:
     def scan(self, port: Path, id_: int = 1) -> list[BusDevice]:
         """Grippers on a port: that of this id at any rate, and those of other ids at the same rate, else at all."""
         named = scan(str(port), self.rates, (id_,), answer_ms=self.answer_ms)
-        found = {(each.baud, each.id): each for each in named}
+        devices = {(each.baud, each.id): each for each in named}
         for baud in {each.baud for each in named} or self.rates:
             with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
                 for other, (model, _) in bus.devices(self.broadcast_ms).items():
-                    found.setdefault((baud, other), BusDevice(baud, other, model))
-        return list(found.values())
+                    devices.setdefault((baud, other), BusDevice(baud, other, model))
+        return list(devices.values())
 
     def registers(self, port: Path, gripper: BusDevice, names: Iterable[str] = READ) -> dict[str, int]:
         """Values of a gripper's registers by name; DeviceError if it does not answer."""

@@ -283,8 +283,8 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
     if named is not None and named.id != ID and named.id not in [each.id for each in grippers]:
         answers = " and ".join(f"gripper {each.id}" for each in grippers)
         fix = " or ".join(_flag(path, each) for each in grippers)
-        found = f"{answers} answer{'s' if len(grippers) == 1 else ''}"
-        rows.append(check(name, "id", False, found, f"gripper {named.id}, as it was named", f"name it: {fix}"))
+        answering = f"{answers} answer{'s' if len(grippers) == 1 else ''}"
+        rows.append(check(name, "id", False, answering, f"gripper {named.id}, as it was named", f"name it: {fix}"))
     for gripper in grippers:
         try:
             rows += _gripper(host, path, gripper)
@@ -344,12 +344,10 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     yield check(
         name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "" if cool else "let it cool down"
     )
-    ticks, low, high = (
-        registers[f"{which}"] for which in ("Present Position", "Min Position Limit", "Max Position Limit")
-    )
-    there = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
-    fix = "" if there else "switch its 24 V off and on; if it comes again, the gripper is damaged"
-    yield check(name, "position", there, f"{ticks:,} ticks", f"{low} to {high} ticks, or a little beyond", fix)
+    ticks, low, high = (registers[which] for which in ("Present Position", "Min Position Limit", "Max Position Limit"))
+    in_range = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
+    fix = "" if in_range else "switch its 24 V off and on; if it comes again, the gripper is damaged"
+    yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or a little beyond", fix)
     off = registers["Torque Enable"] == 0
     fix = "" if off else "another program may drive it, or have left it so"
     yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)

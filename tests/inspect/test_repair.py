@@ -19,7 +19,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import part_folder
+from evetac_cli.store import part_folder, segments
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter

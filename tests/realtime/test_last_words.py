@@ -54,20 +54,20 @@ CASES: dict[str, tuple[Callable[..., None], tuple[Any, ...], str]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_how_a_process_ended(case: str) -> None:
-    """Assert that signal, exit code and the last line of a traceback are told, and a place in the code."""
+    """Assert that signal, exit code and the last line of a traceback are words_of_exit, and a place in the code."""
     target, arguments, said = CASES[case]
     words = LastWords()
     process = multiprocessing.get_context("spawn").Process(target=telling, args=(words, target, *arguments))
     process.start()
     process.join(PATIENCE_S)
-    told = exit_words(process, words)
-    assert said in told
-    assert "\n" not in told
-    assert len(told.encode()) < 700
+    words_of_exit = exit_words(process, words)
+    assert said in words_of_exit
+    assert "\n" not in words_of_exit
+    assert len(words_of_exit.encode()) < 700
 
 
 def test_a_process_that_runs_has_not_ended() -> None:
-    """Assert that nothing is told of one that is alive."""
+    """Assert that nothing is words_of_exit of one that is alive."""
     process = multiprocessing.get_context("spawn").Process(target=signal.pause, daemon=True)
     process.start()
     assert exit_words(process, LastWords(), patience_s=0.0) == ""

@@ -36,14 +36,14 @@ def test_a_computer_that_stands_still_changes_no_count(
     """
     monkeypatch.setattr(PreparedWords, "patient", False)
     at_s, for_s = late
-    moments: list[float] = []  # of the first read, and of the one that is late
+    started_s: list[float] = []  # of the first read, and of the one that is late
     put = UsbReader._put
 
     def delayed(reader: UsbReader, block: Any) -> None:
-        if not moments:
-            moments.append(time.monotonic())
-        if len(moments) == 1 and time.monotonic() >= moments[0] + at_s:
-            moments.append(time.monotonic())
+        if not started_s:
+            started_s.append(time.monotonic())
+        if len(started_s) == 1 and time.monotonic() >= moments[0] + at_s:
+            started_s.append(time.monotonic())
             time.sleep(for_s)
         put(reader, block)
 

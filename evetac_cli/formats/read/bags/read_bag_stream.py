@@ -248,8 +248,8 @@ class _Images(_Reader):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
         self._check_size(*opened.size)  # before it is unpacked
         if math.prod(opened.size) > MOST_PACKED_PX:
-            found = "{} x {}".format(*opened.size)
-            self.refuse("too large a packed image", f"at most {MOST_PACKED_PX:,} px", found)
+            size = "{} x {}".format(*opened.size)
+            self.refuse("too large a packed image", f"at most {MOST_PACKED_PX:,} px", size)
         with bag_in_words(self.where, f"the image of message {self.number}"):
             pixels = np.asarray(opened.convert("L" if opened.mode in ("L", "1") else "RGB"))
         return pixels.reshape(*pixels.shape[:2], -1)
