@@ -42,7 +42,7 @@ def test_a_computer_that_stands_still_changes_no_count(
     def delayed(reader: UsbReader, block: Any) -> None:
         if not started_s:
             started_s.append(time.monotonic())
-        if len(started_s) == 1 and time.monotonic() >= moments[0] + at_s:
+        if len(started_s) == 1 and time.monotonic() >= started_s[0] + at_s:
             started_s.append(time.monotonic())
             time.sleep(for_s)
         put(reader, block)
