@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import bags
 import event_files
 import numpy as np
 import tables
@@ -37,6 +38,8 @@ trim first.recording.h5 --to-ms 60 --out piece.recording.h5
 export piece.recording.h5 --format dsec --out events.h5
 export piece.recording.h5 --format text --out events.txt
 export piece.recording.h5 --format aedat4 --out events.aedat4
+export piece.recording.h5 --format raw --out evt3.raw
+export piece.recording.h5 --format mcap --out trial.mcap
 export piece.recording.h5 --format calibration --out grid.json
 export piece.recording.h5 --format calibration --out grid.pkl
 """
@@ -171,8 +174,10 @@ KINDS = (
     Kind("Prophesee DAT", "events.dat", "bytes", _IMPORT),
     *(
         Kind(name, file, mutation, (*_IMPORT, *([_FRAMES] if file.endswith(".aedat4") else [])))
-        for name, (file, mutation) in event_files.FILES.items()
+        for name, (file, mutation) in {**event_files.FILES, **bags.FILES}.items()
     ),
+    Kind("EVT3", "evt3.raw", "bytes", _IMPORT),
+    Kind("MCAP of a trial", "trial.mcap", "bytes", _IMPORT),
     Kind("camera words", "words.bin", "bytes", ("wire words {f}",)),
     Kind("servo answers", "answers.bin", "bytes", ("wire answers {f}",)),
     Kind(
@@ -231,6 +236,7 @@ def make(folder: Path) -> None:
     _write_raw(folder / "events.raw", events.t[:20_000])
     _write_dat(folder / "events.dat", *(column[:20_000] for column in events))
     event_files.write(folder, events.part(0, event_files.EVENTS))
+    bags.write(folder, events.part(0, bags.EVENTS))
     _write_streams(folder)
     tables.write(folder)
     attach = ("attach", "piece.recording.h5", "--stream", "arm=pose.csv", "--stream", "wrist=trial.bag:/image")

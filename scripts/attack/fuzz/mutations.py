@@ -354,10 +354,31 @@ def damage_segments(path: Path, rng: Rng) -> str:
     return f"{operation} {file.name}"
 
 
+def damage_files(path: Path, rng: Rng) -> str:
+    """Damage a folder of files: one of them, or which there are."""
+    files = sorted(file for file in path.iterdir() if file.is_file())
+    operation = str(rng.choice(["damage", "damage", "damage", "damage", "remove", "empty", "exchange", "copy"]))
+    if not files:
+        return "nothing left"
+    file = files[rng.integers(len(files))]
+    if operation == "damage":
+        return f"{file.name}: {(damage_text if file.suffix == '.yaml' else damage_bytes)(file, rng)}"
+    if operation == "remove":
+        file.unlink()
+    elif operation == "empty":
+        file.write_bytes(b"")
+    elif operation == "exchange":
+        file.rename(path / files[rng.integers(len(files))].name)
+    else:
+        file.with_stem(file.stem + str(rng.choice(["_1", "_0", " copy", "-wal"]))).write_bytes(file.read_bytes())
+    return f"{operation} {file.name}"
+
+
 FAMILIES: dict[str, Callable[[Path, Rng], str]] = {
     "bytes": damage_bytes,
     "text": damage_text,
     "hdf5": damage_hdf5,
     "segments": damage_segments,
+    "files": damage_files,
     **tables.FAMILIES,
 }
