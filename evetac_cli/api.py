@@ -207,7 +207,7 @@ class SlipDetector:
             try:
                 self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
             except InputError as error:
-                error.hint = error.hint or no_rows
+                error.hint = no_rows or error.hint
                 raise
 
     @property

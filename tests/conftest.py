@@ -29,9 +29,12 @@ from tests.small_files import recording_of
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
-# Programs in the background of a script are started with Ctrl-C ignored, which what they start inherits.
+# A program in the background of a script is started with Ctrl-C ignored, one under nohup with SIGHUP ignored, and what
+# they start inherits that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -62,7 +62,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
         f"{_time_unit([1, 5, 9])} if all times are whole, {_time_unit([0.1, 0.2])} otherwise"
     ),
     ("attach", "offset"): lambda: "0",
-    ("calibrate", "gel"): lambda: "as its columns say, 9 or 8, or the default grid",
+    ("calibrate", "gel"): lambda: "as the recording or the default grid says, or closed",
     ("identify", "pixel_mm"): lambda: f"that of --like, taken as known within {gripper_rows.SCALE_SHARE:.0%}",
     ("train", "model"): lambda: f"{train.USUAL.model}, or that of --adapt",
     ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",

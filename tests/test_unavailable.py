@@ -27,7 +27,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store import checked_hdf5, segments
 from evetac_cli.store.files import StageFile
 from tests import small_files
-from tests.store.test_recovery import broken_off
+from tests.store.test_recovery import STATIC, broken_off
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
 HOLD = """
@@ -300,9 +300,8 @@ def test_repair_waits_for_segments_that_cannot_be_read_now(
     monkeypatch.setattr(h5py, "File", refuse)
     (row,) = repair.run([folder]).rows
     assert row["status"] == "not repaired" and "Permission denied" in row["fault"]
-    if name == "static.h5":
-        with pytest.raises(UnavailableError):
-            segments._repairable(folder)
+    with pytest.raises(InputError, match="a recording broke off here"):
+        segments.RecordingWriter(folder.with_name("a.recording.h5"), STATIC)
     assert sorted(path.name for path in folder.iterdir()) == sorted({*before, "lock"})
     monkeypatch.undo()
     assert repair.run([folder]).rows[0]["status"] == "repaired"

@@ -33,7 +33,7 @@ from typing import Any
 
 from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import workers
-from evetac_cli.errors import EvetacError, InputError, install_hint, shortened
+from evetac_cli.errors import EvetacError, InputError, missing_extra, shortened
 from evetac_cli.jobs import Job, Outcome, Progress
 
 LOCAL, DASK = "local", "dask"
@@ -278,12 +278,10 @@ def _own_cluster(at_once: int) -> Iterator[Any]:
 
     try:
         credentials = Security.temporary()
-    except ImportError:  # of cryptography
-        raise EvetacError(
-            "the library cryptography is needed, by which the cluster knows who gives it work",
-            where="--engine dask",
-            hint=f"{install_hint('cluster')}, or --engine local",
-        ) from None
+    except ImportError as error:
+        what = "the library cryptography is needed, by which the cluster knows who gives it work"
+        where, otherwise = "--engine dask", "--engine local"
+        raise missing_extra(what, "cluster", where=where, error=error, otherwise=otherwise) from None
     no_routes: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}
     settings = {
         "distributed.scheduler.allowed-failures": 0,

@@ -27,7 +27,7 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
         str,
         engines.LOCAL,
         "--engine",
-        "local; dask: a Dask cluster of --jobs processes; dask:tls://ADDRESS: one that runs (docs/cluster.md).",
+        "local; dask: a Dask cluster of --jobs processes, or dask:tls://ADDRESS (docs/cluster.md).",
     ),
     "config": (Path | None, None, "--config", "TOML file with parameters, one table a command; --no-FLAG unsets one."),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),

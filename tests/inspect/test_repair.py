@@ -149,7 +149,7 @@ def test_what_no_recorder_wrote_stays(name: str, tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == [name.partition("/")[0]]
     (tmp_path / "a.recording.h5").unlink()
     with pytest.raises(InputError, match="not from a recording"):
-        RecordingWriter(tmp_path / "a.recording.h5", STATIC, discard_leftover=True)
+        RecordingWriter(tmp_path / "a.recording.h5", STATIC)
     assert (folder / name).read_text() == "mine"
     assert [path.name for path in folder.iterdir()] == [name.partition("/")[0]]
 

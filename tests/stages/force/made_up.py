@@ -31,7 +31,7 @@ def write_trial(
         "sensor/frame_px": np.array(frame_px, np.int32),
         "sensor/name": sensor_name,
         "sensor/dot_xy_px": grid_px,
-        "sensor/dot_radius_px": np.float64(15.0),
+        "sensor/dot_radius_px": np.float64(15.0 * frame_px[0] / 640),  # seen through the same lens
     }
     none = np.empty(0, np.int64)
     zero = np.zeros(slices, np.float32)

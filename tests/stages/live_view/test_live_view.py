@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.errors import DeviceError, InputError, MissingLibrary
 from evetac_cli.events import empty
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
@@ -57,7 +57,7 @@ def test_without_the_library_there_are_characters(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(live_view, "LIBRARY", "no_such_library")
     assert live_view.place("auto") == "terminal"
-    with pytest.raises(InputError, match="no_such_library") as refused:
+    with pytest.raises(MissingLibrary, match="no_such_library") as refused:
         live_view.place("browser")
     assert "[plot]" in str(refused.value)
 
