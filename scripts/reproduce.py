@@ -13,6 +13,7 @@ Ctrl-C ends the command at work, which takes its unfinished files away, and then
 
 import argparse
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -45,6 +46,8 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
     first, *rest = words
     if first == "evetac":
         program = [sys.executable, "-P", "-m", "evetac_cli", *rest]
+        # Ctrl-C waits until evetac looks after it, for while Python starts it would end in a traceback.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     else:
         program = [sys.executable, str(ROOT / rest[0]), *rest[1:]]
     process = subprocess.Popen(program, cwd=folder, stdout=subprocess.PIPE, text=True)
@@ -61,6 +64,7 @@ def wait_for(process: "subprocess.Popen[str]") -> str:
     times = 0
     while True:
         try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             printed, _ = process.communicate()
             break
         except KeyboardInterrupt:

@@ -22,6 +22,7 @@ from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.text_files import as_toml, parse_json, parse_toml
 from tests import small_files
+from tests.quick import few
 
 ALL = (*PIPELINE, *EVALUATE, VIEW, EXPORT, SHARE)
 NUMBERS = [
@@ -103,7 +104,10 @@ UNBOUNDED = (
 
 
 @pytest.mark.parametrize(
-    "number", ["-0.0", "0", "1e12", "1000000000000", "1e308", "nan", "inf", "9" * 400, "1_0", "true"]
+    "number",
+    few(
+        ["-0.0", "0", "1e12", "1000000000000", "1e308", "nan", "inf", "9" * 400, "1_0", "true"], "-0.0", "1e308", "nan"
+    ),
 )
 @pytest.mark.parametrize("command", UNBOUNDED)
 def test_what_a_flag_may_be_can_be_computed_with(

@@ -18,6 +18,7 @@ from evetac_cli.resources import SCENES
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 from tests import small_files
+from tests.quick import few
 
 NAMES = {
     "no UTF-8": os.fsdecode(b"f\xe9\xffrst"),
@@ -83,7 +84,7 @@ def run(words: str, name: str) -> Any:
     return json.loads(result.stdout)
 
 
-@pytest.mark.parametrize("folder", NAMES, indirect=True)
+@pytest.mark.parametrize("folder", few(NAMES, "no UTF-8", "a line and a sign"), indirect=True)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_work_with_odd_names(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that each reads and writes them, that names come back as they are, and that what is written is valid."""

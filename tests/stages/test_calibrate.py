@@ -27,6 +27,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
+from tests.quick import few
 
 Grid = NDArray[np.float64]
 Show = Callable[[NDArray[np.bool_]], Path]
@@ -206,7 +207,7 @@ WORN = {  # dots of a closed gel that do not show, and how many of its rows and 
 }
 
 
-@pytest.mark.parametrize("which", WORN)
+@pytest.mark.parametrize("which", few(WORN, "last column", "four dots of the first column"))
 def test_worn_dots_do_not_make_a_window(seen: Show, truth: Grid, which: str) -> None:
     """Assert that a closed gel with a worn border is never taken for a cut one, and is whole if called closed."""
     part, missing, gone = WORN[which]
@@ -234,7 +235,7 @@ MOUNTED = {  # a picture, its window at 540 0 640 480 and its dots, as a sensor 
 
 
 @pytest.mark.parametrize("cut", [False, True], ids=["closed", "cut"])
-@pytest.mark.parametrize("how", MOUNTED)
+@pytest.mark.parametrize("how", few(MOUNTED, "turned by 180 degrees", "turned by 90 degrees"))
 def test_a_sensor_that_is_mounted_otherwise(
     how: str, cut: bool, halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: Any
 ) -> None:

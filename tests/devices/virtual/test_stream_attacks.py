@@ -24,7 +24,7 @@ def test_the_driver_outlasts_every_attack(attacked: Attack) -> None:
     assert ending.faults(attacked, EVENTS_S) == []
 
 
-@pytest.mark.parametrize("late", [(0.0, 0.7), (0.35, 0.4), (0.48, 0.3)], ids=str)
+@pytest.mark.parametrize("late", [(0.0, 0.7), pytest.param((0.35, 0.4), marks=pytest.mark.slow), (0.48, 0.3)], ids=str)
 @pytest.mark.parametrize("fault", [fault for fault in QUICK if "@0:" not in fault])
 def test_a_computer_that_stands_still_changes_no_count(
     fault: str, late: tuple[float, float], monkeypatch: pytest.MonkeyPatch

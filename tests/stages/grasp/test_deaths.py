@@ -25,6 +25,7 @@ from evetac_cli.stages.grasp import recorder
 from evetac_cli.stages.grasp.controller_process import ControllerEnded
 from evetac_cli.stages.grasp.detector_process import DetectorEnded, DetectorSettings, SliceBatch, joined, run_detector
 from evetac_cli.stages.grasp.recorder import RecordedGrasp
+from tests.quick import few
 
 GOOD_SLICES = 20
 PATIENCE_S = 60.0
@@ -112,7 +113,7 @@ def started(fault: str, *, opens: bool = True) -> tuple[Any, MessageReader, list
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("opens", [True, False], ids=["reading", "opening"])
+@pytest.mark.parametrize("opens", few([True, False], True), ids=["reading", "opening"])
 def test_the_detector_says_what_ended_it(fault: str, opens: bool) -> None:
     """Assert that whatever its camera raises, the ends of pipes and of programs too, comes as an error in words."""
     process, inbox, kept = started(fault, opens=opens)

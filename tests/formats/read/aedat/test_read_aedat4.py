@@ -17,6 +17,7 @@ from evetac_cli.formats.read.aedat import aedat4_packets, read_aedat4
 from evetac_cli.formats.read.event_validation import NOT_RECORDED
 from evetac_cli.formats.write import write_aedat4
 from tests.importing import FRAME, real, refusal, same
+from tests.quick import few
 
 
 def store(dv: Any, t: Any, x: Any, y: Any, p: Any) -> Any:
@@ -275,7 +276,7 @@ def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int
     assert imported.events.t[0] == 0
 
 
-@pytest.mark.parametrize("name", ["dvxplorer_static_noise", "davis346", "multistream"])
+@pytest.mark.parametrize("name", few(["dvxplorer_static_noise", "davis346", "multistream"], "davis346"))
 def test_damage_costs_no_more_than_the_packets_it_hits(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
