@@ -6,6 +6,7 @@ import re
 import shlex
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,7 @@ ASKS = {  # what a message asks for, and the command that it has to name: the on
 }
 
 
+@cache
 def messages() -> list[tuple[str, str]]:
     """Where an error of ours is raised, and its message, what is expected and its hint, as the source has them."""
     kinds = {name for name, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, Exception)}

@@ -16,6 +16,7 @@ from evetac_cli.formats.write import write_dsec
 from evetac_cli.jobs import silent
 from evetac_cli.store.read import open_recording
 from tests import small_files
+from tests.quick import few
 
 
 def dsec(path: Path) -> None:
@@ -62,7 +63,7 @@ def run(*words: str) -> tuple[Any, str]:
     return json.loads(result.stdout), result.stderr
 
 
-@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("name", few(FOREIGN, "a name of ours", "links to elsewhere"))
 def test_they_are_passed_over_and_counted(name: str, folder: Path) -> None:
     """Assert that every command that takes a folder works as without it, and says what it passed over."""
     file, make = FOREIGN[name]

@@ -12,6 +12,7 @@ import pytest
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from tests.patience import PATIENCE_S
+from tests.quick import few
 
 
 def fails(error: BaseException) -> None:
@@ -52,7 +53,7 @@ CASES: dict[str, tuple[Callable[..., None], tuple[Any, ...], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", few(CASES, "a defect", "an error in words", "os._exit(0)", "many lines", "SIGKILL"))
 def test_how_a_process_ended(case: str) -> None:
     """Assert that signal, exit code and the last line of a traceback are words_of_exit, and a place in the code."""
     target, arguments, said = CASES[case]

@@ -15,6 +15,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.store import index
 from evetac_cli.store.made_folders import new_folder, require_replaceable
 from tests import small_files
+from tests.quick import few
 
 ENDLESS = "WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many) SELECT"
 COLUMNS = ", ".join(index.Row._fields)
@@ -139,7 +140,7 @@ def rows(folder: Path) -> list[index.Row]:
         return opened.rows()
 
 
-@pytest.mark.parametrize("name", NOT_OURS)
+@pytest.mark.parametrize("name", few(NOT_OURS, "endless rows", "a link", "a pipe", "text"))
 def test_what_evetac_did_not_make_is_left_as_it_is(name: str, folder: Path) -> None:
     """Assert that every command answers rightly, says that something else lies there, and does not touch it."""
     right = rows(folder)
@@ -156,7 +157,7 @@ def test_what_evetac_did_not_make_is_left_as_it_is(name: str, folder: Path) -> N
     assert not list(folder.glob(f"{index.NAME}-*"))
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", few(OURS, "nothing", "bytes for a text", "rows without end, nearly"))
 def test_an_index_of_ours_with_senseless_contents_is_made_again(name: str, folder: Path) -> None:
     """Assert that no value that an index cannot have is believed, that it is replaced, and read at once after that."""
     right = rows(folder)

@@ -11,6 +11,7 @@ from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
 from evetac_cli.store import disk
 from tests.conftest import Made
+from tests.quick import few
 
 SLOW = pytest.mark.slow
 
@@ -39,7 +40,7 @@ def test_progress_ends_at_its_total(scene: str, most_off: float, tmp_path: Path)
     assert reports[0][1] == pytest.approx(slices, rel=most_off, abs=0)
 
 
-@pytest.mark.parametrize("what", ["slip", "rest", "blocks", "grasp"])
+@pytest.mark.parametrize("what", few(["slip", "rest", "blocks", "grasp"], "slip", "blocks"))
 def test_what_is_written_depends_on_no_clock(
     what: str, made: Made, short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
