@@ -28,7 +28,7 @@ record --scene short.toml --seed 3 --out third.recording.h5
 track first.recording.h5 second.recording.h5 third.recording.h5
 label first.recording.h5 second.recording.h5 third.recording.h5 --after-ms 25
 featurize first.recording.h5 second.recording.h5 third.recording.h5 --images
-train first.features.h5 second.features.h5 --epochs 1 --max-steps 20 --preset adam --out m.model.h5
+train first.features.h5 second.features.h5 --epochs 30 --max-steps 60 --preset adam --out m.model.h5
 train-force first.tracks.h5 second.tracks.h5 --samples 10 --epochs 2 --out f.force-model.h5
 predict-force first.tracks.h5 --model f.force-model.h5 --out first.forces.h5
 evaluate slip third.features.h5 --model m.model.h5 --out slip.report.h5
