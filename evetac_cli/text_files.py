@@ -26,17 +26,19 @@ MOST_VALUES = 50_000  # entries of lists and tables: so many take milliseconds
 WHOLE_BITS = 64  # what TOML promises for a whole number, with its sign
 SEED_BITS = 129  # seeds of numpy have up to 128 bits, and a sign: in headers
 
-# Texts and comments, whose content is no structure. One that does not end runs to the end of its line, or of the file.
+# Texts and comments, whose content is no structure. One that does not end runs to the end of its line, or of the file:
+# so each match succeeds where its repetition stops, and none goes back. No possessive repetition (*+) says so, since that
+# of Python 3.11.2 and older matches wrongly.
 _TOML_TEXT = re.compile(
-    r'"""(?:[^\\"]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)'
-    r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
-    r'|"(?:[^"\\\n]|\\[^\n])*+"?'
-    r"|'[^'\n]*+'?"
-    r"|#[^\n]*+",
+    r'"""(?:[^\\"]+|\\.|"(?!""))*(?:"{3,5}|\\?\Z)'
+    r"|'''(?:[^']+|'(?!''))*(?:'{3,5}|\Z)"
+    r'|"(?:[^"\\\n]+|\\[^\n])*"?'
+    r"|'[^'\n]*'?"
+    r"|#[^\n]*",
     re.DOTALL,
 )
-_JSON_TEXT = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)', re.DOTALL)
-_DOTTED = re.compile(rf"(?<![\w\-])[\w\-]++(?:[ \t]*+\.[ \t]*+[\w\-]++){{{MOST_DEPTH}}}")
+_JSON_TEXT = re.compile(r'"(?:[^"\\]+|\\.)*(?:"|\\?\Z)', re.DOTALL)
+_DOTTED = re.compile(rf"(?<![\w\-])[\w\-]+(?:[ \t]*\.[ \t]*[\w\-]+){{{MOST_DEPTH}}}")
 _STRUCTURE = re.compile(r"[\[\]{},=:]")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _HUGE = re.compile(r"[eE]\+?[0-9]{3}|[0-9]{300}")  # what a number of JSON has that may be too large for a float

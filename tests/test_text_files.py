@@ -1,9 +1,11 @@
 """Text files from elsewhere, at each place that reads one: refused in words, at once, whatever they are."""
 
+import ast
 import json
 import math
 import os
 import pickle
+import re
 import resource
 import signal
 import socket
@@ -23,6 +25,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.params.learning import Label, Track
 from evetac_cli.params.recording import Calibrate, Record
+from evetac_cli.resources import PACKAGE
 from evetac_cli.sim import scene
 from evetac_cli.stages import calibrate
 from evetac_cli.store.calibration import read_calibration
@@ -262,3 +265,16 @@ def test_toml_that_is_written_is_read() -> None:
     assert tomllib.loads(text_files.as_toml(table)) == table
     assert math.isnan(tomllib.loads(text_files.as_toml({"x": math.nan}))["x"])
     assert text_files.as_toml({}) == ""
+
+
+def test_no_expression_repeats_possessively() -> None:
+    """Assert that no regular expression of the package has what Python 3.11.2, that of Debian 12, matches wrongly."""
+    possessive = []
+    for path in [*PACKAGE.rglob("*.py"), *(PACKAGE.parent / "scripts").rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("re."):
+                texts = [each.value for one in node.args for each in ast.walk(one) if isinstance(each, ast.Constant)]
+                possessive += [
+                    f"{path.name}:{node.lineno}" for text in texts if re.search(r"[*+?}]\+|\(\?>", str(text))
+                ]
+    assert possessive == []
