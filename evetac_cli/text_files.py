@@ -27,8 +27,8 @@ WHOLE_BITS = 64  # what TOML promises for a whole number, with its sign
 SEED_BITS = 129  # seeds of numpy have up to 128 bits, and a sign: in headers
 
 # Texts and comments, whose content is no structure. One that does not end runs to the end of its line, or of the file:
-# so each match succeeds where its repetition stops, and none goes back. It is not possessive (*+), for what that matches
-# in Python 3.11.2 and older is wrong.
+# so each match succeeds where its repetition stops, and none goes back. It is not possessive (*+), for what that
+# matches in Python 3.11.2 and older is wrong.
 _TOML_TEXT = re.compile(
     r'"""(?:[^\\"]+|\\.|"(?!""))*(?:"{3,5}|\\?\Z)'
     r"|'''(?:[^']+|'(?!''))*(?:'{3,5}|\Z)"
