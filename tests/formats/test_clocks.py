@@ -273,6 +273,16 @@ def test_a_wrap_is_followed(tmp_path: Path, name: str, pause_us: int) -> None:
     assert "wrapped once, at " in note
 
 
+@pytest.mark.parametrize("before_us", [900, 4096, 5000])
+@pytest.mark.parametrize("name", WRAPPING)
+def test_a_file_that_begins_just_before_the_wrap(tmp_path: Path, name: str, before_us: int) -> None:
+    """Assert the same where the first events are of the last or last but one count of the high bits (4095, 4094)."""
+    t = steady(KINDS[name].full_us - before_us, step_us=100)
+    imported = read_events(written(tmp_path, name, t), frame_px=FRAME)
+    assert imported.events.t.tolist() == (t - t[0]).tolist()
+    assert imported.t_offset_us == t[0] and imported.sorted == 0
+
+
 @pytest.mark.parametrize("name", WRAPPING)
 def test_events_late_over_a_wrap(tmp_path: Path, name: str) -> None:
     """Assert that an event from just before the wrap that comes just after it is put before it; the rest goes on."""

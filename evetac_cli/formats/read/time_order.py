@@ -195,8 +195,11 @@ class TimeOrder:
         return f"{drop}; {cut}" if few else f"{cut}; {drop}"
 
     def _parts(self) -> str:
-        """The parts between restarts, with their sizes."""
-        shown = [f"{number} has {size:,} events" for number, size in enumerate(self._sizes[: MOST_SHOWN + 1])]
+        """The parts between restarts, with their sizes, as in `0 has 3 events, 1 has 2 events`."""
+        shown = [
+            f"{number} has {size:,} event{'s' * (size != 1)}"
+            for number, size in enumerate(self._sizes[: MOST_SHOWN + 1])
+        ]
         more = len(self._sizes) - len(shown)
         return ", ".join([*shown, f"{more} more"] if more > 0 else shown)
 
@@ -209,9 +212,11 @@ class TimeOrder:
             came = "1 event came" if self.small == 1 else f"{self.small:,} events came"
             notes.append(f"{came} up to {back} after a later one: put in order")
         if self._options.from_restart is not None and self._restarts:
-            notes.append(f"time goes back {self._steps()}; kept part {self._options.from_restart} of {self._parts()}")
+            kept = f"kept part {self._options.from_restart}; {self._parts()}"
+            notes.append(f"time goes back {self._steps()}: {kept}")
         if self._options.drop_late and self._late:
-            notes.append(f"dropped {self._late:,} events that came 1 ms or more after a later one")
+            events = "1 event" if self._late == 1 else f"{self._late:,} events"
+            notes.append(f"dropped {events} that came 1 ms or more after a later one")
         return notes
 
     @property

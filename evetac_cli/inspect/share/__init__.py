@@ -44,7 +44,7 @@ def run(
         "size_bytes": size,
         "license": card.about["license"] or "none chosen",
     }
-    notes = "; ".join(filter(None, ("nothing was uploaded", card.passed_over)))
+    notes = "; ".join(filter(None, ("nothing was uploaded", card.note)))
     return Outcome([row], bool(card.about["simulated"]), {"notes": notes})
 
 

@@ -22,7 +22,7 @@ class Card:
     about: dict[str, Any]  # card.json
     links: dict[str, Path]  # name in the folder -> file that lies elsewhere
     written: dict[str, bytes]  # name in the folder -> content
-    passed_over: str = ""  # what is not shared, in words
+    note: str = ""  # what whoever shares it has to know, in words
 
     def text(self) -> str:
         """README.md."""

@@ -9,6 +9,7 @@ from evetac_cli.formats.write.hub_card import card_fields, inline
 from evetac_cli.inspect import info, validate
 from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.params.inspection import Share
+from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.index import recording_of
@@ -43,6 +44,8 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             if file.has("checkpoint")
             else None
         )
+        why = why_useless(file) if file.kind == "model" else ""
+    note = f"{path} is no slip detector: {why}" if why else ""
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -69,6 +72,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
     page = [
         *opening(title, simulated=simulated, license_=params.license),
         f"A {what} for an event camera behind a dotted gel, made with evetac. Recipe id `{header['id']}`.",
+        f"**No slip detector:** {why}." if why else "",
         "## The model",
         table([{"": name, "value": value} for name, value in figures.items()]),
         "## Data and seeds",
@@ -85,7 +89,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
     ]
     written[path.name] = path.read_bytes()  # no link: a copy of a model costs little, and may be changed
-    return Card(fields, [part for part in page if part], about, {}, written)
+    return Card(fields, [part for part in page if part], about, {}, written, note)
 
 
 NOT_EVALUATED = "No evaluation was added to this card. `evetac share MODEL REPORT` adds those of `evetac evaluate`."

@@ -1,5 +1,6 @@
 """A model that calls every slice slip, or none: said by train, by who reads it, and refused by grasp."""
 
+import json
 import shutil
 import warnings
 from pathlib import Path
@@ -70,7 +71,7 @@ def test_grasp_refuses_it(natural_first_try: tuple[list[str], Path], tmp_path: P
 
 
 def test_whoever_reads_it_is_told(natural_first_try: tuple[list[str], Path], made: Made, tmp_path: Path) -> None:
-    """Assert that SlipDetector, `evaluate slip` and `view` say so, and go on."""
+    """Assert that SlipDetector, `evaluate slip`, `view` and `share` say so, and go on; a card says it first."""
     words, out = natural_first_try
     CliRunner().invoke(app, words)
     with evetac.open_recording(made.recordings[0]) as recording:
@@ -88,6 +89,10 @@ def test_whoever_reads_it_is_told(natural_first_try: tuple[list[str], Path], mad
     shutil.copy(features, tmp_path / "a.features.h5")
     run = CliRunner().invoke(app, ["view", str(tmp_path / "a.features.h5"), str(out), "--images", "1"])
     assert "is no slip detector" in run.stdout
+    run = CliRunner().invoke(app, ["share", str(out), "-o", str(tmp_path / "hub"), "--json"])
+    assert f"{out} is no slip detector: at its threshold" in json.loads(run.stdout)["summary"]["notes"]
+    page = (tmp_path / "hub" / "README.md").read_text()
+    assert page.index("**No slip detector:** at its threshold, 0, it calls every slice") < page.index("## The model")
 
 
 @pytest.mark.parametrize(
