@@ -4,7 +4,7 @@
 
 A row a file and judge: which columns were compared, how many events there are, and how many of these differ. Judges are
 libraries where they are installed, and for layouts of a few lines numpy. What a judge is known to do otherwise is in
-its row of JUDGES. Exit code 1 where anything differs. docs/recordings.md has the table of public files.
+its row of JUDGES. Exit code 1 where anything differs. docs/recordings.md has a table of real files.
 """
 
 import argparse
@@ -124,12 +124,54 @@ def evt3_words(path: Path, _: Imported) -> dict[str, Any]:
     return dict(zip("txyp", np.array(events).T, strict=True))
 
 
+def packets_of(path: Path, store: Any) -> Iterator[Any]:
+    """The messages EventPacket of a bag: of MCAP by mcap, as rosbags takes no folder whose metadata name no storage."""
+    kind = "event_camera_msgs/msg/EventPacket"
+    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []
+    if files:
+        from mcap.reader import make_reader
+
+        for file in files:
+            with file.open("rb") as opened:
+                for schema, _, message in make_reader(opened).iter_messages():
+                    if schema is not None and schema.name == kind:
+                        yield store.deserialize_cdr(message.data, kind)
+        return
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path], default_typestore=store) as reader:
+        chosen = [one for one in reader.connections if one.msgtype == kind]
+        for connection, _, message in reader.messages(chosen):
+            yield reader.deserialize(message, connection.msgtype)
+
+
+def libcaer_words(content: Any, base_us: int) -> list[tuple[int, ...]]:
+    """Events (t, x, y, p) of one packet of libcaer_driver, word by word: kind in the four high bits of 16."""
+    high = low = column = row = polarity = 0
+    events = []
+    for word in content.view("<u2").tolist():
+        kind, value = word >> 12, word & 0xFFF
+        if kind == 0:
+            high = value
+        elif kind == 1:
+            low = value
+        elif kind == 2:
+            column = value & 0x7FF
+        elif kind == 3:
+            events.append((base_us + (high << 12 | low), column, value & 0x7FF, value >> 11))
+        elif kind == 4:
+            row, polarity = value & 0x7FF, value >> 11
+        elif kind == 5:
+            t = base_us + (high << 12 | low)
+            events += [(t, column, row + bit, polarity) for bit in range(8) if value >> bit & 1]
+    return events
+
+
 def bag_packets(path: Path, _: Imported) -> dict[str, Any]:
-    """The words of all packets but triggers, found by rosbags, as one RAW file for expelliarmus."""
+    """The words of all packets but triggers, found by rosbags or mcap, as one RAW file for expelliarmus."""
     import tempfile
 
     from expelliarmus import Wizard
-    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     text = (
@@ -139,13 +181,16 @@ def bag_packets(path: Path, _: Imported) -> dict[str, Any]:
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(text, "event_camera_msgs/msg/EventPacket"))
     content = b""
-    with AnyReader([path], default_typestore=store) as reader:
-        chosen = [one for one in reader.connections if one.msgtype == "event_camera_msgs/msg/EventPacket"]
-        for connection, _, message in reader.messages(chosen):
-            packet: Any = reader.deserialize(message, connection.msgtype)
-            if packet.encoding != "evt3":
-                raise LookupError(f"packets in {packet.encoding}")
+    compressed: list[tuple[int, ...]] = []
+    for packet in packets_of(path, store):
+        if packet.encoding == "libcaer_cmp":
+            compressed += libcaer_words(np.asarray(packet.events), packet.time_base // 1000)
+        elif packet.encoding == "evt3":
             content += bytes(packet.events)
+        else:
+            raise LookupError(f"packets in {packet.encoding}")
+    if compressed:
+        return dict(zip("txyp", np.array(compressed).T, strict=True))
     words = np.frombuffer(content, "<u2")
     words = words[words >> 12 != 0xA]  # triggers, which expelliarmus refuses
     with tempfile.NamedTemporaryFile(suffix=".raw") as file:
@@ -172,7 +217,7 @@ JUDGES: dict[str, tuple[Judge, ...]] = {
     "DAT": (Judge("expelliarmus", expelliarmus("dat")), Judge("numpy, by the maker's toolbox", dat_words)),
     "AEDAT4": (Judge("dv-processing", dv_processing), Judge("aedat", aedat), Judge("faery", faery)),
     "AEDAT 2": (Judge("numpy, by jAER's layout", aedat2_words),),
-    "bag": (Judge("rosbags and expelliarmus", bag_packets, 1 << 12),),
+    "bag": (Judge("rosbags or mcap, and expelliarmus or Python", bag_packets, 1 << 12),),
 }
 
 
