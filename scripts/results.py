@@ -38,14 +38,14 @@ class Figure(NamedTuple):
 
 SUMMARY = (
     Figure(
-        "slip told in time, objects never seen, evetac's detector, which learned from the simulation's truth",
+        "slip detected in time, unseen objects, evetac's detector, which learned from the simulation's truth",
         "slip-by-sensor",
         {"sensor": "evetac"},
         "correct",
     ),
     Figure("... on 20 sensors unlike each other", "slip-by-sensor", {"sensor": "mean of 20 randomized"}, "correct"),
     Figure(
-        "... the paper's network `fast-slow`, its optimiser, a third of its data, our labels and tracker, 10 ms ahead",
+        "... the paper's network `fast-slow` and optimiser, a third of its data, our labels and tracker, 10 ms ahead",
         "slip-unseen-objects",
         {"setting": "fast-slow, 10 ms ahead, paper, labels event-flow, up to 40000 steps"},
         "timing correct (paper)",
@@ -77,14 +77,14 @@ SUMMARY = (
         "{window_s:g} s",
     ),
     Figure(
-        "objects 1-20 lifted in 3.5 s and kept for 1 s (the paper: 10 s, 20 s), evetac's detector, paper's controller",
+        "objects 1-20 lifted in 3.5 s and kept for 1 s (paper: 10 s, 20 s), evetac's detector, the paper's controller",
         "grasps-shipped",
         {"setting": "paper"},
         "lifted and kept",
     ),
     Figure("... ours, `load-proportional`", "grasps-shipped", {"setting": "load-proportional"}, "lifted and kept"),
     Figure(
-        "bytes a second, as a share of an RGB sensor's, of 640 columns (the paper: of 540)",
+        "bytes per second as a share of an RGB sensor's, over 640 columns (paper: 540)",
         "data-rate",
         {"interval": "whole trajectory"},
         "share (paper)",
