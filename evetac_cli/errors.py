@@ -74,7 +74,7 @@ def exit_code_words(code: int | None, said: str = "") -> str:
     if code is None:
         return ""
     if code >= 0:
-        return f"exit code {code}: {said}" if said else f"exit code {code}{', without a word' if code == 0 else ''}"
+        return f"exit code {code}: {said}" if said else f"exit code {code}{', without a message' if code == 0 else ''}"
     try:
         return signal.Signals(-code).name
     except ValueError:
@@ -155,7 +155,7 @@ DISK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.ENOTCONN, e
 PASSING = (*BUSY, *NO_LOCKS, *NO_RIGHT, *TOO_MANY, *DISK, errno.ESTALE, errno.ENOMEM, errno.ENOSPC, errno.EINTR)
 MOST_PROGRAMS = 3  # that are named
 NETWORK = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "glusterfs", "afs", "9p", "fuse.sshfs")
-READ_WITHOUT_LOCKS = "HDF5_USE_FILE_LOCKING=FALSE before the command reads it without one"
+READ_WITHOUT_LOCKS = "HDF5_USE_FILE_LOCKING=FALSE in front of the command reads it without a lock"
 
 
 def cannot_read(error: OSError, path: Path) -> EvetacError:
@@ -173,7 +173,7 @@ def cannot_read(error: OSError, path: Path) -> EvetacError:
         return _busy(path)
     found = hint = ""
     if number in NO_LOCKS:
-        hint = f"this storage has no locks; where no program writes the file, {READ_WITHOUT_LOCKS}"
+        hint = f"this storage has no locks; if no program is writing the file, {READ_WITHOUT_LOCKS}"
     elif number in NO_RIGHT:
         found, hint = _rights(path)
     elif number == errno.ESTALE:
@@ -189,7 +189,7 @@ def _busy(path: Path) -> UnavailableError:
     found = _used_by(path)
     hint = "close it there, or wait until it is done"
     if not found and _is_on_network(path):
-        hint += f"; where no program writes it, on no computer, the lock is a left-over: {READ_WITHOUT_LOCKS}"
+        hint += f"; if no program on any computer is writing it, the lock is a leftover: {READ_WITHOUT_LOCKS}"
     return UnavailableError("another program has this file open for writing", where=str(path), found=found, hint=hint)
 
 
@@ -237,7 +237,7 @@ def _rights(path: Path) -> tuple[str, str]:
             f"chmod u+r {shlex.quote(str(path))}" if own else f"ask {owner}, whose file it is, for the right to read it"
         )
         return f"mode {status.st_mode & 0o777:04o}, owner {owner}", hint
-    return "", "you may not look into its folder"
+    return "", "you have no permission to enter its folder"
 
 
 def _is_on_network(path: Path, mounts: Path = Path("/proc/mounts")) -> bool:

@@ -26,7 +26,7 @@ PACKAGE = Path(os.path.abspath(__file__)).parent  # with its links, as numba wri
 SETTINGS = ".numba_config.yaml"  # numba obeys the one in the working folder, whoever put it there
 OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
 NOT_KEPT = (
-    "kernels that this command compiles are not kept: no folder for them is yours alone; let NUMBA_CACHE_DIR name one"
+    "compiled kernels are not kept: no folder for them is yours alone; set NUMBA_CACHE_DIR to one that is"
 )
 
 
@@ -129,7 +129,7 @@ def refuse_settings_in_the_working_folder() -> None:
     """
     if os.path.lexists(SETTINGS):
         raise InputError(
-            "this file changes how numba compiles, which is not for the folder of the data to say",
+            "this file in the working folder would change how numba compiles, so evetac does not start beside it",
             where=os.path.abspath(SETTINGS),
             hint="move it away, or start evetac in another folder; settings of your own: variables NUMBA_...",
         )

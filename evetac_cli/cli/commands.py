@@ -243,7 +243,7 @@ VIEW = Command(
     "view",
     inspection.View,
     "inspect.view",
-    "Stage files of one trial; others of its name are found. A model too, or `shipped`, the package's.",
+    "Stage files of one trial; others of its name are found. Also a model, or `shipped` for the package's.",
     kind="",
     unit="images",
     examples=("evetac view a.recording.h5", "evetac view a.recording.h5 --start-s 1 --stop-s 1.2 --film a.gif"),

@@ -279,7 +279,7 @@ def _own_cluster(at_once: int) -> Iterator[Any]:
     try:
         credentials = Security.temporary()
     except ImportError as error:
-        what = "the library cryptography is needed, by which the cluster knows who gives it work"
+        what = "the library cryptography is needed for the cluster's certificates"
         where, otherwise = "--engine dask", "--engine local"
         raise missing_extra(what, "cluster", where=where, error=error, otherwise=otherwise) from None
     no_routes: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}

@@ -379,7 +379,7 @@ def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:
     if width >= height or exchanged is None or math.prod(exchanged) >= math.prod(frame_px):
         return ""
     sensor = "{}x{}".format(*exchanged)
-    return f"columns reach {width - 1} and rows {height - 1}: are x and y exchanged? then they fit {sensor}"
+    return f"x reaches {width - 1} and y reaches {height - 1}: are they exchanged? The other way round they fit {sensor}"
 
 
 def _format(path: Path) -> Format:

@@ -346,7 +346,7 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     )
     ticks, low, high = (registers[which] for which in ("Present Position", "Min Position Limit", "Max Position Limit"))
     in_range = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
-    fix = "" if in_range else "switch its 24 V off and on; if it comes again, the gripper is damaged"
+    fix = "" if in_range else "switch its 24 V off and on; if it happens again, the gripper is damaged"
     yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or a little beyond", fix)
     off = registers["Torque Enable"] == 0
     fix = "" if off else "another program may drive it, or have left it so"

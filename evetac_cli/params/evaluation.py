@@ -12,7 +12,7 @@ class EvaluateSlip:
 
     model: Path | None = parameter(
         None,
-        "Model file, a folder of them, a glob, or `shipped`, the package's; more of them may stand among the files.",
+        "Model file, a folder of them, a glob, or `shipped` for the package's; models may also be among the files.",
         recipe=False,
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
@@ -26,7 +26,7 @@ class EvaluateSlip:
 
 @dataclass(frozen=True)
 class EvaluateDataRate:
-    """Compare bytes a second with those of an RGB sensor: whole, in contact, about slip; all columns are counted."""
+    """Compare bytes per second with an RGB sensor's: whole, in contact, about slip; all columns are counted."""
 
     event_bytes: int = parameter(5, "Size of an event: x, y and polarity.", unit="bytes", low=1, high=64)
     rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height, bytes a pixel.")

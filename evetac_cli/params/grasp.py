@@ -65,7 +65,7 @@ class Grasp(Trials):
     gripper: str | None = parameter(
         None,
         "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); or"
-        " PORT[:ID][@BAUD], as /dev/ttyUSB0:5@57600, id 1 and 2000000 baud where left out; default: that of the"
+        " PORT[:ID][@BAUD], as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the"
         " camera.",
         recipe=False,
     )

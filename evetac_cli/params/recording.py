@@ -59,7 +59,7 @@ class Record(Trials):
     )
     from_restart: int | None = parameter(
         None,
-        "Of an imported file whose clock begins anew, take the part from this restart on; 0: before the first.",
+        "Of an imported file whose clock restarts, keep the part from this restart to the next; 0: before the first.",
         low=0,
         high=1000,
         panel=IMPORT,
@@ -68,11 +68,11 @@ class Record(Trials):
         None, "Which event stream, topic, camera or array of the imported file, where it has several.", panel=IMPORT
     )
     columns: str | None = parameter(
-        None, "Four columns of the imported file that have no names, as in `x y t p`.", panel=IMPORT
+        None, "Order of four columns of the imported file that have no names, as in `x y t p`.", panel=IMPORT
     )
     time_unit: str | None = parameter(
         None,
-        "Unit of time of the imported text, numpy or HDF5 file, where it does not say it: s, ms, us or ns; default: us"
+        "Unit of time of the imported text, numpy or HDF5 file, if it does not say: s, ms, us or ns; default: us"
         " if all times are whole, s otherwise.",
         choices=("s", "ms", "us", "ns"),
         panel=IMPORT,
@@ -98,7 +98,7 @@ class Record(Trials):
     gripper: str | None = parameter(
         None,
         "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); none; or"
-        " PORT[:ID][@BAUD], as /dev/ttyUSB0:5@57600, id 1 and 2000000 baud where left out; default: that of the camera,"
+        " PORT[:ID][@BAUD], as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera,"
         " or none.",
         recipe=False,
     )
@@ -239,7 +239,7 @@ class Calibrate:
     )
     gel: str | None = parameter(
         None,
-        "What the gel is; a cut one has a window beside its dots. Default: as the recording or the default grid says,"
+        "Kind of gel; a cut one has a window beside its dots. Default: as the recording or the default grid says,"
         " or closed where the dots leave no room for a window.",
         choices=("cut", "closed"),
     )

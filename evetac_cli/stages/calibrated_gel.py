@@ -44,7 +44,7 @@ def check_options(params: Calibrate) -> None:
     """InputError for flags that contradict each other, ask for too much, or have no effect."""
     size = "--rows, --columns"
     if (params.rows is None) != (params.columns is None):
-        raise InputError("one says nothing without the other", where=size, expected="both, or neither")
+        raise InputError("one needs the other", where=size, expected="both, or neither")
     if params.rows is not None and params.irregular:
         raise InputError("dots in no grid have no rows and columns", where="--irregular", found=size)
     if params.rows is not None and params.columns is not None and params.rows * params.columns > grid.MOST_DOTS:
@@ -56,7 +56,7 @@ def check_options(params: Calibrate) -> None:
         unused = [flag for flag in unused if flag != "--gel"]
     if unused and (of_sensor or params.refine is not None):
         raise InputError(
-            "has no effect: the grid comes from a file that says it",
+            "has no effect: the file with the grid says it",
             where=", ".join(unused),
             found=f"--import {params.source}" if of_sensor else "--refine",
             hint=f"leave out {', '.join(unused)}",
@@ -128,7 +128,7 @@ def notes(calibration: Calibration) -> list[str]:
         gone = [f"row {index + 1}" for index in np.flatnonzero(missing.all(axis=1))]
         gone += [f"column {index + 1}" for index in np.flatnonzero(missing.all(axis=0))]
         if gone:
-            said.append(f"not one dot was found of {', '.join(gone)}: worn, or not pressed?")
+            said.append(f"no dot was found in {', '.join(gone)}: worn, or not pressed?")
     return [note for note in said if note]
 
 
@@ -139,7 +139,7 @@ def _as_a_grid(places_px: Grid) -> str:
         return ""
     if np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places_px):
         return ""
-    return f"these dots are in {rows} rows and {columns} columns: given as a grid, networks of dots could take them"
+    return f"these dots form {rows} rows and {columns} columns: as a grid (--rows, --columns), networks of dots can use them"
 
 
 def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
@@ -155,7 +155,7 @@ def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
             hint = f"--gel closed says that there is none; {BY_HAND}"
         else:
             hint = f"--gel closed if there is none, {BY_HAND}"
-        raise InputError(f"where the window is cannot be told: {error}", where=seen.where, hint=hint) from None
+        raise InputError(f"the place of the window is unclear: {error}", where=seen.where, hint=hint) from None
     if gel is None:
         raise _asked(dots, side, window, seen)
     return window

@@ -196,8 +196,8 @@ def _read(path: Path, seen: Seen) -> _Lies:
 
 def _note(reason: str) -> str:
     return (
-        f"{NAME} is no index that evetac made ({shortened(as_utf8(reason))}): it is left as it is, and all files are"
-        " read each time; without it they are read once"
+        f"evetac did not make {NAME} ({shortened(as_utf8(reason))}): it is left as it is, so all files are"
+        " read each time; if you move it away, they are read once"
     )
 
 

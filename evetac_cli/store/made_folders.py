@@ -51,7 +51,7 @@ def require_replaceable(folder: Path, *, force: bool) -> None:
         existing_folder(folder.parent)
         return
     if folder.is_symlink() or not folder.is_dir():
-        raise InputError("the output is no folder", where=str(folder))
+        raise InputError("the output is not a folder", where=str(folder))
     if next(_entries(folder), None) is None:
         return
     listed = _listed(folder)
@@ -101,9 +101,9 @@ def _refuse(folder: Path, listed: Listed, strange: list[str]) -> None:
     if not strange:
         return
     more = ", and more" if len(strange) > MOST_NAMED else ""
-    message = "the folder holds what evetac did not make, or what was changed since, and is not replaced"
+    message = "the folder holds files that evetac did not make, or that were changed since, and is not replaced"
     raise InputError(
-        message if listed else "nothing says that evetac made this folder, and it is not replaced",
+        message if listed else "nothing shows that evetac made this folder, so it is not replaced",
         where=str(folder),
         expected=f"files as {list_path(folder).name} lists them",
         found=", ".join(strange[:MOST_NAMED]) + more,

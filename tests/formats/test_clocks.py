@@ -228,7 +228,7 @@ def test_a_restart_is_refused_and_cut(tmp_path: Path, name: str) -> None:
     words = refusal(path, frame_px=FRAME)
     assert "time goes backwards" in words and "from 6.245000 s to 0.001000 s" in words
     assert "250" in words or "line 251" in words
-    assert "--from-restart N keeps one part: 0 has 250 events, 1 has 150 events" in words
+    assert "--from-restart N keeps one part (part 0: 250 events, part 1: 150 events)" in words
     assert "--drop-late leaves out the 150 events (38%)" in words
     assert "--sort" not in words
     for part, kept in ((0, first), (1, second)):

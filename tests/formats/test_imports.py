@@ -127,7 +127,7 @@ def test_time_that_goes_backwards_is_counted_and_placed() -> None:
         normalised(batches, (9, 9))
     words = str(refused.value)
     assert "at index 3 from 0.003000 s to 0.000005 s, at index 5 from 0.003000 s to 0.002000 s" in words
-    assert "--from-restart N keeps one part: 0 has 3 events, 1 has 2 events, 2 has 3 events" in words
+    assert "--from-restart N keeps one part (part 0: 3 events, part 1: 2 events, part 2: 3 events)" in words
     assert "--drop-late leaves out the 2 events (25%)" in words
     events, normal = normalised(batches, (9, 9), drop_late=True)
     assert (events.t.tolist(), normal.dropped["late"]) == ([0, 10, 2490, 2990, 2990, 3090], 2)
@@ -326,7 +326,7 @@ def test_text_holds_microseconds_exactly(
         ("secs,nsecs,x,y,polarity\n1,2,3,4,1\n", 1, "no column is named as t"),
         ("t;x;y;polarität\n0;1;2;1\n", 1, "no column is named as p"),
         ("t;x;y;p\n0;1;2\n", 2, "separated by semicolons"),
-        ("0 1 2 1\n0.5 1 2 1\n", 2, "time changes its unit"),
+        ("0 1 2 1\n0.5 1 2 1\n", 2, "the unit of time changes"),
         ("# c\n0 1 2 1\n5 1 2 7\n", 3, "unknown polarity"),
         ("0 1 2 1\n\n5 1.5 2 1\n", 3, "between pixels"),
         (f"0 1 2 1\n{2**63} 1 2 1\n", 2, "time out of range"),
@@ -409,7 +409,7 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     """Assert that time that goes backwards is refused with a way out, which then says what it did."""
     jumbled = np.random.default_rng(0).permutation(4000) * 1000
     path = text("".join(f"{t} {t % 7} 2 1\n" for t in jumbled.tolist()))
-    assert "--sort puts all events in the order of their time" in refusal(path, frame_px=FRAME)
+    assert "--sort sorts all events by time" in refusal(path, frame_px=FRAME)
     imported = read_events(path, frame_px=FRAME, sort=True)
     assert imported.events.t.tolist() == list(range(0, 4_000_000, 1000))
     back = np.maximum.accumulate(jumbled) - jumbled

@@ -173,7 +173,7 @@ def test_cut_gel(seen: Show, truth: Grid) -> None:
     made.unlink()
     row, made = calibrated(path, gel="closed")
     assert (row["dots"], row["missing_dots"], row["columns"], row["window_px"]) == (56, 7, 9, None)
-    assert row["notes"] == "not one dot was found of column 9: worn, or not pressed?"
+    assert row["notes"] == "no dot was found in column 9: worn, or not pressed?"
     assert worst_px(made, truth) < 0.5
 
 
@@ -221,7 +221,7 @@ def test_worn_dots_do_not_make_a_window(seen: Show, truth: Grid, which: str) -> 
     row, made = calibrated(path, gel="closed")
     assert (row["dots"], row["missing_dots"], row["rows"], row["columns"]) == (63 - missing, missing, 7, 9)
     assert row["window_px"] is None
-    assert row["notes"] == (gone and f"not one dot was found of {gone}: worn, or not pressed?")
+    assert row["notes"] == (gone and f"no dot was found in {gone}: worn, or not pressed?")
     assert worst_px(made, truth) < 0.5
     assert np.isnan(read_calibration(made).dot_xy_px[part]).all()
 

@@ -114,7 +114,7 @@ def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     (tmp_path / "link").symlink_to(tmp_path / "hub")
     for name in ("file", "link"):
-        with pytest.raises(InputError, match="the output is no folder"):
+        with pytest.raises(InputError, match="the output is not a folder"):
             make(tmp_path / name, force=True)
     assert (tmp_path / "file").read_text() == "mine"
 

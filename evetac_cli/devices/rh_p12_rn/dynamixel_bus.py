@@ -246,7 +246,7 @@ class Bus(AbstractContextManager["Bus"]):
             f"no answer to: {what}",
             where=self._where,
             expected="an answer at the first or second try",
-            hint=f"are 24 V on? evetac doctor --gripper {self.port} says which id and rate answer",
+            hint=f"is the 24 V supply on? evetac doctor --gripper {self.port} says which id and rate answer",
         )
 
     def _once(self, instruction: int, parameters: bytes) -> tuple[list[int], int, int]:
@@ -283,7 +283,7 @@ class Bus(AbstractContextManager["Bus"]):
             "the port is gone: unplugged?",
             where=self._where,
             found=str(error) or type(error).__name__,
-            hint=f"plug it in again, and ask evetac doctor --gripper {self.port}",
+            hint=f"plug it in again, then run evetac doctor --gripper {self.port}",
         )
 
 

@@ -146,8 +146,8 @@ class Measurements:
 
     def _impossible(self, what: str, expected: str, shown: str) -> Impossible:
         return Impossible(
-            f"the gripper reports a {what} that cannot be: {shown}",
+            f"the gripper reports an impossible {what}: {shown}",
             where=self._where,
             expected=expected,
-            hint="switch 24 V off and on; if it comes again, the gripper is damaged",
+            hint="switch 24 V off and on; if it happens again, the gripper is damaged",
         )

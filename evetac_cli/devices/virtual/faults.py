@@ -55,7 +55,7 @@ GRIPPER_FAULTS: Mapping[str, FaultKind] = {
     "watchdog": FaultKind("the Bus Watchdog trips as if the host had been silent", duration=False, torque=True),
     "overload": FaultKind("hardware error: torque off, an alert in every answer until reboot", duration=False),
     "restart": FaultKind(
-        "24 V dip: torque off, all as after switching it on, no hardware error", duration=False, torque=True
+        "24 V dip: torque off, everything as after power-on, no hardware error", duration=False, torque=True
     ),
     "false-position": FaultKind("its position reads 2,147,483,647 ticks", reads=("Present Position", 2**31 - 1)),
     "false-current": FaultKind("its current reads -32,768 mA", reads=("Present Current", -(2**15))),
@@ -118,7 +118,7 @@ def _expected(kinds: Mapping[str, FaultKind]) -> str:
     forms = (
         ("NAME@SECONDS or NAME@SECONDS:DURATION", [n for n, k in kinds.items() if k.duration and not k.percent]),
         ("NAME or NAME@SECONDS", [n for n, k in kinds.items() if k.moment and (k.percent or not k.duration)]),
-        ("NAME%PERCENT, too with @SECONDS or @SECONDS:DURATION,", [n for n, k in kinds.items() if k.percent]),
+        ("NAME%PERCENT, also with @SECONDS or @SECONDS:DURATION,", [n for n, k in kinds.items() if k.percent]),
         ("NAME alone", [n for n, k in kinds.items() if not k.moment]),
     )
     words = [f"{form} of {', '.join(names)}" for form, names in forms if names]

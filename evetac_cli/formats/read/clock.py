@@ -93,4 +93,4 @@ class Clock:
         if not self._wraps:
             return []
         times = f"{self._wraps:,} times, first" if self._wraps > 1 else "once,"
-        return [f"the file's clock wrapped {times} {self._first}; the times go on without a step"]
+        return [f"the file's clock wrapped {times} {self._first}; the times are unwrapped"]

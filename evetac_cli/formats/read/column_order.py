@@ -76,7 +76,7 @@ def said_order(text: str, where: str) -> str:
 def refuse_columns(columns: str | None, where: str) -> None:
     """InputError where a user names columns that have names."""
     if columns is not None:
-        raise InputError("--columns is for columns without names", where=where, found=columns[:80], hint="leave it out")
+        raise InputError("--columns is for files whose columns have no names", where=where, found=columns[:80], hint="leave it out")
 
 
 def unit_said(time_unit: str | None, own: float | None, where: str) -> float | None:
@@ -90,7 +90,7 @@ def unit_said(time_unit: str | None, own: float | None, where: str) -> float | N
         raise InputError(f"{FLAG}: no such unit", where=where, expected=" or ".join(UNITS), found=time_unit[:20])
     if own is not None and own != UNITS[time_unit]:
         raise InputError(
-            "the file says another unit of time", where=where, expected=SPOKEN[own], found=f"{FLAG} {time_unit}"
+            "the file states another unit of time", where=where, expected=SPOKEN[own], found=f"{FLAG} {time_unit}"
         )
     return UNITS[time_unit]
 

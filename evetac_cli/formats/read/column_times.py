@@ -82,11 +82,11 @@ class ColumnTimes:
         if self._unit == 1 and self.assumed and (odd := us[sound] != np.rint(us[sound])).any():
             row = int(np.flatnonzero(sound)[np.argmax(odd)])
             raise InputError(
-                "time changes its unit",
+                "the unit of time changes within the file",
                 where=self._where,
                 expected="whole microseconds, as in the first rows",
                 found=f"{values[row]:.9g} {place(row)}",
-                hint=f"say the unit: {FLAG}",
+                hint=f"give the unit with {FLAG}",
             )
         rows = np.flatnonzero(sound)
         if self._clock is None:
@@ -106,10 +106,10 @@ class ColumnTimes:
         step = float(np.spacing(np.abs(finite).max())) if len(finite) else 0.0
         if step >= 1:
             raise InputError(
-                "the unit of time cannot be told",
+                "the unit of time is unclear",
                 where=self._where,
                 found=f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, in steps of {step:.6g}",
-                hint=f"write them as float64 or as integers, or say the unit: {FLAG}",
+                hint=f"write them as float64 or as integers, or give the unit with {FLAG}",
             )
         return 1.0
 
@@ -150,8 +150,8 @@ class ColumnTimes:
         raise InputError(
             f"the unit of time {'is not certain' if sound else 'does not make sense'}",
             where=self._where,
-            found="; ".join(f"as {SPOKEN[UNITS[unit]]} {readings[unit]}" for unit in (own, *others)),
-            hint=f"say it: {FLAG} {' or '.join(UNITS)}",
+            found="; ".join(f"in {SPOKEN[UNITS[unit]]}: {readings[unit]}" for unit in (own, *others)),
+            hint=f"give it with {FLAG} {' or '.join(UNITS)}",
         )
 
     @property

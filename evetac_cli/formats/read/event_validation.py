@@ -194,7 +194,7 @@ def _refuse_all(seen: "_Seen", foreign: Foreign, where: str) -> None:
             "none of the events can be used",
             where=where,
             expected=f"events inside the frame of {frame} px",
-            found=f"{dropped['out_of_frame']} outside, {dropped['not_a_number']} that are no numbers",
+            found=f"{dropped['out_of_frame']} outside, {dropped['not_a_number']} that are not numbers",
             hint="check the frame size and the order of the columns" if dropped["out_of_frame"] else "",
         )
 

@@ -84,7 +84,7 @@ def aedat3_streams(path: Path, *, folder: Path | None, **_: Any) -> Iterator[Oth
     for stream, counted_as, others in read_samples(path, folder):
         what = AEDAT3_TRIGGERS if stream.name == "triggers" else IMU_OF_CAMERA
         made = replace(_in_order(stream), what=what, clock=CAMERAS)
-        note = f"{others:,} {counted_as} are marked as not valid, or are of another kind than {stream.name}"
+        note = f"{others:,} {counted_as} are marked as invalid, or are of another kind than {stream.name}"
         yield Other(made, counted_as, note=note if others else "")
 
 

@@ -102,7 +102,7 @@ def read_head(path: Path) -> Head:
 def _check_dat(type_and_size: bytes, where: str) -> None:
     """InputError unless the two bytes after the head of DAT say that events follow, of a size that is read here."""
     if len(type_and_size) < 2:
-        raise InputError("holds no events", where=where, found="nothing after the head")
+        raise InputError("holds no events", where=where, found="nothing after the header")
     kind, size = type_and_size
     if kind == DAT_TRIGGERS:
         raise InputError("holds external triggers but no events", where=where, found=f"DAT of event type {kind:#x}")
@@ -182,11 +182,11 @@ def decoded(
         undefined = sum(decoder.undefined.values())
         if undefined > MOST_UNDEFINED * decoder.words:
             raise InputError(
-                f"these are no words of {decoder.encoding.name}",
+                f"these are not {decoder.encoding.name} words",
                 where=where,
-                expected="the encoding that the file's head names",
+                expected="the encoding that the file's header names",
                 found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
-                hint="a damaged file, or one with another file's head",
+                hint="the file is damaged, or has another file's header",
             )
         if kept + len(part.trigger_t) <= MOST_TRIGGERS:
             triggers.append(part[4:])

@@ -82,7 +82,7 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
         for at in times.columns:
             if not _is_time(types[at]):
                 what = f"{times.clock} holds {types[at]}"
-                raise InputError("the times are no numbers", where=where, found=what)
+                raise InputError("the times are not numbers", where=where, found=what)
         numbers = [
             at
             for at, kind in enumerate(types)
@@ -120,7 +120,7 @@ class _Rows:
         """Times in us and the numbers of the next rows, whose columns are those of the times, then the others."""
         count = len(self._times.columns)
         t_us = self._t_us([batch.column(place) for place in range(count)])
-        self._refuse("a time that cannot be", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
+        self._refuse("an impossible time", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
         columns = []
         for place, at in enumerate(self._numbers, count):
             values = batch.column(place).cast("float64", safe=False).to_numpy(zero_copy_only=False)
@@ -143,7 +143,7 @@ class _Rows:
             return np.asarray(stamps.cast("int64").to_numpy(zero_copy_only=False))
         if len(columns) > 1:
             seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
-            self._refuse("a time that cannot be", np.abs(seconds) > MOST_US // 10**6, seconds)
+            self._refuse("an impossible time", np.abs(seconds) > MOST_US // 10**6, seconds)
             self._refuse("nanoseconds beyond a second", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds)
             return np.asarray(seconds * 10**6 + nanoseconds // 1000)
         values = columns[0].to_numpy(zero_copy_only=False)
@@ -153,7 +153,7 @@ class _Rows:
             self._unit = _guess(values, self._where, self._times.clock)
             self.clock = f"{self._times.clock}, taken as {self._unit}"
         ticks = TICKS_S[self._unit or "s"]
-        self._refuse("a time that cannot be", np.abs(values.astype(np.float64)) * (1e6 / ticks) > MOST_US, values)
+        self._refuse("an impossible time", np.abs(values.astype(np.float64)) * (1e6 / ticks) > MOST_US, values)
         if values.dtype.kind == "f":
             return np.asarray(np.rint(values * (1e6 / ticks)).astype(np.int64))
         whole = values.astype(np.int64)
@@ -285,7 +285,7 @@ def _check_size(path: Path, metadata: Any, columns: Sequence[int], where: str) -
     unpacked, size = rows * len(columns) * NUMBER_BYTES, path.stat().st_size
     if unpacked > max(MOST_UNPACKED_BYTES, MOST_TIMES * size):
         expected = f"at most {MOST_TIMES} times its size"
-        raise InputError("it unpacks to too much", where=where, expected=expected, found=f"{unpacked / 1e6:,.0f} MB")
+        raise InputError("it decompresses to too much", where=where, expected=expected, found=f"{unpacked / 1e6:,.0f} MB")
     with open_regular(path) as file:
         for group in groups:
             try:
@@ -294,7 +294,7 @@ def _check_size(path: Path, metadata: Any, columns: Sequence[int], where: str) -
                 raise InputError("the table cannot be read", where=where, found=str(error)) from None
             if pages > MOST_GROUP_BYTES:
                 expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{pages / 1e6:,.0f} MB"
-                raise InputError("too much of it has to be read at once", where=where, expected=expected, found=size_mb)
+                raise InputError("its row groups are too large", where=where, expected=expected, found=size_mb)
 
 
 def _values(group: Any, columns: Sequence[int]) -> list[int]:

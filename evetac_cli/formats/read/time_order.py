@@ -41,7 +41,7 @@ class OrderOptions:
         chosen = {"--sort": self.sort, "--drop-late": self.drop_late, "--from-restart": self.from_restart is not None}
         flags = [flag for flag, given in chosen.items() if given]
         if len(flags) > 1:
-            raise InputError("only one of them can be followed", found=" and ".join(flags), hint="leave one out")
+            raise InputError("these options exclude each other", found=" and ".join(flags), hint="give one of them")
 
 
 IN_ORDER = OrderOptions()
@@ -182,22 +182,22 @@ class TimeOrder:
         count = len(self._restarts)
         if count <= MOST_SHOWN:
             return ", ".join(shown)
-        return f"{count:,}{' and more' if self.unsorted else ''} steps back, the first {', '.join(shown)}"
+        return f"{count:,}{' or more' if self.unsorted else ''} times, first {', '.join(shown)}"
 
     def _hint(self) -> str:
         """What each option would do."""
         if self.unsorted:
-            return "--sort puts all events in the order of their time, right if all times are of one clock"
+            return "--sort sorts all events by time, which is right if all times are of one clock"
         events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self._total:.2g}%)"
         drop = f"--drop-late leaves out the {events} that came 1 ms or more after a later one"
-        cut = f"--from-restart N keeps one part: {self._parts()}"
+        cut = f"--from-restart N keeps one part ({self._parts()})"
         few = self._late <= FEW_LATE * self._total
         return f"{drop}; {cut}" if few else f"{cut}; {drop}"
 
     def _parts(self) -> str:
-        """The parts between restarts, with their sizes, as in `0 has 3 events, 1 has 2 events`."""
+        """The parts between restarts, with their sizes, as in `part 0: 3 events, part 1: 1 event`."""
         shown = [
-            f"{number} has {size:,} event{'s' * (size != 1)}"
+            f"part {number}: {size:,} event{'s' * (size != 1)}"
             for number, size in enumerate(self._sizes[: MOST_SHOWN + 1])
         ]
         more = len(self._sizes) - len(shown)
@@ -212,8 +212,8 @@ class TimeOrder:
             came = "1 event came" if self.small == 1 else f"{self.small:,} events came"
             notes.append(f"{came} up to {back} after a later one: put in order")
         if self._options.from_restart is not None and self._restarts:
-            kept = f"kept part {self._options.from_restart}; {self._parts()}"
-            notes.append(f"time goes back {self._steps()}: {kept}")
+            kept = f"kept part {self._options.from_restart} ({self._parts()})"
+            notes.append(f"time goes back {self._steps()}; {kept}")
         if self._options.drop_late and self._late:
             events = "1 event" if self._late == 1 else f"{self._late:,} events"
             notes.append(f"dropped {events} that came 1 ms or more after a later one")

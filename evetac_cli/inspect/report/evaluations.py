@@ -73,7 +73,7 @@ SECTIONS = (
     Section(
         "data-rate",
         "Data rate",
-        "Bytes per second, as a share of an RGB sensor's. All columns count, the window's too; in the paper 540 do.",
+        "Bytes per second, as a share of an RGB sensor's. All columns are counted, the window's too; the paper counts 540.",
     ),
     Section(
         "realism",

@@ -38,7 +38,7 @@ def missing(study: Study) -> list[Lack]:
             says = f"{len(without)} of {len(study.trials)} trials {'has' if len(without) == 1 else 'have'} no {kind}."
             lacks.append(Lack(says, command_for(command, _with_their_folders(study, without, kind))))
     if study.files["labels"] and not any(trial.has_truth for trial in study.trials):
-        lacks.append(Lack("No recording has a truth: labels cannot be held against it."))
+        lacks.append(Lack("No recording has ground truth: labels cannot be compared with it."))
     for section in SECTIONS:
         if section.name in _OFFERS and not study.reports(f"evaluate {section.name}"):
             lacks += [lack._replace(says=f"{section.title}{lack.says}") for lack in _OFFERS[section.name](study)]
@@ -84,7 +84,7 @@ def _slip(study: Study) -> list[Lack]:
     new = [path for path in study.models_at[:MOST_MODELS] if _is_new(path, here)]
     models = [_word(path) for path in new] or ([SHIPPED] if _is_new(MODEL, here) else [])
     if not models:
-        return [Lack(": no model here is known to be new to these trials; train one on others.")]
+        return [Lack(": each model here may have been trained on these trials; train one on others.")]
     return [lack._replace(command=" ".join((lack.command, "--model", *models))) for lack in offered]
 
 

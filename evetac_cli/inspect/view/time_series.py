@@ -215,7 +215,7 @@ def _forces(forces: StageFile, span: tuple[int, int]) -> Panel:
 def _how_sure(forces: StageFile) -> str:
     """What the deviation of estimated forces is, and how well the gel's stiffness, their scale, is known."""
     if not forces.has("shear_sd_n"):
-        return "The model of the paper's method estimates no deviation: how sure these forces are is not known."
+        return "The paper's method estimates no standard deviation: how certain these forces are is not known."
     band = "Band: one standard deviation either way. "
     models = [one for one in forces.header["history"].values() if one["kind"] == "force-model"]
     if any(inner(one, "parameters", "method") == "gel, adapted" for one in models):
@@ -268,7 +268,7 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     if any(line.name == "not examined" for line in lines):
         says += " Grey: not examined."
     if any(np.nanmax(line.value) > ends[1] for line in lines):
-        says += f" Not drawn beyond {ends[1]:g} px: of a lost object the flow soon measures no distance."
+        says += f" Not drawn beyond {ends[1]:g} px: once the object is lost, the flow soon measures no distance."
     return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, says=says)
 
 

@@ -106,7 +106,7 @@ def mounting(dot_xy_px: Grid, frame_px: tuple[int, int], window_px: Window | Non
     lower = bool(off[1] > CLEARLY)
     if window_px is not None and window_px[0] + window_px[2] < frame_px[0]:
         how = "turned by 180 degrees" if lower else "mirrored left to right"
-        return f"the sensor seems to be {how}: the window is at the left, and an Evetac's at the right"
+        return f"the sensor seems to be {how}: the window is at the left, an Evetac's is at the right"
     righter = window_px is None and bool(off[0] > CLEARLY)
     if not righter and not lower:
         return ""

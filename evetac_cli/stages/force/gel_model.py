@@ -151,7 +151,7 @@ def check_scale(tracks: StageFile, known: Mapping[str, Any]) -> None:
     if (width, height) == FRAME_PX or "mm_per_px" in known:
         return
     raise InputError(
-        "how large a pixel is on the gel is not known for this frame",
+        "the scale of this frame, in mm per pixel on the gel, is not known",
         where=str(tracks.path),
         expected="{} x {} px, or --sensor with mm_per_px".format(*FRAME_PX),
         found=f"{width} x {height} px",

@@ -157,7 +157,7 @@ def test_what_cannot_be_ends_it_in_words(mode: Mode, case: str) -> None:
         words = ends(servo, mode, shows(**readings))
     (value,) = readings.values()
     shown = f"{value / 10:g} V" if name == "supply" else f"{value:,} "
-    assert f"the gripper reports a {name} that cannot be: {shown}" in words
+    assert f"the gripper reports an impossible {name}: {shown}" in words
 
 
 @pytest.mark.parametrize("ticks", [-1, 0, 250, 600, 740, 1151])
@@ -168,7 +168,7 @@ def test_a_position_that_was_not_reached_ends_it(mode: Mode, ticks: int, monkeyp
     monkeypatch.setattr(measurements, "time", SimpleNamespace(monotonic=lambda: float(next(now_s))))
     with twisted_servo() as servo:
         words = ends(servo, mode, shows(Present_Position=ticks))
-    assert f"the gripper reports a position that cannot be: {ticks:,} ticks" in words
+    assert f"the gripper reports an impossible position: {ticks:,} ticks" in words
     assert "at most from 4" in words and "ms before" in words
 
 

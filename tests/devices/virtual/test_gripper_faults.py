@@ -34,10 +34,10 @@ SEEN_AS = {
     "watchdog": "bus watchdog has tripped",
     "overload": "hardware error: overload",
     "restart": "has no torque any more",
-    "false-position": "reports a position that cannot be",
-    "false-current": "reports a current that cannot be",
-    "false-voltage": "reports a supply that cannot be",
-    "false-temperature": "reports a temperature that cannot be",
+    "false-position": "reports an impossible position",
+    "false-current": "reports an impossible current",
+    "false-voltage": "reports an impossible supply",
+    "false-temperature": "reports an impossible temperature",
     "unplug": "the port is gone|there is no such port",
 }
 

@@ -39,11 +39,11 @@ def text(path: Path, t: Any) -> Path:
 WRITERS = {"npz": npz, "rpg": rpg, "text": text}
 # Times of one recording in a unit that nothing names, and what they would be in microseconds.
 DOUBTFUL = {
-    "ns": (T_US * 1000, "as nanoseconds 2 s", "ns"),
-    "ns of a clock of its own": (np.sort(RNG.integers(0, 2_000_000_000, COUNT)), "as nanoseconds 2 s", "ns"),
-    "ns of a busy camera": (np.sort(RNG.integers(0, 200_000_000, COUNT)), "as nanoseconds 0.2 s", "ns"),
-    "ms": (T_US // 1000, "as milliseconds 2 s", "ms"),
-    "ms of a short recording": (np.sort(RNG.integers(0, 500, COUNT)), "as milliseconds 0.499 s", "ms"),
+    "ns": (T_US * 1000, "in nanoseconds: 2 s", "ns"),
+    "ns of a clock of its own": (np.sort(RNG.integers(0, 2_000_000_000, COUNT)), "in nanoseconds: 2 s", "ns"),
+    "ns of a busy camera": (np.sort(RNG.integers(0, 200_000_000, COUNT)), "in nanoseconds: 0.2 s", "ns"),
+    "ms": (T_US // 1000, "in milliseconds: 2 s", "ms"),
+    "ms of a short recording": (np.sort(RNG.integers(0, 500, COUNT)), "in milliseconds: 0.499 s", "ms"),
 }
 
 
@@ -113,13 +113,13 @@ def test_an_impossible_rate_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "dsec.h5", "w") as file:
         for name, column in zip("txyp", (T_US * 1000, X, Y, P), strict=True):
             file[f"events/{name}"] = column
-    assert "as nanoseconds 2 s" in refusal(tmp_path / "dsec.h5", frame_px=FRAME)
+    assert "in nanoseconds: 2 s" in refusal(tmp_path / "dsec.h5", frame_px=FRAME)
     assert read_events(tmp_path / "dsec.h5", frame_px=FRAME, time_unit="ns").slices == 2000
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
-    [("hours", "s or ms or us or ns"), ("s", "the file says another unit of time")],
+    [("hours", "s or ms or us or ns"), ("s", "the file states another unit of time")],
 )
 def test_a_unit_that_cannot_be(tmp_path: Path, given: str, expected: str) -> None:
     """Assert that a unit that is none, or that the file contradicts, is refused."""
@@ -165,7 +165,7 @@ def test_exchanged_axes_are_noticed(tmp_path: Path, size: tuple[int, int], senso
     x[0], y[0] = size[0] - 1, size[1] - 1
     np.save(tmp_path / "a.npy", np.stack([T_US, x, y, P], axis=1))
     imported = read_events(tmp_path / "a.npy")
-    assert any(f"are x and y exchanged? then they fit {sensor}" in note for note in imported.notes)
+    assert any(f"are they exchanged? The other way round they fit {sensor}" in note for note in imported.notes)
     mended = read_events(tmp_path / "a.npy", columns="t y x p")
     assert "{}x{}".format(*mended.frame_px) == sensor
     assert mended.events.x.tolist() == y.tolist()
@@ -175,7 +175,7 @@ def test_exchanged_axes_are_noticed(tmp_path: Path, size: tuple[int, int], senso
 
 def test_columns_are_for_files_without_names(tmp_path: Path) -> None:
     """Assert that naming columns that have names, or of a format that needs none, is refused."""
-    assert "--columns is for columns without names" in refusal(npz(tmp_path, T_US), columns="t x y p")
+    assert "--columns is for files whose columns have no names" in refusal(npz(tmp_path, T_US), columns="t x y p")
     (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
     assert "--columns is for files of four columns" in refusal(tmp_path / "a.raw", columns="t x y p")
     assert "--time-unit is for files that do not say" in refusal(tmp_path / "a.raw", time_unit="us")

@@ -19,10 +19,10 @@ AT_S = "0.3"  # after torque was first on: some rows are there by then
 
 SAYS = {
     "restart": "has no torque any more: what it held may have fallen",
-    "false-position": "reports a position that cannot be: 2,147,483,647 ticks",
-    "false-current": "reports a current that cannot be: -32,768 mA",
-    "false-voltage": "reports a supply that cannot be: 0 V",
-    "false-temperature": "reports a temperature that cannot be: 255 C",
+    "false-position": "reports an impossible position: 2,147,483,647 ticks",
+    "false-current": "reports an impossible current: -32,768 mA",
+    "false-voltage": "reports an impossible supply: 0 V",
+    "false-temperature": "reports an impossible temperature: 255 C",
 }
 
 

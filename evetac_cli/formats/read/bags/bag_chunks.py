@@ -229,21 +229,21 @@ class ChunkedFile:
         table = self.table
         count = sum(sum((chunk.counts or {}).values()) for chunk in table.chunks)
         if (not closed or broken) and not count:
-            held = next(iter(broken), f"{lost_bytes:,} bytes that are no whole chunk")
+            held = next(iter(broken), f"{lost_bytes:,} bytes that are not a complete chunk")
             message = "no message can be read: the bag is cut short or damaged"
             raise InputError(message, where=self.where, found=held)
         if self._damages:
             sizes = f"{sum(size for _, size in self._damages):,} bytes, the first at byte {self._damages[0][0]:,}"
-            table.notes.append(f"damaged: lost {sizes}; the index of the file led past that")
+            table.notes.append(f"damaged: lost {sizes}; the file's index led past the damage")
         if broken:
             table.notes.append(f"chunks that are damaged and cannot be read: {broken.total():,} ({next(iter(broken))})")
         if not closed and lost_bytes:
             table.notes.append(
-                f"cut short or damaged: kept {count:,} messages, those in whole chunks;"
+                f"cut short or damaged: kept {count:,} messages, those in complete chunks;"
                 f" the last {lost_bytes:,} bytes are lost"
             )
         elif not closed:
-            table.notes.append(f"the bag has no end, as if its recorder was killed: kept {count:,} messages")
+            table.notes.append(f"the bag was not closed, as if its recorder was killed: kept {count:,} messages")
         elif self.stated is not None and self.stated != count and not broken and not self._damages:
-            table.notes.append(f"the file says that it has {self.stated:,} messages, and has {count:,}")
+            table.notes.append(f"the file states {self.stated:,} messages but has {count:,}")
         table.cut_short = not closed or bool(broken) or bool(self._damages)

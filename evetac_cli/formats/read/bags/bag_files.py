@@ -138,7 +138,7 @@ def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
             shutil.copyfileobj(file, target, 1 << 20)
             target.truncate(size - rest)
     if rest:
-        readable.notes.append(f"the last {rest:,} bytes are no whole page")
+        readable.notes.append(f"left out the last {rest:,} bytes, an incomplete page")
         readable.cut_short = True
     for one in beside:
         shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
@@ -146,15 +146,15 @@ def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
         raise InputError("the bag is being written", where=where, hint="stop the recorder first")
     names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
     if beside and (lost := joined(readable.path, where)):
-        readable.notes.append(f"of what waits in {names} a part is lost: {lost}")
+        readable.notes.append(f"part of {names} is lost: {lost}")
         readable.cut_short = True
     elif beside:
-        readable.notes.append(f"read with {names} beside it, as SQLite does")
+        readable.notes.append(f"read together with {names} beside it, as SQLite does")
     return readable
 
 
 def _half_page(head: bytes, size: int) -> int:
-    """Bytes at the end of a database that are no whole page: SQLite would take what is missing of it for zeros."""
+    """Bytes at the end of a database that are an incomplete page: SQLite would take what is missing of it for zeros."""
     return size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
 
 
@@ -225,7 +225,7 @@ def _listed(folder: Path) -> tuple[Files | None, str]:
         return None, "it lists no file"
     if packed not in ("", "none", "zstd"):
         raise InputError(
-            "the bag is packed in a way that is not read here",
+            "the compression of the bag is not supported",
             where=str(folder),
             expected="zstd",
             found=str(packed)[:40],

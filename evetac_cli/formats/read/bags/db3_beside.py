@@ -64,7 +64,7 @@ def _lost_frames(wal: Path, taken: int) -> str:
     with wal.open("rb") as file:
         head = file.read(FRAMES_AT)
         if len(head) < FRAMES_AT:
-            return "its head is cut"
+            return "its header is cut short"
         page_bytes = int.from_bytes(head[PAGE_BYTES_AT : PAGE_BYTES_AT + 4])
         salts = int.from_bytes(head[SALTS_AT : SALTS_AT + 8])
         step = FRAME_HEAD_BYTES + max(1, page_bytes)
@@ -74,8 +74,8 @@ def _lost_frames(wal: Path, taken: int) -> str:
             page, pages, of = FRAME.unpack(file.read(FRAME.size))
             finished += (pages > 0 and of == salts) or not page
     if not taken and size > FRAMES_AT:
-        return "SQLite finds nothing in it that is whole"
+        return "SQLite finds nothing complete in it"
     if finished:
         return f"SQLite stops at a damage, with {finished:,} transactions or empty pages behind it"
     rest = (size - FRAMES_AT) % step
-    return f"its last {rest:,} bytes are no whole page" if rest else ""
+    return f"its last {rest:,} bytes are an incomplete page" if rest else ""

@@ -89,7 +89,7 @@ class Db3File:
             raise self._unreadable(trouble)
         missing = _missing_bytes(self.path)
         lost = f"; {missing:,} bytes at its end are missing" if missing > 0 else ""
-        kept = f"kept {len(self._rows):,} messages" + ("" if whole else ", those that its pages lead to")
+        kept = f"kept {len(self._rows):,} messages" + ("" if whole else ", those that can still be reached")
         self.table.notes.append(f"cut short or damaged ({trouble}): {kept}{lost}")
         self.table.cut_short = True
 

@@ -67,7 +67,7 @@ class HostClock:
         """What was found, in words."""
         drift_ms = (self.ahead_us.max() - self.ahead_us.min()) / 1000
         return (
-            f"the host's clock is {self.ahead_s:.6f} s ahead of the sensor's of {self.topic}, by the times of"
+            f"the host's clock is {self.ahead_s:.6f} s ahead of the sensor's on {self.topic}, by the times of"
             f" {self.packets:,} packets (nine of ten within {self.spread_us / 1000:.2g} ms, drift {drift_ms:.2g} ms)"
         )
 
@@ -126,11 +126,11 @@ def on_sensor_clock(stream: Stream, clock: HostClock, span_us: tuple[int, int]) 
     if _overlap((int(stream.t_us[0]), int(stream.t_us[-1])), span_us):
         return (
             stream,
-            f"{clock.text()}; which of the two {stream.name or 'the stream'} is on cannot be told: left as it is",
+            f"{clock.text()}; it is unclear which of the two {stream.name or 'the stream'} is on: left unchanged",
         )
     brought = f"{stream.clock}, brought to the sensor's clock"
     moved = replace(stream, t_us=moved_us, clock=brought, offset_s=-clock.ahead_s)
-    return moved, f"{clock.text()}: brought {stream.name} to the sensor's clock"
+    return moved, f"{clock.text()}: moved {stream.name} to the sensor's clock"
 
 
 def _overlap(one: tuple[int, int], other: tuple[int, int]) -> bool:

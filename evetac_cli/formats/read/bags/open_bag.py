@@ -45,7 +45,7 @@ class Bag:
         ]
         held = counts.total()
         if files.stated is not None and files.stated != held:
-            self.notes.append(f"{bag_files.METADATA} says that the bag has {files.stated:,} messages; it has {held:,}")
+            self.notes.append(f"{bag_files.METADATA} states {files.stated:,} messages; the bag has {held:,}")
             self.cut_short |= files.stated > held
 
     def _where(self, file: Path) -> str:

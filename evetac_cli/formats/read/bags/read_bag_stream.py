@@ -87,7 +87,7 @@ def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Con
     if len({one.encoding for one in of_topic}) > 1 or of_topic[0].encoding not in ("cdr", "ros1"):
         encodings = ", ".join(sorted({one.encoding for one in of_topic}))[:80]
         raise InputError(
-            "messages that are packed in another way", where=where, expected="cdr or ros1", found=encodings
+            "the encoding of these messages is not supported", where=where, expected="cdr or ros1", found=encodings
         )
     return of_topic
 
@@ -243,13 +243,13 @@ class _Images(_Reader):
         try:
             from PIL import Image
         except ImportError as error:
-            raise missing_extra("packed images need pillow", "plot", where=self.where, error=error) from None
+            raise missing_extra("compressed images need pillow", "plot", where=self.where, error=error) from None
         with bag_in_words(self.where, f"the image of message {self.number}"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
         self._check_size(*opened.size)  # before it is unpacked
         if math.prod(opened.size) > MOST_PACKED_PX:
             size = "{} x {}".format(*opened.size)
-            self.refuse("too large a packed image", f"at most {MOST_PACKED_PX:,} px", size)
+            self.refuse("a compressed image is too large", f"at most {MOST_PACKED_PX:,} px", size)
         with bag_in_words(self.where, f"the image of message {self.number}"):
             pixels = np.asarray(opened.convert("L" if opened.mode in ("L", "1") else "RGB"))
         return pixels.reshape(*pixels.shape[:2], -1)

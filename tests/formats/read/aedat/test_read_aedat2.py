@@ -91,7 +91,7 @@ def test_the_clock_may_wrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     words = [(address("DVS128", 1, 2, 1), int(us) % 2**32) for us in t]
     imported = read_events(write(tmp_path / "a.aedat", words, "DVS128"))
     assert imported.events.t.tolist() == (t - start).tolist()
-    assert "the file's clock wrapped once, at index 5; the times go on without a step" in imported.notes
+    assert "the file's clock wrapped once, at index 5; the times are unwrapped" in imported.notes
     late = [*words[:5], (words[0][0], 100), (words[0][0], 2**32 - 10), *words[7:]]
     imported = read_events(write(tmp_path / "a.aedat", late, "DVS128"))
     assert imported.events.t.tolist() == [0, 1000, 2000, 3000, 4000, 4990, 5100, 7000, 8000, 9000]
