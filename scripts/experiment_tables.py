@@ -368,7 +368,7 @@ GRASPS = Table(
 
 GRASPS_SHIPPED = Table(
     "grasps-shipped",
-    "Grasps with the package's detector, {recordings} trials in all of objects {objects}, 3.5 s of lift and 1 s of balance",
+    "Grasps with the package's detector, {recordings} trials in all, objects {objects}, 3.5 s of lift, 1 s of balance",
     ("grasps-shipped",),
     grasp_rows,
     (
