@@ -101,7 +101,7 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
-test: $(DEVELOPING)  ## the test suite; installs first what it needs, if that was not done
+test: $(DEVELOPING)  ## the test suite; first installs what it needs, if anything is missing
 	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
 test-all: $(DEVELOPING)  ## the test suite with its longer cases

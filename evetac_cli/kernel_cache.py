@@ -25,9 +25,7 @@ from evetac_cli.errors import InputError
 PACKAGE = Path(os.path.abspath(__file__)).parent  # with its links, as numba writes paths
 SETTINGS = ".numba_config.yaml"  # numba obeys the one in the working folder, whoever put it there
 OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
-NOT_KEPT = (
-    "compiled kernels are not kept: no folder for them is yours alone; set NUMBA_CACHE_DIR to one that is"
-)
+NOT_KEPT = "compiled kernels are not kept: no folder for them is yours alone; set NUMBA_CACHE_DIR to one that is"
 
 
 def own_folder(candidates: Iterable[Path] | None = None) -> Path | None:

@@ -365,8 +365,8 @@ def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: Frame
     foreign = _open(path, fitting[0], said)
     frame = "{}x{}".format(*fitting[0])
     foreign.notes.append(
-        f"the file does not say its frame: took {frame}, the smallest of a known sensor that holds all events"
-        f" ({width}x{height}); --frame-size says another"
+        f"the file does not state its frame size: took {frame}, of the smallest known sensor that holds all events"
+        f" ({width}x{height}); --frame-size sets another"
     )
     if swapped := _swapped(width, height, fitting[0]):
         foreign.notes.append(swapped)
@@ -379,7 +379,9 @@ def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:
     if width >= height or exchanged is None or math.prod(exchanged) >= math.prod(frame_px):
         return ""
     sensor = "{}x{}".format(*exchanged)
-    return f"x reaches {width - 1} and y reaches {height - 1}: are they exchanged? The other way round they fit {sensor}"
+    return (
+        f"x reaches {width - 1} and y reaches {height - 1}: are they exchanged? The other way round they fit {sensor}"
+    )
 
 
 def _format(path: Path) -> Format:

@@ -139,7 +139,9 @@ def _as_a_grid(places_px: Grid) -> str:
         return ""
     if np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places_px):
         return ""
-    return f"these dots form {rows} rows and {columns} columns: as a grid (--rows, --columns), networks of dots can use them"
+    return (
+        f"these dots form {rows} rows and {columns} columns: with --rows and --columns, networks of dots can use them"
+    )
 
 
 def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:

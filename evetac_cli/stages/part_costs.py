@@ -146,7 +146,9 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     ]
     left_out = [row for row in rows if row["left_out"] is not None]
     would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row, "saves_us")) is not None]
-    said = ["-: not measured on its own, but as part of another. The camera's time includes dots, window, edge and noise."]
+    said = [
+        "-: not measured on its own, but as part of another. The camera's time includes dots, window, edge and noise."
+    ]
     if left_out:
         said += [f"{len(left_out)} parts are left out because scene and sensor do not name them; -v says why of each."]
     if would_take:

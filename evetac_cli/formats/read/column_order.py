@@ -76,7 +76,9 @@ def said_order(text: str, where: str) -> str:
 def refuse_columns(columns: str | None, where: str) -> None:
     """InputError where a user names columns that have names."""
     if columns is not None:
-        raise InputError("--columns is for files whose columns have no names", where=where, found=columns[:80], hint="leave it out")
+        raise InputError(
+            "--columns is for files whose columns have no names", where=where, found=columns[:80], hint="leave it out"
+        )
 
 
 def unit_said(time_unit: str | None, own: float | None, where: str) -> float | None:

@@ -285,7 +285,9 @@ def _check_size(path: Path, metadata: Any, columns: Sequence[int], where: str) -
     unpacked, size = rows * len(columns) * NUMBER_BYTES, path.stat().st_size
     if unpacked > max(MOST_UNPACKED_BYTES, MOST_TIMES * size):
         expected = f"at most {MOST_TIMES} times its size"
-        raise InputError("it decompresses to too much", where=where, expected=expected, found=f"{unpacked / 1e6:,.0f} MB")
+        raise InputError(
+            "it decompresses to too much", where=where, expected=expected, found=f"{unpacked / 1e6:,.0f} MB"
+        )
     with open_regular(path) as file:
         for group in groups:
             try:

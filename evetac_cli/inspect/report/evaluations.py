@@ -73,7 +73,7 @@ SECTIONS = (
     Section(
         "data-rate",
         "Data rate",
-        "Bytes per second, as a share of an RGB sensor's. All columns are counted, the window's too; the paper counts 540.",
+        "Bytes per second as a share of an RGB sensor's. All columns are counted, the window's too; the paper has 540.",
     ),
     Section(
         "realism",

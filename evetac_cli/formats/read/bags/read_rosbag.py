@@ -91,7 +91,9 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         foreign.frame_px = choose_frame(foreign.note.frame_px, frame_px, where)
         return foreign
     if first is None:
-        raise InputError(f"no message on the topic {topic}", where=where, hint="was the camera running when this was recorded?")
+        raise InputError(
+            f"no message on the topic {topic}", where=where, hint="was the camera running when this was recorded?"
+        )
     frame, content = _read(*first, f"{where}: message 0")
     encoding = content.encoding if isinstance(content, Packet) else ""
     foreign.frame_px = choose_frame(frame, frame_px, where)
