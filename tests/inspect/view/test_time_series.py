@@ -215,7 +215,7 @@ def test_every_deviation_in_a_file_is_drawn(trial: Path) -> None:
     assert drawn == ["shear", "normal"]
     write_forces(trial, {"network_n": FORCES["shear_n"], "regression_n": FORCES["shear_n"]}, "paper")
     panel = panel_of(shown(trial, images=1), "Forces on the gel, estimated")
-    assert panel.lines[0].sd is None and "no deviation" in panel.says
+    assert panel.lines[0].sd is None and "no standard deviation" in panel.says
 
 
 @pytest.mark.parametrize("away_px", [5.0, 40.0, 600.0])

@@ -146,7 +146,7 @@ def test_the_scale_of_another_frame_has_to_be_known(tmp_path: Path, smaller: int
         (predict_force, PredictForce(sensor=str(tmp_path / "gel.sensor.toml"))),
         (train_force, ADAPT),
     ):
-        with pytest.raises(InputError, match=r"how large a pixel is on the gel(.|\n)*mm_per_px"):
+        with pytest.raises(InputError, match=r"the scale of this frame(.|\n)*mm_per_px"):
             run(stage, [path], chosen, tmp_path / "refused.h5")
     assert not (tmp_path / "refused.h5").exists()
     known = own_sensor(tmp_path, 1.0, smaller)
