@@ -77,7 +77,7 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
     for key, value in table.items():
         if key in consents:
             raise InputError(
-                "this is not taken from a file",
+                "this cannot be set in a file",
                 where=f"{path}: {command}.{key}",
                 expected=f"{flag_of(consents[key])} on the command line, each time",
                 found=f"{key} = {value!r}",

@@ -175,7 +175,7 @@ def parse_port(text: str) -> Serial:
     """
     named, at, rate = text.rpartition("@") if "@" in text else (text, "", "")
     if ":" in rate:
-        raise InputError("the id stands before the rate", where="--gripper", expected="PORT:ID@BAUD", found=text)
+        raise InputError("the id comes before the baud rate", where="--gripper", expected="PORT:ID@BAUD", found=text)
     bauds = [each for each in SDK_RATES if number(rate) == each] if at else [BAUD]
     if not bauds:
         rates = ", ".join(map(str, SDK_RATES))

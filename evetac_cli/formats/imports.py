@@ -258,7 +258,9 @@ def _reading(path: Path, before: Steady) -> Iterator[None]:
     except OSError as error:
         raise cannot_read(error, path) from error
     except MemoryError as error:
-        raise InputError("does not fit in memory", where=str(path), hint="import it in parts") from error
+        raise InputError(
+            "does not fit in memory", where=str(path), hint="cut it into parts with the program that wrote it"
+        ) from error
 
 
 def _kept(

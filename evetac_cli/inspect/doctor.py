@@ -210,7 +210,13 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
         return "access", True, "opens and answers", "", ""
     node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
     if number == errno.EACCES:
-        return "permission", False, f"none, for you ({message})", "a udev rule", f"{INSTALL_RULES}; over ssh {JOIN} too"
+        return (
+            "permission",
+            False,
+            f"none, for you ({message})",
+            "a udev rule",
+            f"{INSTALL_RULES}; over ssh, also {JOIN}",
+        )
     if number == errno.EBUSY:
         users = host.programs_using(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"

@@ -115,8 +115,8 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
             "slip cannot be labelled: the gel has no window",
             where=str(recording.path),
             expected="a recording with sensor/window_px",
-            hint="only a cut gel shows slip: evetac calibrate --gel cut, and record with that --calibration; with a"
-            " closed gel a detector can be used that was trained with a cut one",
+            hint="only a cut gel shows slip: evetac calibrate --gel cut makes its grid; give that to record with"
+            " --calibration. For a closed gel, use a detector that was trained on a cut one",
         )
     x0, y0, x1, y1 = recording.window_px
     width, height = recording.frame_px

@@ -318,7 +318,7 @@ REFUSED = {
     "infinite value": (f"t_s,x\n{START_S}.01,-inf\n", "an infinite value in the column x"),
     "empty time": (f"t_s,x\n{START_S}.01,1\n,2\n", "a row without a time"),
     "elsewhere": ("t_s,x\n1,2\n2,3\n", "no sample of arm lies within"),
-    "which unit": ("time,x\n1,2\n2,3\n", "times whose unit nothing says"),
+    "which unit": ("time,x\n1,2\n2,3\n", "the unit of time is unclear"),
     "far": ("t_s,x\n1e30,2\n", "an impossible time"),
     "no names": ("1.5,2\n2.5,3\n", "does not name the columns"),
     "no numbers": ("t_s,x\n1,a\n", "no column of numbers"),

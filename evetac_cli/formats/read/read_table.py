@@ -203,7 +203,7 @@ def _guess(values: NDArray[Any], where: str, clock: str) -> str:
     if values.dtype.kind == "f" and first < YEARS_S[0] and (values != np.rint(values)).any():
         return "s"
     hint = "name the column t_s, t_ms, t_us or t_ns"
-    raise InputError("times whose unit nothing says", where=where, found=f"{clock}: {values[0]}", hint=hint)
+    raise InputError("the unit of time is unclear", where=where, found=f"{clock}: {values[0]}", hint=hint)
 
 
 def _unit(name: str) -> tuple[str, str]:

@@ -227,7 +227,7 @@ def _how_sure(forces: StageFile) -> str:
     which = "" if len(unknown) == len(MODULI) else f"{unknown[0]} "
     return (
         f"{band}The {which}stiffness of this gel is not known, and a typical one assumed: a curve may be off by one"
-        " factor throughout. predict-force --sensor takes a known stiffness."
+        " constant factor. predict-force --sensor takes a known stiffness."
     )
 
 
