@@ -390,11 +390,11 @@ class _Run:
         last = -(-len(self.waiting) // (2 * usable))
         return max(1, min(last, int(TASK_S * self.took_jobs / max(self.took_s, 1e-6))))
 
-    def _wait(self, timeout_s: float = LOOK_S) -> Any:
+    def _wait(self) -> Any:
         """The next future that ended, or None; here Ctrl-C comes up."""
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         try:
-            return self.ended.get(timeout=timeout_s)
+            return self.ended.get(timeout=LOOK_S)
         except queue.Empty:
             return None
         finally:

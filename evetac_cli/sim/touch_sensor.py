@@ -438,5 +438,5 @@ def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]
     return numbers
 
 
-def _refused(message: str, expected: str, given: Any, hint: str = "") -> InputError:
-    return InputError(message, where="TouchSensor", expected=expected, found=str(given)[:100], hint=hint)
+def _refused(message: str, expected: str, given: Any) -> InputError:
+    return InputError(message, where="TouchSensor", expected=expected, found=str(given)[:100])

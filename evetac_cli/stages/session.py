@@ -190,9 +190,9 @@ def signals_held() -> Iterator[None]:
 
 
 @contextmanager
-def _handled(handler: Callable[[int, Any], None], numbers: Sequence[int] = ENDS) -> Iterator[None]:
-    """Let a function handle these signals, but for those that are ignored."""
-    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+def _handled(handler: Callable[[int, Any], None]) -> Iterator[None]:
+    """Let a function handle the signals of ENDS, but for those that are ignored."""
+    heeded = [number for number in ENDS if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, handler) for number in heeded}
     try:
         yield

@@ -34,7 +34,7 @@ class Clock:
         edges: ranges that the format does not say: a fall has to lead from their very end to their very beginning.
         tick_us: length of a tick.
         """
-        self._spans, self._edges, self._tick_us = tuple(spans), tuple(edges), tick_us
+        self._spans, self._edges = tuple(spans), tuple(edges)
         self._large = WRAP_SHARE * min((*spans, *edges), default=NEVER)  # ticks; smaller steps are no wraps
         self._late = 1 + int(SLICE_US / tick_us)  # ticks that an event may be late over a wrap
         self._last: int | None = None  # the tick that was seen last

@@ -10,8 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.formats.read.prophesee_words import TIME_HIGH, TRIGGER
+
 TYPES = 16
-TIME_HIGH, TRIGGER = 0x8, 0xA
 
 
 @njit(cache=True)

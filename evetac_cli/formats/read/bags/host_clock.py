@@ -22,15 +22,14 @@ from evetac_cli.formats.read.bags.bag_chunks import Connection
 from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, layout, topics_of_events
 from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder
+from evetac_cli.formats.read.prophesee_words import ENCODINGS, TIME_HIGH
 from evetac_cli.store.streams import Stream
 
 SAME_CLOCK_US = 1_000_000  # a header is this near to its events where both are on one clock
 ALIKE_US = 10_000  # two cameras whose clocks differ by no more are synchronized
 MOST_PACKETS = 2000  # of which the times are compared
 PIECE_US, PIECE_PACKETS = 10_000_000, 20  # of a piece of the recording, at least
-# Bits of EVT words: of the word, of its type; types of the high bits of time, and of what then holds the low ones.
-EVT = {"evt2": ("<u4", 28, 0x8, (0x0, 0x1)), "evt3": ("<u2", 12, 0x8, (0x6,))}
-TURN_US = {"evt2": 1 << 34, "evt3": 1 << 24}  # after which the time of the words begins anew
+LOW_TYPES = {"evt2": (0x0, 0x1), "evt3": (0x6,)}  # of words that hold the low bits of time
 
 
 class Pair(NamedTuple):
@@ -48,7 +47,6 @@ class HostClock:
     host_us: NDArray[np.float64]
     ahead_us: NDArray[np.float64]
     sensor_span_us: tuple[int, int]
-    host_span_us: tuple[int, int]
     packets: int
     spread_us: float  # within which nine of ten packets lie, around the median
 
@@ -92,7 +90,6 @@ def host_clock(path: Path, topic: str) -> HostClock | None:
         knots_us,
         medians_us,
         (int(sensor_us.min()), int(sensor_us.max())),
-        (int(host_us.min()), int(host_us.max())),
         len(pairs),
         float(np.quantile(np.abs(off_us), 0.9)),
     )
@@ -167,9 +164,9 @@ def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pai
         content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
         if not isinstance(content, Packet):
             times = content[1].t
-        elif content.encoding in EVT:
-            t_us = _first_time_us(content)
-            return None if t_us is None else (Pair(stamp_us, t_us), TURN_US[content.encoding])
+        elif content.encoding in LOW_TYPES:
+            t_us, encoding = _first_time_us(content), ENCODINGS[content.encoding]
+            return None if t_us is None else (Pair(stamp_us, t_us), encoding.tick_us << encoding.high_bits)
         else:
             decode = decoder(content.encoding)
             times = decode(content).t if decode is not None else np.empty(0, np.int64)
@@ -180,12 +177,12 @@ def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pai
 
 def _first_time_us(packet: Packet) -> int | None:
     """The first time that words of EVT2 or EVT3 say in full."""
-    dtype, shift, high, low = EVT[packet.encoding]
-    size = np.dtype(dtype).itemsize
-    words = np.frombuffer(packet.content[: len(packet.content) // size * size], dtype).astype(np.int64)
-    kinds = words >> shift
-    highs = np.flatnonzero(kinds == high)
-    lows = np.flatnonzero(np.isin(kinds, low))
+    dtype = np.dtype(ENCODINGS[packet.encoding].dtype)
+    whole = len(packet.content) // dtype.itemsize * dtype.itemsize
+    words = np.frombuffer(packet.content[:whole], dtype).astype(np.int64)
+    kinds = words >> 8 * dtype.itemsize - 4
+    highs = np.flatnonzero(kinds == TIME_HIGH)
+    lows = np.flatnonzero(np.isin(kinds, LOW_TYPES[packet.encoding]))
     lows = lows[lows > highs[0]] if len(highs) else lows[:0]
     if not len(lows):
         return None
