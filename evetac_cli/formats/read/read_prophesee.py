@@ -179,15 +179,6 @@ def decoded(
     kept = done = 0
     for words, place in blocks:
         part = decoder.part(words, place)
-        undefined = sum(decoder.undefined.values())
-        if undefined > MOST_UNDEFINED * decoder.words:
-            raise InputError(
-                f"these are not {decoder.encoding.name} words",
-                where=where,
-                expected="the encoding that the file's header names",
-                found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
-                hint="the file is damaged, or has another file's header",
-            )
         if kept + len(part.trigger_t) <= MOST_TRIGGERS:
             triggers.append(part[4:])
             kept += len(part.trigger_t)
@@ -196,11 +187,20 @@ def decoded(
         if len(part.t):
             yield Columns(*part[:4], partial(at_index, done))
         done += len(part.t)
+    undefined = decoder.undefined.total()
+    if undefined > MOST_UNDEFINED * decoder.words:  # of all: the first block may be a message of a few words
+        raise InputError(
+            f"these are no words of {decoder.encoding.name}",
+            where=where,
+            expected="the encoding that the file's head names",
+            found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
+            hint="a damaged file, or one with another file's head",
+        )
     if decoder.untimed:
         size = np.dtype(decoder.encoding.dtype).itemsize
         foreign.notes.append(f"left out {decoder.untimed * size} bytes before the first time stamp")
-    if decoder.undefined:
-        foreign.left_out["words of undefined types"] = sum(decoder.undefined.values())
+    if undefined:
+        foreign.left_out["words of undefined types"] = undefined
     foreign.notes += decoder.clock.notes
     if kept:
         t_us, number, edge = (np.concatenate(column) for column in zip(*triggers, strict=True))

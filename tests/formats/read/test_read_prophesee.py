@@ -215,6 +215,17 @@ def test_words_that_look_like_a_header(tmp_path: Path) -> None:
     assert imported.notes == ["left out 4 bytes before the first time stamp"]
 
 
+@pytest.mark.parametrize("block_bytes", [4, 10, 1 << 20])
+def test_a_damaged_word_near_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block_bytes: int) -> None:
+    """Assert that words of undefined types are judged by the whole file, in blocks of any size."""
+    monkeypatch.setattr(read_prophesee, "BLOCK_BYTES", block_bytes)
+    words = evt3(range(5000, 5100))
+    imported = read_events(raw(tmp_path / "a.raw", [words[0], 9 << 12, *words[1:]]))
+    assert (imported.events.size, imported.left_out) == (100, {"words of undefined types": 1})
+    words = [words[0], *[9 << 12] * 40, *words[1:]]
+    assert "40 of 341 words are of undefined types" in refusal(raw(tmp_path / "b.raw", words))
+
+
 def test_vectors_are_read(tmp_path: Path) -> None:
     """Assert that words of twelve and of eight columns give an event for every bit."""
     words = [
