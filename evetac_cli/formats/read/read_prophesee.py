@@ -190,11 +190,11 @@ def decoded(
     undefined = decoder.undefined.total()
     if undefined > MOST_UNDEFINED * decoder.words:  # of all: the first block may be a message of a few words
         raise InputError(
-            f"these are no words of {decoder.encoding.name}",
+            f"these are not {decoder.encoding.name} words",
             where=where,
-            expected="the encoding that the file's head names",
+            expected="the encoding that the file's header names",
             found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
-            hint="a damaged file, or one with another file's head",
+            hint="the file is damaged, or has another file's header",
         )
     if decoder.untimed:
         size = np.dtype(decoder.encoding.dtype).itemsize

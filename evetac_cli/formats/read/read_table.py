@@ -32,6 +32,7 @@ MOST_UNPACKED_BYTES = 64 << 20
 NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
 MOST_US = 1 << 60  # 36,000 years: two such times can be added
+MOST_S = MOST_US // 10**6
 NAMED_LEFT_OUT = 5
 
 TIME = re.compile(
@@ -132,6 +133,7 @@ class _Rows:
 
     def _t_us(self, columns: list[Any]) -> NDArray[np.int64]:
         import pyarrow
+        from pyarrow import compute
 
         for column in columns:
             if column.null_count:
@@ -139,11 +141,12 @@ class _Rows:
                 self._refuse("a row without a time", missing, np.full(len(column), "nothing"))
         if pyarrow.types.is_timestamp(columns[0].type):
             self.clock = f"{self._times.clock}, whose type says its unit"
-            stamps = columns[0].cast(pyarrow.timestamp("us", columns[0].type.tz), safe=False)
+            us = pyarrow.timestamp("us", columns[0].type.tz)
+            stamps = columns[0].cast(options=compute.CastOptions(us, allow_time_truncate=True))
             return np.asarray(stamps.cast("int64").to_numpy(zero_copy_only=False))
         if len(columns) > 1:
             seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
-            self._refuse("an impossible time", np.abs(seconds) > MOST_US // 10**6, seconds)
+            self._refuse("an impossible time", (seconds < -MOST_S) | (seconds > MOST_S), seconds)
             self._refuse("nanoseconds beyond a second", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds)
             return np.asarray(seconds * 10**6 + nanoseconds // 1000)
         values = columns[0].to_numpy(zero_copy_only=False)

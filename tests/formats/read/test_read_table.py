@@ -170,3 +170,16 @@ def test_headers_that_are_none(header: bytes, tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(header)
     with (tmp_path / "a").open("rb") as file, pytest.raises(ValueError):
         list(parquet_pages.unpacked_bytes(file, 0, max(1, len(header))))
+
+
+def test_times_that_64_bits_do_not_hold(tmp_path: Path) -> None:
+    """Assert that times are refused that would come out as others, of few microseconds, once they are numbers of us."""
+    least = pa.array([-(2**63), 1])
+    path = written(tmp_path / "a.parquet", {"stamp.sec": least, "stamp.nanosec": pa.array([0, 0]), "x": X[:2]})
+    with pytest.raises(InputError, match="a time that cannot be"):
+        read(path)
+    stamps = pa.array([2**61, 2**61 + 1], pa.timestamp("ms"))
+    with pytest.raises(InputError, match="the table cannot be read(.|\n)*out of bounds"):
+        read(written(tmp_path / "b.parquet", {"t": stamps, "x": X[:2]}))
+    stamps = pa.array([1001, 2999], pa.timestamp("ns"))
+    assert read(written(tmp_path / "c.parquet", {"t": stamps, "x": X[:2]})).t_us.tolist() == [1, 2]
