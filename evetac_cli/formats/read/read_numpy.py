@@ -36,6 +36,7 @@ from evetac_cli.formats.read.column_order import (
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, check_lengths, choose_frame
+from evetac_cli.formats.read.unpacked_size import refuse_too_much
 
 EVIMO = ("events_t", "events_xy", "events_p")
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
@@ -45,9 +46,6 @@ MOST_HEADER_BYTES = 1 << 14  # numpy itself takes 10,000
 MOST_ITEM_BYTES = 1 << 10
 MOST_MEMBERS = 1000
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# Deflate makes up to 1,032 bytes of one, and a column of one polarity comes near; all four columns together do not.
-MOST_TIMES = 100
-MOST_UNPACKED_BYTES = 64 << 20  # below that any archive may
 PIECE_BYTES = 1 << 20  # read at once
 EXPECTED = "t, x, y, p: as arrays of an npz, as fields of a structured array, or as the columns of an array (N, 4)"
 # What zipfile, zlib and numpy's parser raise on damaged bytes.
@@ -290,14 +288,7 @@ def _archived(path: Path, where: str) -> dict[str, Array]:
                     found="a password" if member.flag_bits & 1 else f"method {member.compress_type}",
                 )
             announced += member.file_size
-            if announced > max(MOST_UNPACKED_BYTES, MOST_TIMES * size):
-                raise InputError(
-                    "unpacks to more than events can",
-                    where=where,
-                    expected=f"at most {MOST_TIMES} times its size",
-                    found=f"{announced:,} bytes of {size:,}",
-                    hint="the archive is damaged, or made to harm",
-                )
+            refuse_too_much(announced, size, where)
             with archive.open(member) as content:
                 head = _read(content, MOST_HEADER_BYTES)
             array = _array(head, partial(_member, path, member.filename), f"{where}: {name[:80]}")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.parquet_pages import unpacked_bytes
+from evetac_cli.formats.read.unpacked_size import refuse_too_much
 from evetac_cli.store.disk import joined_on_disk, utf8_path
 from evetac_cli.store.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
@@ -26,9 +27,6 @@ BATCH_ROWS = 1 << 16
 BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
 MOST_COLUMNS = 512
 MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
-# Of numbers that a Parquet file unpacks to, as of arrays in an npz: so many times its size, or so many bytes.
-MOST_TIMES = 100
-MOST_UNPACKED_BYTES = 64 << 20
 NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
 MOST_US = 1 << 60  # 36,000 years: two such times can be added
@@ -285,12 +283,7 @@ def _check_size(path: Path, metadata: Any, columns: Sequence[int], where: str) -
     """InputError unless columns of a Parquet file unpack to what memory holds, and to what a file of its size may."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
     rows = max(metadata.num_rows, sum(max(group.num_rows, *_values(group, columns)) for group in groups))
-    unpacked, size = rows * len(columns) * NUMBER_BYTES, path.stat().st_size
-    if unpacked > max(MOST_UNPACKED_BYTES, MOST_TIMES * size):
-        expected = f"at most {MOST_TIMES} times its size"
-        raise InputError(
-            "it decompresses to too much", where=where, expected=expected, found=f"{unpacked / 1e6:,.0f} MB"
-        )
+    refuse_too_much(rows * len(columns) * NUMBER_BYTES, path.stat().st_size, where)
     with open_regular(path) as file:
         for group in groups:
             try:

@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.aedat.aedat4_payloads import LZ4, PLAIN, ZSTD, content
+from evetac_cli.formats.read.unpacked_size import refuse_too_much
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 HEADER_LIMIT_BYTES = 1 << 24
@@ -174,11 +175,20 @@ def is_whole(path: Path) -> bool:
 
 
 def decoded(handle: BinaryIO, spans: Iterable[Span], kind: str, compression: int) -> Iterator[Any]:
-    """What each packet holds (aedat4_payloads.content), or a text why it cannot be decoded."""
+    """What each packet holds (aedat4_payloads.content), or a text why it cannot be decoded.
+
+    InputError where events or samples are more than a file of its size holds; a dark image may be packed so well.
+    """
+    size, unpacked = handle.seek(0, 2), 0
     for span in spans:
         handle.seek(span.start)
         payload = handle.read(span.stop - span.start)
         try:
-            yield content(kind, compression, payload)
+            held = content(kind, compression, payload)
         except ValueError as error:
             yield str(error)
+            continue
+        if kind != "FRME":
+            unpacked += held.nbytes
+            refuse_too_much(unpacked, size, handle.name)
+        yield held

@@ -22,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import missing_extra
+from evetac_cli.formats.read.unpacked_size import most_unpacked_bytes
 
 MOST_BYTES = 1 << 28  # of a packet, decompressed
+LEAST_TABLE_BYTES = 16  # of a vector's table, with where it is: two positions of 4 bytes, and its time or place
 PIECE_BYTES = 1 << 20  # that are decompressed at once: the library takes memory for as many
 PLAIN, LZ4, ZSTD = (0,), (1, 2), (3, 4)  # compressions
 EVENT = np.dtype(
@@ -83,19 +85,20 @@ def _decompressed(compression: int, payload: bytes) -> bytes:
 
     if compression in PLAIN:
         return payload
+    most = min(MOST_BYTES, most_unpacked_bytes(len(payload)))
     try:
         if compression in LZ4:
             decompressor = lz4.frame.LZ4FrameDecompressor()
             parts = [decompressor.decompress(payload, max_length=PIECE_BYTES)]
-            while parts[-1] and not decompressor.eof and len(parts) * PIECE_BYTES < MOST_BYTES:
+            while parts[-1] and not decompressor.eof and len(parts) * PIECE_BYTES < most:
                 parts.append(decompressor.decompress(b"", max_length=PIECE_BYTES))
             if not decompressor.eof:
                 raise ValueError("a compressed packet that does not end, or is too large")
             return b"".join(parts) if len(parts) > 1 else bytes(parts[0])
-        body = zstandard.ZstdDecompressor().stream_reader(payload).read(MOST_BYTES + 1)
+        body = zstandard.ZstdDecompressor().stream_reader(payload).read(most + 1)
     except (RuntimeError, zstandard.ZstdError, MemoryError) as error:
         raise ValueError(str(error)) from None
-    if len(body) > MOST_BYTES:
+    if len(body) > most:
         raise ValueError("a compressed packet that is too large")
     return body
 
@@ -150,7 +153,9 @@ class _Tables:
 
 
 def _rows(tables: _Tables, start: int, count: int, fields: Sequence[tuple[str, str | None]]) -> Any:
-    """A vector of tables as a structured array."""
+    """A vector of tables as a structured array; ValueError where they are more than have a place of their own."""
+    if count * LEAST_TABLE_BYTES > len(tables.body):
+        raise ValueError(f"more tables than {len(tables.body):,} bytes hold")
     at = (
         np.frombuffer(tables.body, "<u4", count, start) + start + 4 * np.arange(count)
         if count

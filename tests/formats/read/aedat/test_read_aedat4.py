@@ -4,6 +4,7 @@ import multiprocessing.process
 import struct
 import subprocess
 import tempfile
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.aedat import aedat4_packets, read_aedat4
+from evetac_cli.formats.read.aedat import aedat4_packets, aedat4_payloads, read_aedat4
 from evetac_cli.formats.read.event_validation import NOT_RECORDED
 from evetac_cli.formats.write import write_aedat4
 from tests.importing import FRAME, real, refusal, same
@@ -345,3 +346,40 @@ def test_real_frames_are_no_events() -> None:
     words = refusal(real("frames_only.aedat4"))
     assert "holds frames but no event stream" in words and "found:    frames 20" in words
     assert f"try:      {NOT_RECORDED}" in words
+
+
+def zeros(kind: bytes, size: int, per_item: int) -> Any:
+    """A packet of zeros, as many events or tables as `size` bytes hold, packed with Zstandard."""
+    zstandard = pytest.importorskip("zstandard")
+    body = bytearray(size)
+    struct.pack_into("<II4sHHHHiII", body, 0, size - 4, 16, kind, 6, 8, 4, 0, 8, 4, (size - 32) // per_item)
+    return zstandard.ZstdCompressor(level=19).compress(bytes(body))
+
+
+@pytest.mark.parametrize("kind", ["IMUS", "TRIG", "FTAB"])
+def test_a_small_packet_of_very_many_tables(kind: str) -> None:
+    """Assert that a kB which stands for millions of samples that share their bytes is a damaged packet, at once."""
+    packet = zeros(kind.encode(), 1 << 24, 4)
+    assert len(packet) < 1000
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="more tables than"):
+        aedat4_payloads.content(kind, 3, packet)
+    assert tracemalloc.get_traced_memory()[1] < 80 << 20
+    tracemalloc.stop()
+    with pytest.raises(ValueError, match="too large"):
+        aedat4_payloads.content(kind, 3, zeros(kind.encode(), 100 << 20, 4))
+
+
+def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
+    """Assert that a few kB which unpack to millions of events are refused, before all of them are unpacked."""
+    aedat = pytest.importorskip("faery").extension.aedat
+    path = tmp_path / "a.aedat4"
+    with aedat.Encoder(path, write_aedat4.description(aedat, FRAME), ("zstd", 3)) as encoder:
+        encoder.write(0, np.zeros(10, write_aedat4.EVENT))
+    packet = zeros(b"EVTS", 1 << 24, 16)
+    with path.open("rb") as file:
+        header = aedat4_packets.read_header(file, str(path))
+    whole = path.read_bytes()[: header.size].replace(struct.pack("<q", header.table), struct.pack("<q", -1))
+    path.write_bytes(whole + 40 * (struct.pack("<ii", 0, len(packet)) + packet))
+    words = refusal(path)
+    assert "unpacks to too much" in words and "84 MB of" in words
