@@ -22,7 +22,7 @@ from hypothesis.extra import numpy as hnp
 from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import events_on_disk, read_text
+from evetac_cli.formats.read import events_on_disk, read_text, time_order
 from evetac_cli.formats.read.event_validation import Columns, Foreign, Normal, normalise
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
@@ -144,6 +144,33 @@ def test_sorting_keeps_the_order_of_equal_times() -> None:
     """Assert that events of one microsecond stay in the order of the file."""
     events, _ = normalised([columns([7, 7, 3, 7], x=[1, 2, 3, 4])], (9, 9), sort=True)
     assert events.x.tolist() == [3, 1, 2, 4]
+
+
+@pytest.mark.parametrize("step_us", [0, 999])
+def test_very_many_events_of_one_millisecond(monkeypatch: pytest.MonkeyPatch, step_us: int) -> None:
+    """Assert that what has to wait for events less than 1 ms late is bounded, and that sorting takes no more memory."""
+    monkeypatch.setattr(events_on_disk, "BLOCK_EVENTS", 64)
+    monkeypatch.setattr(events_on_disk, "SAMPLED", 4)
+    monkeypatch.setattr(time_order, "MOST_WAITING", 1000)
+    given = []
+
+    def batches() -> Iterable[Columns]:
+        for first in range(0, 10**5, 100):
+            given.append(first)
+            t = np.where(np.arange(100) % 2, 7, 7 + step_us)
+            yield columns(t, np.full(100, first // 100 % 9), np.arange(100) % 2)
+
+    with pytest.raises(InputError, match="more events within 1 ms than a camera makes(.|\\n)*near 0.00"):
+        normalised(batches(), (9, 9))
+    assert len(given) < 1000
+    normal = Normal()
+    blocks = list(normalise(Foreign("", (9, 9), batches()), normal, order=OrderOptions(sort=True)))
+    assert max(block.size for block in blocks) <= 100
+    events = concatenate(blocks)
+    order = np.argsort(np.tile([step_us, 0], 50_000), kind="stable")
+    assert events.t.tolist() == np.tile([step_us, 0], 50_000)[order].tolist()
+    assert events.x.tolist() == (np.arange(10**5) // 100 % 9)[order].tolist()
+    assert events.y.tolist() == (np.arange(10**5) % 2)[order].tolist()
 
 
 def test_what_is_no_number_is_dropped_and_counted() -> None:

@@ -69,22 +69,33 @@ class EventsOnDisk:
                 self._write()
 
     def blocks(self) -> Iterator[Events]:
-        """All events, some at a time: one part of time after the other, from the blocks that have some of it."""
+        """All events, some at a time: one part of time after the other, from the blocks that have some of it.
+
+        A microsecond that has very many is a part of its own, whose events come block by block: they are in order.
+        """
         self._write()
         if not self._blocks:
             return
         self._mapped = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         samples = np.sort(np.concatenate(self._samples))
-        edges = np.unique(samples[:: BLOCK_EVENTS // SAMPLED])
+        times, counts = np.unique(samples[:: BLOCK_EVENTS // SAMPLED], return_counts=True)
+        crowded = times[counts > 1]
+        edges = np.union1d(times, crowded + 1)
         for from_us, to_us in zip(edges, [*edges[1:], self.last_us + 1], strict=True):
-            parts = []
-            for block in self._blocks:
-                if block.first_us < to_us and block.last_us >= from_us:
-                    events = self._read(block)
-                    rows = (events.t >= from_us) & (events.t < to_us)
-                    parts.append(events.at(rows))
-            events = concatenate(parts)
-            yield events.at(np.argsort(events.t, kind="stable"))
+            parts = self._between(from_us, to_us)
+            if from_us in crowded:
+                yield from parts
+            elif (events := concatenate(list(parts))).size:
+                yield events.at(np.argsort(events.t, kind="stable"))
+
+    def _between(self, from_us: int, to_us: int) -> Iterator[Events]:
+        """The events of a part of time, of each block that has some."""
+        for block in self._blocks:
+            if block.first_us < to_us and block.last_us >= from_us:
+                events = self._read(block)
+                rows = (events.t >= from_us) & (events.t < to_us)
+                if rows.any():
+                    yield events.at(rows)
 
     def _read(self, block: _Block) -> Events:
         columns: list[Any] = []

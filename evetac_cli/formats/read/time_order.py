@@ -20,6 +20,7 @@ from evetac_cli.events import SLICE_US, Events, concatenate
 MOST_RESTARTS = 1000  # after which a file is taken as unsorted, and its parts are no longer counted
 FEW_LATE = 0.02  # share of all events, up to which dropping them is proposed first
 MOST_SHOWN = 4  # restarts in a message
+MOST_WAITING = 1 << 23  # events of less than 1 ms, in memory; the fastest camera makes 1 million
 
 Placed = tuple[Events, Callable[[int], str]]  # some events, and where the user finds row i of them
 
@@ -68,6 +69,7 @@ class TimeOrder:
         self._late = 0  # events at least 1 ms after a later one, of any part
         self.small = 0  # events that came less than 1 ms after a later one, or with `sort` any time
         self.back_us = 0  # the largest such step
+        self._crowded = False  # more events of one time than can wait
 
     @property
     def unsorted(self) -> bool:
@@ -78,7 +80,7 @@ class TimeOrder:
     def refused(self) -> bool:
         """Whether the events so far cannot be used as the options say."""
         options = self._options
-        return bool(self._restarts) and (options.from_restart is None or self.unsorted)
+        return self._crowded or (bool(self._restarts) and (options.from_restart is None or self.unsorted))
 
     def ordered(self, parts: Iterable[Placed]) -> Iterator[Events]:
         """The events that the options keep; in the order of their time, unless it is to be sorted or is refused."""
@@ -140,6 +142,7 @@ class TimeOrder:
     def _in_order(self, pieces: Iterable[Events]) -> Iterator[Events]:
         """Put events in order that are less than 1 ms late; of one time as they came."""
         waiting: list[Events] = []  # in order, each of them and one after the other; all that is yet to come is later
+        count = 0
         for judged in pieces:
             piece = judged if (judged.t[1:] >= judged.t[:-1]).all() else _sorted(judged)
             first_us = int(piece.t[0])
@@ -147,14 +150,27 @@ class TimeOrder:
             while waiting and waiting[-1].t[-1] > first_us:
                 overtaken.append(waiting.pop())
             waiting.append(_sorted(concatenate([*reversed(overtaken), piece])) if overtaken else piece)
+            count += piece.size
             assert self._latest_us is not None
             while waiting[0].t[-1] <= self._latest_us - SLICE_US:
+                count -= waiting[0].size
                 yield waiting.pop(0)
+            if count > MOST_WAITING:
+                self._crowded = True
+                return
         yield from waiting
 
     def refuse(self, where: str) -> None:
         """InputError where the events cannot be used as the options say."""
         wanted = self._options.from_restart
+        if self._crowded:
+            raise InputError(
+                "more events within 1 ms than a camera makes",
+                where=where,
+                expected=f"at most {MOST_WAITING:,}",
+                found=f"more than that near {(self._top_us or 0) / 1e6:.6f} s",
+                hint="are these their times? --sort takes them as they are",
+            )
         if self.refused:
             raise InputError(
                 "time goes backwards",
