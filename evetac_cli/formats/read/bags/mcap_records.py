@@ -149,5 +149,7 @@ def _listed(file: BinaryIO, size: int) -> Iterator[int]:
         file.seek(at)
         kind, length = HEAD.unpack(file.read(HEAD.size))
         if kind == CHUNK_INDEX and length >= CHUNK_AT_BYTE + 8:
-            yield struct.unpack("<Q", file.read(CHUNK_AT_BYTE + 8)[CHUNK_AT_BYTE:])[0]
+            (chunk_at,) = struct.unpack("<Q", file.read(CHUNK_AT_BYTE + 8)[CHUNK_AT_BYTE:])
+            if chunk_at < size:
+                yield chunk_at
         at += HEAD.size + length

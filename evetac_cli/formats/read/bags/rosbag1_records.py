@@ -162,4 +162,6 @@ def _listed(file: BinaryIO, at: int, size: int) -> Iterator[int]:
     while 0 < at < size and (record := _record(file, at, size)) is not None:
         header, _, at = record
         if header.get(b"op") == bytes([CHUNK_PLACE]) and len(header.get(b"chunk_pos", b"")) == PLACE.size:
-            yield PLACE.unpack(header[b"chunk_pos"])[0]
+            (chunk_at,) = PLACE.unpack(header[b"chunk_pos"])
+            if chunk_at < size:
+                yield chunk_at

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.bags import bag_chunks
+from evetac_cli.formats.read.bags import bag_chunks, mcap_records, rosbag1_records
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.streams import read_stream
 from tests.formats.read.bags.bag_writing import Types, Write, drawn, listed, mono, shifted, write_bag, write_mcap
@@ -257,6 +257,28 @@ def test_the_index_leads_past_a_damage(kind: str, tmp_path: Path) -> None:
     imported = read_events(whole)
     assert event_rows(imported) == ROWS
     assert "index led past the damage" in imported.notes[0] and open_rosbag(whole, None, None).cut_short
+
+
+@pytest.mark.parametrize("kind", ["mcap ZSTD", "ros1 none"])
+def test_an_index_that_leads_out_of_the_file(kind: str, tmp_path: Path) -> None:
+    """Assert that a place behind the end of the file is none: behind a damage, the bag counts as cut short."""
+    whole = made(tmp_path, kind)
+    at = ends(whole)[3][0]
+    data = bytearray(whole.read_bytes())
+    with whole.open("rb") as file:
+        if kind.startswith("mcap"):
+            places = list(mcap_records._listed(file, len(data)))
+        else:
+            (index_at,) = struct.unpack_from("<Q", data, data.index(b"index_pos=") + len(b"index_pos="))
+            places = list(rosbag1_records._listed(file, index_at, len(data)))
+    for place in places:
+        entry = data.rindex(struct.pack("<Q", place))
+        data[entry : entry + 8] = struct.pack("<Q", 1 << 60)
+    data[at : at + 12] = b"\xff" * 12
+    whole.write_bytes(data)
+    notes = " ".join(read_events(whole).notes)
+    assert "led past" not in notes
+    assert 0 < int(re.findall(r"the last ([-\d,]+) bytes are lost", notes)[0].replace(",", "")) <= len(data) - at
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.6, 0.9, 0.99, 0.9999])
