@@ -12,6 +12,7 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path, PurePath
 from tempfile import gettempdir, mkdtemp
 from typing import Any, NamedTuple
@@ -76,13 +77,13 @@ def files_of(path: Path) -> Files:
             "the folder holds no file of a bag", where=str(path), expected=" or ".join(ENDINGS), found=note
         )
     names = [name for file in files if (name := PART.fullmatch(file.name))]
-    if len(files) > 1 and (len(names) < len(files) or len({name[1] for name in names}) > 1):
+    numbered = {int(name[2]): path / name[0] for name in names}
+    if len(files) > 1 and (len(numbered) < len(files) or len({name[1] for name in names}) > 1):
         hint = f"name one of them, as in {path / files[0].name}"
         raise InputError("which file of the folder is the bag?", where=str(path), found=_named(files), hint=hint)
     if len(files) > 1:
-        numbered = {int(name[2]): file for name, file in zip(names, files, strict=True)}
-        lacking = [number for number in range(min(numbered), max(numbered)) if number not in numbered]
-        if lacking:
+        numbers = (number for number in range(min(numbered), max(numbered)) if number not in numbered)
+        if lacking := list(islice(numbers, MOST_NAMED)):
             raise _missing(path, [f"number {number}" for number in lacking], files)
         files = [file for _, file in sorted(numbered.items())]
     return Files(files, [f"{note}; read {_named(files)}"])

@@ -7,6 +7,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -303,6 +304,21 @@ def test_parts_of_ros_1_are_named(write: Write, tmp_path: Path) -> None:
     notes = read_events(path.with_name(f"{names[0]}.bag")).notes
     assert notes == [f"beside it: {names[1]}.bag, which may be parts of the same recording"]
     assert read_events(path).notes == []
+
+
+def test_odd_numbers_of_files(tmp_path: Path) -> None:
+    """Assert that two files of one number are not one bag, and that a number out of all measure costs nothing."""
+    folder = split(tmp_path / "bag")
+    types = Types("mcap")
+    other = write_mcap(tmp_path / "trial_01.mcap", types, {"/e": messages(types)[:1]}).rename(folder / "trial_01.mcap")
+    assert "which file of the folder is the bag?" in refusal(folder)
+    other.rename(folder / "trial_100000000.mcap")
+    tracemalloc.start()
+    words = refusal(folder)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert "a part of the bag is missing" in words and "number 3, number 4" in words
+    assert most < 10 << 20
 
 
 def test_a_folder_of_other_files_asks_which(tmp_path: Path) -> None:
