@@ -303,6 +303,28 @@ def test_what_text_leaves_unsaid_is_said(text: Callable[..., Path]) -> None:
     assert read_events(text(CSV["pandas with its index"]), frame_px=FRAME).left_out == {"values of 1": 3}
 
 
+@pytest.mark.parametrize("block", [1 << 22, 7])
+def test_lines_without_content_may_hold_blanks(
+    text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    """Assert that blanks alone, or before a comment, are no event, whatever separates the columns."""
+    monkeypatch.setattr(read_text, "BLOCK_CHARS", block)
+    for sign in (",", ";", " "):
+        lines = ["7000 1 2 1", "  ", "7005 3 4 0", "\t# 5", " % 6", "7010 5 6 1", "   "]
+        imported = read_events(text("\r\n".join(line.replace(" ", sign) if line[0] == "7" else line for line in lines)))
+        assert event_rows(imported) == [(0, 1, 2, 1), (5, 3, 4, 0), (10, 5, 6, 1)]
+
+
+def test_only_the_last_line_may_be_cut(text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the hint for a file that was cut comes for its last line, and for no line before it."""
+    lines = [f"{7000 + number} 1 2 1" for number in range(9)]
+    cut, inside = "\n".join([*lines, "7010 1"]), "\n".join([*lines[:4], "7010 1", *lines[4:], ""])
+    for block in (1 << 22, 51):
+        monkeypatch.setattr(read_text, "BLOCK_CHARS", block)
+        assert "if the file was cut short in its last line" in refusal(text(cut), frame_px=FRAME)
+        assert "cut short" not in refusal(text(inside), frame_px=FRAME)
+
+
 def test_text_may_say_its_frame(text: Callable[..., Path]) -> None:
     """Assert that rpg's first line and Prophesee's comment are the frame, and no other is taken."""
     for name in ("rpg", "Prophesee", "Prophesee, named"):

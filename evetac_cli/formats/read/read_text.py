@@ -236,13 +236,15 @@ def _table(path: Path, number: int, lines: list[str], layout: Layout) -> NDArray
     plain = [line.partition("%")[0] for line in lines] if any("%" in line for line in lines) else lines
     if layout.truth:
         plain = [TRUTH.sub(lambda word: str(int(word[0].lower() == "true")), line) for line in plain]
-    try:
-        used = None if count == 4 else places  # other columns may hold anything
-        table = np.loadtxt(plain, dtype=np.float64, delimiter=separator, ndmin=2, usecols=used)
-        if table.shape[1] == 4:
-            return table if used else table[:, places]
-    except ValueError as error:
-        reason = str(error)
+    used = None if count == 4 else places  # other columns may hold anything
+    for _ in range(2):
+        try:
+            table = np.loadtxt(plain, dtype=np.float64, delimiter=separator, ndmin=2, usecols=used)
+            if table.shape[1] == 4:
+                return table if used else table[:, places]
+        except ValueError as error:
+            reason = str(error)
+        plain = [line if _data(line) else "" for line in plain]  # numpy takes blanks for a column
     # numpy numbers rows without comments and from the block's start: find the line as the user counts it
     for offset, line in enumerate(lines):
         fields = _fields(line, separator)
@@ -254,7 +256,7 @@ def _table(path: Path, number: int, lines: list[str], layout: Layout) -> NDArray
             expected = f"{count} numbers separated by {SPOKEN_SEPARATORS[separator]}"
             expected += f": {names}" if count == 4 else ""
             bad_line = f"line {number + offset}: {_clip(line)}"
-            cut = offset == len(lines) - 1 and len(fields) < count and number + offset > 1
+            cut = len(lines) == 1 and len(fields) < count and number > 1  # all other blocks have more lines
             hint = "if the file was cut short in its last line, remove that line" if cut else ""
             raise InputError("a line cannot be read", where=str(path), expected=expected, found=bad_line, hint=hint)
     raise InputError(f"lines {number} to {number + len(lines) - 1} cannot be read", where=str(path), found=reason)
