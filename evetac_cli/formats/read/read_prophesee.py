@@ -179,11 +179,12 @@ def decoded(
     kept = done = 0
     for words, place in blocks:
         part = decoder.part(words, place)
-        if kept + len(part.trigger_t) <= MOST_TRIGGERS:
-            triggers.append(part[4:])
-            kept += len(part.trigger_t)
-        else:
-            foreign.left_out["triggers"] = foreign.left_out.get("triggers", 0) + len(part.trigger_t)
+        if count := len(part.trigger_t):
+            if kept + count <= MOST_TRIGGERS:
+                triggers.append(part[4:])
+                kept += count
+            else:
+                foreign.left_out["triggers"] = foreign.left_out.get("triggers", 0) + count
         if len(part.t):
             yield Columns(*part[:4], partial(at_index, done))
         done += len(part.t)

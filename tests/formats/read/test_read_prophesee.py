@@ -2,6 +2,8 @@
 
 import struct
 import sys
+import tracemalloc
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_prophesee
+from evetac_cli.formats.read.event_validation import Foreign
 from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
 faery = pytest.importorskip("faery")
@@ -224,6 +227,19 @@ def test_a_damaged_word_near_the_start(tmp_path: Path, monkeypatch: pytest.Monke
     assert (imported.events.size, imported.left_out) == (100, {"words of undefined types": 1})
     words = [words[0], *[9 << 12] * 40, *words[1:]]
     assert "40 of 341 words are of undefined types" in refusal(raw(tmp_path / "b.raw", words))
+
+
+def test_blocks_without_triggers_leave_nothing() -> None:
+    """Assert that memory does not grow with the blocks, of which bags have one a message, where no trigger comes."""
+    low = np.full(4, 6 << 12, "<u2")
+    blocks = ((low, str) for _ in range(20_000))
+    foreign = Foreign("", FRAME, ())
+    first = [(np.array([8 << 12], "<u2"), str)]
+    assert not list(read_prophesee.decoded("evt3", first, foreign, ""))  # compiles
+    tracemalloc.start()
+    assert not list(read_prophesee.decoded("evt3", chain(first, blocks), foreign, ""))
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
 
 
 def test_vectors_are_read(tmp_path: Path) -> None:
