@@ -184,7 +184,8 @@ def decoded(
                 triggers.append(part[4:])
                 kept += count
             else:
-                foreign.left_out["triggers"] = foreign.left_out.get("triggers", 0) + count
+                beyond = f"triggers beyond the first {MOST_TRIGGERS:,}"
+                foreign.left_out[beyond] = foreign.left_out.get(beyond, 0) + count
         if len(part.t):
             yield Columns(*part[:4], partial(at_index, done))
         done += len(part.t)

@@ -229,6 +229,19 @@ def test_a_damaged_word_near_the_start(tmp_path: Path, monkeypatch: pytest.Monke
     assert "40 of 341 words are of undefined types" in refusal(raw(tmp_path / "b.raw", words))
 
 
+def test_triggers_that_are_too_many_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that triggers beyond those that are kept are named as left out, beside those that are kept."""
+    monkeypatch.setattr(read_prophesee, "MOST_TRIGGERS", 5)
+    monkeypatch.setattr(read_prophesee, "BLOCK_BYTES", 20)
+    words = evt3([5000])
+    for number in range(9):
+        words += [0xA << 12 | number & 1, 6 << 12 | 1000 + number, 2 << 12 | 7]
+    imported = read_events(raw(tmp_path / "a.raw", words))
+    (stream,) = imported.streams
+    assert len(stream.t_us) + sum(imported.left_out.values()) == 9
+    assert list(imported.left_out) == ["triggers beyond the first 5"]
+
+
 def test_blocks_without_triggers_leave_nothing() -> None:
     """Assert that memory does not grow with the blocks, of which bags have one a message, where no trigger comes."""
     low = np.full(4, 6 << 12, "<u2")
