@@ -15,7 +15,8 @@ from evetac_cli.text_files import parse_json
 NAME = "evetac"
 # Beyond 2^53 us (285 years) a float no longer holds whole microseconds. Camera clocks that count from 1970 are at 2^51.
 CLOCK_LIMIT_US = 2**53
-LONGEST_SLICES = 24 * 3600 * 1000  # as for any import
+# Of any import, 6 h: an index takes 8 bytes a slice, some copies at a time, and is to stay below 1 GB.
+LONGEST_SLICES = 6 * 3600 * 1000 + 1
 
 
 @dataclass(frozen=True)

@@ -788,6 +788,7 @@ def test_real_pickle_is_not_loaded(tmp_path: Path) -> None:
     [
         {"start_us": 10**300},
         {"start_us": -(1 << 62)},
+        {"slices": 6 * 3600 * 1000 + 2},
         {"events": 1 << 62},
         {"events": -1},
         {"frame_px": [10**300, 480]},

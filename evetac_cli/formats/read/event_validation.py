@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, concatenate
+from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.formats.note import CLOCK_LIMIT_US as CLOCK_LIMIT_US
-from evetac_cli.formats.note import Note
+from evetac_cli.formats.note import LONGEST_SLICES, Note
 from evetac_cli.formats.read import events_on_disk
 from evetac_cli.formats.read.column_times import FLAG, ColumnTimes
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
@@ -25,7 +25,7 @@ from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, T
 from evetac_cli.store.streams import Stream
 
 # Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
-SPAN_LIMIT_US = 6 * 3600 * 1_000_000  # 8 bytes a millisecond, some copies at a time: below 1 GB
+SPAN_LIMIT_US = (LONGEST_SLICES - 1) * SLICE_US
 # uint16 coordinates
 FRAME_LIMIT_PX = 2**16
 MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 in a column without signs
