@@ -26,7 +26,7 @@ class LastWords:
 
     def write(self, text: str) -> None:
         """Replace the text by the first line of another."""
-        self._text.value = text.partition("\n")[0].encode()[: MOST_BYTES - 1]
+        self._text.value = text.partition("\n")[0].encode(errors="backslashreplace")[: MOST_BYTES - 1]
 
     def read(self) -> str:
         """The text; empty before the first."""

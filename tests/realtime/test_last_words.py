@@ -37,6 +37,7 @@ def ends() -> None:
 
 CASES: dict[str, tuple[Callable[..., None], tuple[Any, ...], str]] = {
     "a defect": (divides, (0,), "ZeroDivisionError: integer division or modulo by zero, in test_last_words.py, line"),
+    "a name that is no UTF-8": (fails, (DeviceError("gone", where="a\udcff"),), r"exit code 1: a\udcff: gone"),
     "an end of a pipe": (fails, (EOFError(),), "EOFError"),
     "a broken pipe": (fails, (BrokenPipeError(32, "Broken pipe"),), "BrokenPipeError: [Errno 32] Broken pipe"),
     "memory": (fails, (MemoryError(),), "MemoryError"),
@@ -55,7 +56,7 @@ CASES: dict[str, tuple[Callable[..., None], tuple[Any, ...], str]] = {
 
 @pytest.mark.parametrize("case", few(CASES, "a defect", "an error in words", "os._exit(0)", "many lines", "SIGKILL"))
 def test_how_a_process_ended(case: str) -> None:
-    """Assert that signal, exit code and the last line of a traceback are words_of_exit, and a place in the code."""
+    """Assert that signal, exit code and the last line of a traceback are said, and a place in the code."""
     target, arguments, said = CASES[case]
     words = LastWords()
     process = multiprocessing.get_context("spawn").Process(target=telling, args=(words, target, *arguments))
@@ -68,7 +69,7 @@ def test_how_a_process_ended(case: str) -> None:
 
 
 def test_a_process_that_runs_has_not_ended() -> None:
-    """Assert that nothing is words_of_exit of one that is alive."""
+    """Assert that nothing is said of one that is alive."""
     process = multiprocessing.get_context("spawn").Process(target=signal.pause, daemon=True)
     process.start()
     assert exit_words(process, LastWords(), patience_s=0.0) == ""
