@@ -55,7 +55,7 @@ def test_the_seeds_that_constants_of_the_labels_saw_are_named() -> None:
 def test_grasps_say_how_long_they_lasted() -> None:
     """Assert that the summary's grasps name lift and balance as the table does, and the paper's."""
     title = json.loads((DOCS / "results" / "grasps-shipped.json").read_text())["title"]
-    assert "3.5 s of lift and 1 s of balance" in title
+    assert "3.5 s of lift, 1 s of balance" in title
     (line,) = (one.what for one in results.SUMMARY if one.table == "grasps-shipped" and one.row == {"setting": "paper"})
     assert all(words in line for words in ("3.5 s", "1 s", "10 s", "20 s"))
 

@@ -198,7 +198,7 @@ def _many(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
 
 
 def _text(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
-    size = int(10 ** rng.uniform(2, 7))
+    size = min(int(10 ** rng.uniform(2, 7)), 10**8 // max(1, table.num_rows))  # of all rows, where each has it
     column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(table.num_rows, np.int32)), pa.array(["x" * size]))
     return _put(table, _column(table, rng), column), f"a text of {size} in each row"
 
