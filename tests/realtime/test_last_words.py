@@ -46,7 +46,7 @@ CASES: dict[str, tuple[Callable[..., None], tuple[Any, ...], str]] = {
     "many lines": (fails, (ValueError("one\ntwo\nthree"),), "exit code 1: ValueError: one, in"),
     "a long line": (fails, (ValueError("x" * 10_000),), "ValueError: xxx"),
     "not ASCII": (fails, (ValueError("ä" * 1000),), "ValueError: äää"),
-    "os._exit(0)": (exits, (0,), "exit code 0, without a word"),
+    "os._exit(0)": (exits, (0,), "exit code 0, without a message"),
     "os._exit(7)": (exits, (7,), "exit code 7"),
     "SIGKILL": (is_killed, (signal.SIGKILL,), "SIGKILL"),
     "SIGSEGV": (is_killed, (signal.SIGSEGV,), "SIGSEGV"),

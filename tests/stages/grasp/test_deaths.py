@@ -154,7 +154,7 @@ def dies(what: str) -> None:
 
 DEATHS = {
     "kill": r"\(SIGKILL\)",
-    "exit": r"\(exit code 0, without a word\)",
+    "exit": r"\(exit code 0, without a message\)",
     "raise": r"\(exit code 1: RuntimeError: the pipe could not be written, in test_deaths.py, line \d+\)",
 }
 
@@ -216,7 +216,7 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
     processes = SimpleNamespace(
         slices=MessageReader(slices[0]), steps=MessageReader(steps[0]), now_s=time.monotonic,
         give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None),
-        detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a word",
+        detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a message",
     )  # fmt: skip
     sender = threading.Thread(target=send_on, args=(MessageWriter(slices[1]), slices[1]))
     sender.start()
