@@ -30,7 +30,7 @@ SPAN_LIMIT_US = (LONGEST_SLICES - 1) * SLICE_US
 FRAME_LIMIT_PX = 2**16
 MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 in a column without signs
 SMALL_BATCH = 1 << 16  # events
-LIT_EVENTS = 1 << 20  # of so many events, which pixels they came from is kept
+LIT_EVENTS = 1 << 18  # of so many events, which pixels they came from is kept
 LIT_PIXELS = 1 << 24  # of larger frames, several pixels count as one
 
 
@@ -229,7 +229,7 @@ class _Seen:
         """Remember which values stand for polarity; all of them are known ones."""
         if p.dtype.kind == "b" or not len(p):
             return
-        codes = (0, 1) if p.min() >= 0 and p.max() <= 1 else (-1, 0, 1, *MINUS_ONES)
+        codes = (0, 1) if (p.dtype.kind == "u" or p.min() >= 0) and p.max() <= 1 else (-1, 0, 1, *MINUS_ONES)
         self._polarities.update(code for code in codes if code not in self._polarities and (p == code).any())
 
     def check_polarities(self, where: str) -> None:
