@@ -27,6 +27,7 @@ BATCH_ROWS = 1 << 16
 BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
 MOST_COLUMNS = 512
 MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
+MOST_GROUPS = 50_000  # of a Parquet file: so many take 400 MB and seconds by themselves
 NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
 MOST_US = 1 << 60  # 36,000 years: two such times can be added
@@ -256,15 +257,13 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches]:
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
     """Names and types of the columns, and what reads some of them, which are no lists and no tables, in batches."""
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(path) as file:
+    with _parquet_file(path, str(path)) as file:
         schema = file.schema_arrow
     first = list(accumulate(map(_leaves, schema.types), initial=0))  # column in the file of each of the schema's
 
     def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
         columns = [first[at] for at in wanted]
-        with parquet.ParquetFile(path) as file:
+        with _parquet_file(path, where) as file:
             _check_size(path, file.metadata, columns, where)
             place = {at: number for number, at in enumerate(sorted(columns))}  # in a batch they stand as in the file
             groups = range(file.metadata.num_row_groups)
@@ -272,6 +271,21 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
                 yield batch.select([place[at] for at in columns])
 
     return list(schema.names), list(schema.types), batches
+
+
+def _parquet_file(path: Path, where: str) -> Any:
+    """The file, whose footer is read; InputError where that lists so much that it alone would take all memory."""
+    from pyarrow import parquet
+
+    try:
+        return parquet.ParquetFile(path, thrift_container_size_limit=MOST_GROUPS)
+    except OSError as error:
+        if "size limit" not in str(error):
+            raise
+        expected = f"at most {MOST_GROUPS:,} row groups, and as many columns"
+        raise InputError(
+            "too many row groups", where=where, expected=expected, hint="write it again in larger groups"
+        ) from None
 
 
 def _leaves(kind: Any) -> int:
