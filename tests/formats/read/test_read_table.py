@@ -52,7 +52,7 @@ def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
 def test_a_footer_of_very_many_groups_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a table that lists more row groups than memory should hold is refused in words, and one below not."""
     path = written(tmp_path / "a.parquet", {"t_ms": np.arange(60), "x": np.zeros(60)}, row_group_size=1)
-    assert len(read(path).columns) == 2
+    assert len(read(path).columns) == 1
     monkeypatch.setattr(read_table, "MOST_GROUPS", 50)
     with pytest.raises(InputError, match=r"too many row groups(.|\n)*at most 50 row groups"):
         read(path)
