@@ -84,7 +84,7 @@ def run(words: str, name: str) -> Any:
     return json.loads(result.stdout)
 
 
-@pytest.mark.parametrize("folder", few(NAMES, "no UTF-8", "a line and a sign"), indirect=True)
+@pytest.mark.parametrize("folder", few(NAMES, "no UTF-8"), indirect=True)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_work_with_odd_names(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that each reads and writes them, that names come back as they are, and that what is written is valid."""
