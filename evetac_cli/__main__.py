@@ -26,9 +26,8 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, interrupt)
     try:
-        signal.pthread_sigmask(
-            signal.SIG_UNBLOCK, {signal.SIGINT}
-        )  # whoever started this may have held it back till now
+        # Whoever started this may have held it back till now.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         from evetac_cli.cli.main import main as run
 
         if came:
