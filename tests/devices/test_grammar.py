@@ -68,7 +68,7 @@ def opened_or_refused(camera: cameras.NamedCamera) -> None:
 
 
 @given(options=option_texts())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_what_a_camera_is_named_opens_or_is_refused(options: str) -> None:
     """Assert that a text with any numbers is an InputError that says what is expected, or a camera that opens."""
     try:
