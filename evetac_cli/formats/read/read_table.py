@@ -5,6 +5,7 @@ one. The column of times is found by its name, its unit by the name, the type, o
 which. What is no number is left out, and named.
 """
 
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
 MOST_COLUMNS = 512
 MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
 MOST_GROUPS = 50_000  # of a Parquet file: so many take 400 MB and seconds by themselves
+MOST_FOOTER_BYTES = 1 << 26  # of a Parquet file: pyarrow takes ten times as much for it
 NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
 MOST_US = 1 << 60  # 36,000 years: two such times can be added
@@ -277,15 +279,25 @@ def _parquet_file(path: Path, where: str) -> Any:
     """The file, whose footer is read; InputError where that lists so much that it alone would take all memory."""
     from pyarrow import parquet
 
+    hint = "write it again in larger row groups, of fewer columns"
+    if (footer := _footer_bytes(path)) > MOST_FOOTER_BYTES:
+        expected, found = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
+        raise InputError("too many row groups and columns", where=where, expected=expected, found=found, hint=hint)
     try:
         return parquet.ParquetFile(path, thrift_container_size_limit=MOST_GROUPS)
     except OSError as error:
         if "size limit" not in str(error):
             raise
         expected = f"at most {MOST_GROUPS:,} row groups, and as many columns"
-        raise InputError(
-            "too many row groups", where=where, expected=expected, hint="write it again in larger groups"
-        ) from None
+        raise InputError("too many row groups", where=where, expected=expected, hint=hint) from None
+
+
+def _footer_bytes(path: Path) -> int:
+    """How large the footer is, as the file's end says; 0 where it does not end as Parquet does."""
+    with open_regular(path) as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 8))
+        end = file.read(8)
+    return int.from_bytes(end[:4], "little") if end[4:] == PARQUET else 0
 
 
 def _leaves(kind: Any) -> int:

@@ -139,7 +139,7 @@ def damage_parquet(path: Path, rng: Rng) -> str:
             return "large already"
         change = PARQUET[rng.integers(len(PARQUET))]
         table, said = change(table, rng)
-        pq.write_table(table, path, **_options(rng, table.num_rows))
+        pq.write_table(table, path, **_options(rng, table.num_rows * table.num_columns // 4))
     except (pa.ArrowException, OSError, ValueError, TypeError, NotImplementedError) as error:
         return f"not possible ({type(error).__name__})"
     return said

@@ -56,6 +56,9 @@ def test_a_footer_of_very_many_groups_is_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(read_table, "MOST_GROUPS", 50)
     with pytest.raises(InputError, match=r"too many row groups(.|\n)*at most 50 row groups"):
         read(path)
+    monkeypatch.setattr(read_table, "MOST_FOOTER_BYTES", 1 << 10)
+    with pytest.raises(InputError, match=r"row groups and columns(.|\n)*a footer of at most"):
+        read(path)
 
 
 def test_a_text_is_not_read(tmp_path: Path) -> None:
