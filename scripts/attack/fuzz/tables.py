@@ -119,6 +119,8 @@ def _instead(place: Path, rng: Rng) -> str:
 def _bytes(place: Path, rng: Rng) -> str:
     from mutations import damage_bytes
 
+    if not place.is_file():  # a pipe of an earlier change would be waited for
+        return "nothing"
     return damage_bytes(place, rng)
 
 
