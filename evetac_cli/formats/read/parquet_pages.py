@@ -1,18 +1,72 @@
-"""How many bytes the pages of a Parquet file unpack to, from the headers that stand before them.
+"""How many bytes the pages of a Parquet file unpack to: where its footer says that they are, from their own headers.
 
-Why so: the footer says it too, but says whatever its author wrote, and pyarrow takes the memory that a page announces.
-The header of a page cannot lie about it: what unpacks to anything else than it says is refused.
+Why so: the footer says sizes too, but says whatever its author wrote, and pyarrow takes what a page announces.
+The header of a page cannot lie about it: what unpacks to anything else than it says is refused. The footer is read here
+too, since pyarrow ends the program (terminate called) where it is asked for a column whose metadata it does not like.
 
-Source: Apache Parquet's thrift file, PageHeader, in Thrift's compact protocol.
+Source: Apache Parquet's thrift file, FileMetaData and PageHeader, in Thrift's compact protocol.
 """
 
-from collections.abc import Iterator
-from typing import BinaryIO
+from collections.abc import Iterator, Mapping
+from typing import Any, BinaryIO, NamedTuple
 
+MAGIC = b"PAR1"
 MOST_HEADER_BYTES = 1 << 16  # with the least and the greatest value of the page; of numbers they take 100
-MOST_DEPTH = 8
+MOST_DEPTH = 20
 TRUE, FALSE, BYTE, I16, I32, I64, DOUBLE, BINARY, LIST, SET, MAP, STRUCT = range(1, 13)
 UNPACKED, PACKED = 2, 3  # fields of a PageHeader, in bytes
+ROWS, GROUPS, COLUMNS, CHUNK = 3, 4, 1, 3  # of FileMetaData and of a RowGroup; of both; of a RowGroup; of a ColumnChunk
+VALUES, CHUNK_PACKED, DATA_AT, DICTIONARY_AT = 5, 7, 9, 11  # of its ColumnMetaData
+NUMBER: Mapping[int, Any] = {}
+WANTED = {
+    ROWS: NUMBER,
+    GROUPS: {ROWS: NUMBER, COLUMNS: {CHUNK: dict.fromkeys((VALUES, CHUNK_PACKED, DATA_AT, DICTIONARY_AT), NUMBER)}},
+}
+
+
+class Chunk(NamedTuple):
+    """A column of a row group: its values, where its pages begin, and how many bytes they are."""
+
+    values: int
+    first: int
+    packed: int
+
+
+class RowGroup(NamedTuple):
+    """The rows of a group, and its columns."""
+
+    rows: int
+    chunks: tuple[Chunk, ...]
+
+
+def footer_bytes(file: BinaryIO) -> int:
+    """How large the footer is, as the file's end says; 0 where it does not end as Parquet does."""
+    file.seek(max(0, file.seek(0, 2) - 8))
+    end = file.read(8)
+    return int.from_bytes(end[:4], "little") if end[4:] == MAGIC else 0
+
+
+def row_groups(file: BinaryIO) -> list[RowGroup]:
+    """The row groups that the footer lists; ValueError for a footer that is none."""
+    size = footer_bytes(file)
+    if not size or file.seek(0, 2) < size + 8:
+        raise ValueError("no footer")
+    file.seek(-size - 8, 2)
+    try:
+        listed, _ = _read(file.read(size), 0, STRUCT, WANTED, MOST_DEPTH)
+        return [_group(group) for group in listed.get(GROUPS, [])]
+    except (KeyError, TypeError) as error:
+        raise ValueError("a footer that lacks what every footer has") from error
+
+
+def _group(group: Mapping[int, Any]) -> RowGroup:
+    return RowGroup(group[ROWS], tuple(_chunk(column[CHUNK]) for column in group[COLUMNS]))
+
+
+def _chunk(found: Mapping[int, int]) -> Chunk:
+    """Where a column has a table of its values, that is its first page."""
+    first = min(filter(None, (found.get(DICTIONARY_AT), found[DATA_AT])), default=0)
+    return Chunk(found[VALUES], first, found[CHUNK_PACKED])
 
 
 def unpacked_bytes(file: BinaryIO, first: int, packed: int) -> Iterator[int]:
@@ -41,6 +95,44 @@ def _page_header(data: bytes) -> tuple[dict[int, int], int]:
             fields[field] = (number >> 1) ^ -(number & 1)
         else:
             at = _skip(data, at, kind, MOST_DEPTH)
+
+
+def _read(data: bytes, at: int, kind: int, wanted: Mapping[int, Any] | None, depth: int) -> tuple[Any, int]:
+    """A value and where it ends: a number, a list, or the wanted fields of a struct; None for what is not wanted."""
+    if wanted is None:
+        return None, _skip(data, at, kind, depth)
+    if not depth:
+        raise ValueError("a footer that is nested too deeply")
+    if kind in (I16, I32, I64):
+        number, at = _varint(data, at)
+        return (number >> 1) ^ -(number & 1), at
+    if kind == STRUCT:
+        fields: dict[int, Any] = {}
+        field = 0
+        while True:
+            at, field, inner = _field(data, at, field)
+            if not inner:
+                return fields, at
+            value, at = _read(data, at, inner, wanted.get(field), depth - 1)
+            if value is not None:
+                fields[field] = value
+    if kind in (LIST, SET):
+        count, inner, at = _list(data, at)
+        values = []
+        for _ in range(count):
+            value, at = _read(data, at, inner, wanted, depth - 1)
+            values.append(value)
+        return values, at
+    raise ValueError(f"a value of kind {kind}")
+
+
+def _list(data: bytes, at: int) -> tuple[int, int, int]:
+    """How many values a list has, of which kind, and where they begin."""
+    head, at = _byte(data, at)
+    count, kind = head >> 4, head & 15
+    if count == 15:
+        count, at = _varint(data, at)
+    return _within(data, count), kind, at
 
 
 def _field(data: bytes, at: int, before: int) -> tuple[int, int, int]:
@@ -74,11 +166,8 @@ def _skip(data: bytes, at: int, kind: int, depth: int) -> int:
                 return at
             at = _skip(data, at, inner, depth - 1)
     if kind in (LIST, SET):
-        head, at = _byte(data, at)
-        count, inner = head >> 4, head & 15
-        if count == 15:
-            count, at = _varint(data, at)
-        for _ in range(_within(data, count)):
+        count, inner, at = _list(data, at)
+        for _ in range(count):
             at = _skip(data, at, BYTE if inner in (TRUE, FALSE) else inner, depth - 1)
         return at
     raise ValueError(f"a value of kind {kind}")  # a page header has no map

@@ -5,7 +5,6 @@ one. The column of times is found by its name, its unit by the name, the type, o
 which. What is no number is left out, and named.
 """
 
-import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,19 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.formats.read.parquet_pages import unpacked_bytes
+from evetac_cli.formats.read.parquet_pages import MAGIC, RowGroup, footer_bytes, row_groups, unpacked_bytes
 from evetac_cli.formats.read.unpacked_size import refuse_too_much
 from evetac_cli.store.disk import joined_on_disk, utf8_path
 from evetac_cli.store.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
 
-PARQUET = b"PAR1"
 BATCH_ROWS = 1 << 16
 BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
 MOST_COLUMNS = 512
 MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
 MOST_GROUPS = 50_000  # of a Parquet file: so many take 400 MB and seconds by themselves
-MOST_FOOTER_BYTES = 1 << 26  # of a Parquet file: pyarrow takes ten times as much for it
+MOST_FOOTER_BYTES = 1 << 23  # of a Parquet file, which take seconds; those of 500 columns and 100 groups are smaller
 NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
 MOST_US = 1 << 60  # 36,000 years: two such times can be added
@@ -62,7 +60,7 @@ class _Times(NamedTuple):
 def is_parquet(path: Path) -> bool:
     """Whether a file begins as Parquet does."""
     with open_regular(path) as file:
-        return file.read(len(PARQUET)) == PARQUET
+        return file.read(len(MAGIC)) == MAGIC
 
 
 def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
@@ -266,7 +264,7 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
     def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
         columns = [first[at] for at in wanted]
         with _parquet_file(path, where) as file:
-            _check_size(path, file.metadata, columns, where)
+            _check_size(path, columns, where)
             place = {at: number for number, at in enumerate(sorted(columns))}  # in a batch they stand as in the file
             groups = range(file.metadata.num_row_groups)
             for batch in file.reader.iter_batches(BATCH_ROWS, groups, columns, use_threads=False):
@@ -280,7 +278,9 @@ def _parquet_file(path: Path, where: str) -> Any:
     from pyarrow import parquet
 
     hint = "write it again in larger row groups, of fewer columns"
-    if (footer := _footer_bytes(path)) > MOST_FOOTER_BYTES:
+    with open_regular(path) as opened:
+        footer = footer_bytes(opened)
+    if footer > MOST_FOOTER_BYTES:
         expected, found = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
         raise InputError("too many row groups and columns", where=where, expected=expected, found=found, hint=hint)
     try:
@@ -292,43 +292,29 @@ def _parquet_file(path: Path, where: str) -> Any:
         raise InputError("too many row groups", where=where, expected=expected, hint=hint) from None
 
 
-def _footer_bytes(path: Path) -> int:
-    """How large the footer is, as the file's end says; 0 where it does not end as Parquet does."""
-    with open_regular(path) as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - 8))
-        end = file.read(8)
-    return int.from_bytes(end[:4], "little") if end[4:] == PARQUET else 0
-
-
 def _leaves(kind: Any) -> int:
     """How many columns of the file a column of the schema is: a table in a column is several."""
     return sum(_leaves(kind.field(at).type) for at in range(kind.num_fields)) if kind.num_fields else 1
 
 
-def _check_size(path: Path, metadata: Any, columns: Sequence[int], where: str) -> None:
+def _check_size(path: Path, columns: Sequence[int], where: str) -> None:
     """InputError unless columns of a Parquet file unpack to what memory holds, and to what a file of its size may."""
-    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    rows = max(metadata.num_rows, sum(max(group.num_rows, *_values(group, columns)) for group in groups))
-    refuse_too_much(rows * len(columns) * NUMBER_BYTES, path.stat().st_size, where)
     with open_regular(path) as file:
-        for group in groups:
-            try:
-                pages = sum(sum(_pages(file, group.column(at))) for at in columns)
-            except ValueError as error:
-                raise InputError("the table cannot be read", where=where, found=str(error)) from None
-            if pages > MOST_GROUP_BYTES:
-                expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{pages / 1e6:,.0f} MB"
-                raise InputError("its row groups are too large", where=where, expected=expected, found=size_mb)
+        try:
+            groups = row_groups(file)
+            rows = sum(max(group.rows, *(group.chunks[at].values for at in columns)) for group in groups)
+            refuse_too_much(rows * len(columns) * NUMBER_BYTES, path.stat().st_size, where)
+            pages = max((_unpacked(file, group, columns) for group in groups), default=0)
+        except (ValueError, IndexError) as error:
+            raise InputError("the table cannot be read", where=where, found=str(error)) from None
+    if pages > MOST_GROUP_BYTES:
+        expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{pages / 1e6:,.0f} MB"
+        raise InputError("its row groups are too large", where=where, expected=expected, found=size_mb)
 
 
-def _values(group: Any, columns: Sequence[int]) -> list[int]:
-    return [group.column(at).num_values for at in columns]
-
-
-def _pages(file: BinaryIO, chunk: Any) -> Iterator[int]:
-    """What each page of a column unpacks to; the first may be a table of its values."""
-    first = min(filter(None, (chunk.dictionary_page_offset, chunk.data_page_offset)), default=0)
-    return unpacked_bytes(file, first, chunk.total_compressed_size)
+def _unpacked(file: BinaryIO, group: RowGroup, columns: Sequence[int]) -> int:
+    """What the pages of columns of a group unpack to."""
+    return sum(sum(unpacked_bytes(file, group.chunks[at].first, group.chunks[at].packed)) for at in columns)
 
 
 def _some(names: list[str]) -> str:

@@ -103,13 +103,37 @@ def test_pages_say_what_they_unpack_to(tmp_path: Path) -> None:
         )
         metadata = pq.read_metadata(path)
         with path.open("rb") as file:
-            for group in range(metadata.num_row_groups):
-                for at in range(2):
-                    chunk = metadata.row_group(group).column(at)
-                    pages = list(read_table._pages(file, chunk))
-                    headers = chunk.total_uncompressed_size - sum(pages)
+            groups = parquet_pages.row_groups(file)
+            assert len(groups) == metadata.num_row_groups
+            for number, group in enumerate(groups):
+                assert group.rows == metadata.row_group(number).num_rows
+                for at, chunk in enumerate(group.chunks):
+                    said = metadata.row_group(number).column(at)
+                    assert (chunk.values, chunk.packed) == (said.num_values, said.total_compressed_size)
+                    pages = list(parquet_pages.unpacked_bytes(file, chunk.first, chunk.packed))
+                    headers = said.total_uncompressed_size - sum(pages)
                     assert pages and 0 < headers < 200 * len(pages)
         assert read(path).columns["x"].tolist() == X.tolist()
+
+
+def test_a_footer_that_pyarrow_ends_the_program_for(tmp_path: Path) -> None:
+    """Assert that a footer with a byte changed is refused or read, in a process that goes on, wherever the byte is."""
+    path = written(tmp_path / "a.parquet", {"t_ms": np.arange(60), "x": np.zeros(60)})
+    content = path.read_bytes()
+    size = int.from_bytes(content[-8:-4], "little")
+    program = (
+        "import sys; from pathlib import Path; from evetac_cli.errors import InputError\n"
+        "from evetac_cli.formats.read.read_table import read_table\n"
+        "content, size = Path(sys.argv[1]).read_bytes(), int(sys.argv[2])\n"
+        "for at in range(len(content) - size - 8, len(content) - 8, 3):\n"
+        "    damaged = bytearray(content); damaged[at] ^= 1\n"
+        "    Path(sys.argv[3]).write_bytes(damaged)\n"
+        "    try: read_table(Path(sys.argv[3]), None)\n"
+        "    except InputError: pass\n"
+    )
+    command = [sys.executable, "-c", program, str(path), str(size), str(tmp_path / "b.parquet")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env={"PYTHONPATH": str(PACKAGE.parent)})
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_footer_that_lies_about_its_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
