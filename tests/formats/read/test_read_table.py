@@ -105,10 +105,10 @@ def test_pages_say_what_they_unpack_to(tmp_path: Path) -> None:
         with path.open("rb") as file:
             groups = parquet_pages.row_groups(file)
             assert len(groups) == metadata.num_row_groups
-            for number, group in enumerate(groups):
-                assert group.rows == metadata.row_group(number).num_rows
+            for place, group in enumerate(groups):
+                assert group.rows == metadata.row_group(place).num_rows
                 for at, chunk in enumerate(group.chunks):
-                    said = metadata.row_group(number).column(at)
+                    said = metadata.row_group(place).column(at)
                     assert (chunk.values, chunk.packed) == (said.num_values, said.total_compressed_size)
                     pages = list(parquet_pages.unpacked_bytes(file, chunk.first, chunk.packed))
                     headers = said.total_uncompressed_size - sum(pages)
