@@ -20,8 +20,8 @@ from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.sim import scene
-from evetac_cli.sim.object_file import seed_of
+from evetac_cli.sim.setup.object_file import seed_of
+from evetac_cli.sim.setup.plan import plans
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.record import SCENE_KINDS, simulated
 from evetac_cli.stages.slip_detectors import why_useless
@@ -279,9 +279,9 @@ def simulate(
     >>> trial.dot_xy_px.shape, int(trial.truth["truth/slip"])
     ((7, 8, 2), 0)
     """
-    plan = scene.plan(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout, solver=solver)[0]
-    built = scene.for_trial(plan, (seed, seed_of(plan["object"]), 0))
-    return Simulation(SimulatedTrial((), Path(), 0, seed, built))
+    first = plans(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout, solver=solver)[0]
+    plan = first.of_trial((seed, seed_of(first.called), 0))
+    return Simulation(SimulatedTrial((), Path(), 0, seed, plan))
 
 
 def objects() -> dict[int, dict[str, Any]]:

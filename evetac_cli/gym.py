@@ -13,6 +13,7 @@ kind lift, with the agent in the controller's place.
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,9 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.sim import scene as scenes
 from evetac_cli.sim.grasp_outcome import LIFTED_MM
+from evetac_cli.sim.setup.plan import plans
+from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.stages.grasp.loop import Timing, grasp_slices
 from evetac_cli.store.files import StageFile
 
@@ -102,11 +104,13 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         kernel_cache.settle_for_this_process()
         from evetac_cli.sim.camera.gel_camera import dot_grid  # builds on numba, which has to know its cache first
 
-        self._plans = {plan["object"]: plan for plan in scenes.plan(scene, objects, sensor, ("lift",), gel)}
-        plan = next(iter(self._plans.values()))
-        _vary(plan["scene"], mass_factor, hand_mm_s, lift_s)
+        self._plans = {
+            each.called: replace(each, scene=_varied(each.scene, mass_factor, hand_mm_s, lift_s))
+            for each in plans(scene, objects, sensor, ("lift",), gel)
+        }
+        plan = next(iter(self._plans.values())).of_trial((0,))
         self._durations = {"lift_s": float(lift_s), "balance_s": float(balance_s)}
-        touch_s = float(plan["scene"]["time"]["touch_s"])
+        touch_s = plan.scene.time.touch_s
         touch_ms, lift_ms, balance_ms = (round(1000 * each) for each in (touch_s, lift_s, balance_s))
         self._timing = Timing(touch_ms, lift_ms, balance_ms, control_hz)
         if self._timing.balance_ms < 0:
@@ -117,8 +121,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 "unknown value", where="render_mode", expected="rgb_array, or None", found=f"{render_mode}"
             )
         self.render_mode = render_mode
-        row = scenes.for_trial(plan, (0,))["sensor_row"]
-        dots = dot_grid(row, plan["scene"]["gel"]["cut"]).reshape(-1, 2).shape[0]
+        dots = dot_grid(plan.sensor, plan.scene.gel.cut).reshape(-1, 2).shape[0]
         self.action_space = spaces.Box(0.0, 1.0, (1,), np.float32)
         self.observation_space = spaces.Dict(  # type: ignore[assignment]
             {
@@ -150,8 +153,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             if called not in self._plans:
                 listed = ", ".join(map(str, self._plans))
                 raise InputError("not among the objects", where="options", expected=listed, found=f"{called}")
-        plan = scenes.for_trial(self._plans[called], seeds)
-        self._mm_per_px = float(plan["sensor_row"]["mm_per_px"])
+        plan = self._plans[called].of_trial(seeds)
+        self._mm_per_px = plan.sensor.mm_per_px
         devices = rig(plan, np.random.SeedSequence(seeds), **self._durations)
         assert isinstance(devices.gripper, SimulatedGripper)
         self._gripper = devices.gripper
@@ -255,24 +258,27 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._playing = None
 
 
-def _vary(scene: dict[str, Any], mass_factor: tuple[float, float], hand_mm_s: float, lift_s: float) -> None:
-    """Change mass and hand of a scene; InputError where the hand would not be up by the end of the lift."""
+def _varied(scene: Scene, mass_factor: tuple[float, float], hand_mm_s: float, lift_s: float) -> Scene:
+    """The scene with other masses and another hand; InputError where it would not be up by the end of the lift."""
     low, high = mass_factor
     if not 0.01 <= low <= high <= 100.0:
         expected = "0.01 <= low <= high <= 100"
         raise InputError("not a range", where="mass_factor", expected=expected, found=f"{mass_factor}")
-    scene["randomise"]["mass"] = [float(low), float(high)]
-    hand, time = scene["hand"], scene["time"]
     if not 1.0 <= hand_mm_s <= 1000.0:
         what = "too fast" if hand_mm_s > 1000.0 else "too slow"
         raise InputError(what, where="hand_mm_s", expected="1 to 1000 mm/s", found=f"{hand_mm_s} mm/s")
-    hand["acceleration_mm_s2"] *= hand_mm_s / hand["speed_mm_s"]  # it starts in as short a time
-    hand["speed_mm_s"] = float(hand_mm_s)
-    up_s = hand["height_mm"] / hand_mm_s + hand_mm_s / hand["acceleration_mm_s2"] + time.get("before_rise_s", 0.0)
+    hand = scene.hand
+    starts_mm_s2 = hand.acceleration_mm_s2 * (hand_mm_s / hand.speed_mm_s)  # it starts in as short a time
+    up_s = hand.height_mm / hand_mm_s + hand_mm_s / starts_mm_s2 + scene.time.before_rise_s
     if not up_s <= lift_s <= 600.0:
         expected = f"{up_s:.4g} s, the time that the hand takes to rise, to 600 s"
         what = "too long" if lift_s > 600.0 else "too short"
         raise InputError(what, where="lift_s", expected=expected, found=f"{lift_s} s")
+    return replace(
+        scene,
+        randomise=replace(scene.randomise, mass=(float(low), float(high))),
+        hand=replace(hand, speed_mm_s=float(hand_mm_s), acceleration_mm_s2=starts_mm_s2),
+    )
 
 
 gymnasium.register("evetac/Lift-v0", entry_point="evetac_cli.gym:LiftEnv")

@@ -3,9 +3,8 @@
 Whoever moves a gripper comes through here, or through `require_arm` alone: the one place that asks for --arm.
 """
 
-from collections.abc import Mapping
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from evetac_cli.devices import Rig
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import Mode, NamedGripper
 from evetac_cli.errors import InputError
+from evetac_cli.sim.setup.plan import Plan
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.gripper import VirtualGripper
@@ -41,7 +41,7 @@ def require_arm(gripper: NamedGripper, *, armed: bool, plan: str = "", hint: str
 def open_peers(
     camera: NamedCamera,
     gripper: NamedGripper,
-    plan: Mapping[str, Any] | None,
+    plan: Plan | None,
     seeds: np.random.SeedSequence,
     opened: ExitStack,
     *,
@@ -71,7 +71,7 @@ def open_rig(
     camera: NamedCamera,
     gripper: NamedGripper,
     settings: CameraSettings,
-    plan: Mapping[str, Any] | None,
+    plan: Plan | None,
     seeds: np.random.SeedSequence,
     *,
     armed: bool = False,

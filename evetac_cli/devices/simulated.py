@@ -10,15 +10,10 @@ import numpy as np
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.scene import sensitivity
+from evetac_cli.sim.scenes.building import Simulation, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.scenes.pressing import Pressing
-from evetac_cli.sim.scenes.rubbing import Rubbing
-from evetac_cli.sim.scenes.vibrating import Vibration
-
-DRIVEN_SCENES = {"press": Pressing, "rub": Rubbing, "tone": Vibration}  # kinds of scene without a gripper
-
-Simulation = GraspSimulation | Pressing | Vibration
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sensor import Sensor
 
 
 class SimulatedCamera:
@@ -26,16 +21,16 @@ class SimulatedCamera:
 
     counted: Mapping[str, int] = MappingProxyType({})
 
-    def __init__(self, simulation: Simulation, scene: str, name: str, sensor_row: Mapping[str, Any]) -> None:
+    def __init__(self, simulation: Simulation, scene: str, name: str, sensor: Sensor) -> None:
         self._simulation: Simulation | None = simulation
         self._scene = scene
         self._now_us = 0
         self.sensor: Mapping[str, Any] = {
-            "sensor/frame_px": np.array(sensor_row["frame_px"], np.int32),
+            "sensor/frame_px": np.array(sensor.frame_px, np.int32),
             "sensor/name": name,
             "sensor/dot_xy_px": simulation.gel_camera.calibrated_grid_xy_px,
-            "sensor/dot_radius_px": np.float64(sensor_row["dot_radius_px"]),
-            **{f"sensor/{name}": np.float64(value) for name, value in sensitivity(sensor_row).known().items()},
+            "sensor/dot_radius_px": np.float64(sensor.dot_radius_px),
+            **{f"sensor/{name}": np.float64(value) for name, value in sensor.sensitivity().known().items()},
         }
         if simulation.gel_camera.window_px is not None:
             self.sensor = {**self.sensor, "sensor/window_px": np.array(simulation.gel_camera.window_px, np.int32)}
@@ -83,12 +78,12 @@ class SimulatedGripper:
         self.simulation.command = ("current", 0)
 
 
-def rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, **durations: float) -> Rig:
+def rig(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Rig:
     """Build the devices of a simulated trial; mechanics and optics draw from random streams of their own.
 
     durations: lift_s and balance_s of a scene in which an object is lifted. SceneError if nothing can be made of it.
     """
-    with _scene_in_words(plan["scene"]["name"]):
+    with _scene_in_words(plan.scene.name):
         return _rig(plan, seeds, durations)
 
 
@@ -101,23 +96,19 @@ def _scene_in_words(scene: str) -> Iterator[None]:
         raise SceneError(f"cannot be simulated: {error}", where=f"scene {scene}") from error
 
 
-def _rig(plan: Mapping[str, Any], seeds: np.random.SeedSequence, durations: Mapping[str, float]) -> Rig:
-    mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
-    named = plan["scene"]["name"], plan["sensor"], plan["sensor_row"]
-    driven = DRIVEN_SCENES.get(plan["scene"]["kind"])
-    if driven is not None:
-        trial = driven(plan, mechanics, optics)
-        camera = SimulatedCamera(trial, *named)
-        return Rig(camera, None, camera, trial.truth, slices=trial.slices_in_all, sampled=trial.sampled.as_json())
-    simulation = GraspSimulation(plan, mechanics, optics, **durations)
-    camera = SimulatedCamera(simulation, *named)
+def _rig(plan: Plan, seeds: np.random.SeedSequence, durations: Mapping[str, float]) -> Rig:
+    simulation = simulation_of(plan, seeds, **durations)
+    camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
+    slices, sampled = simulation.slices_in_all, simulation.sampled.as_json()
+    if not isinstance(simulation, GraspSimulation):
+        return Rig(camera, None, camera, simulation.truth, slices=slices, sampled=sampled)
     return Rig(
         camera,
         SimulatedGripper(simulation),
         camera,
         simulation.truth,
         simulation.holding_ma(),
-        simulation.slices_in_all,
+        slices,
         simulation.slips_at_ma(),
-        simulation.sampled.as_json(),
+        sampled,
     )

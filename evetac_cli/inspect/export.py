@@ -15,7 +15,7 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.params.inspection import Export
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import model_file
-from evetac_cli.sim.scene import numbers
+from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 

@@ -1,9 +1,14 @@
 """Scenes with one extreme or unpleasant part, a line each: tables that `evaluate stability` merges into a scene."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-Plan = dict[str, Any]
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.scene_file import merged
+from evetac_cli.sim.setup.tables import as_table, build
+
 Tables = Mapping[str, Mapping[str, Any]]
 
 # Into the scene `slip`, which the dot tracker follows: the weight is handed over from 0.2 to 0.5 s, and the current
@@ -54,9 +59,8 @@ MORE_LIFTS: dict[str, Tables] = {  # with --full
 
 
 def merge(plan: Plan, *changes: Tables) -> Plan:
-    """A plan whose scene has these tables beside or instead of its own; neither is changed."""
-    scene = dict(plan["scene"])
+    """A plan whose scene has these tables beside or instead of its own; their values may be out of all ranges."""
+    scene = as_table(plan.scene)
     for tables in changes:
-        for name, table in tables.items():
-            scene[name] = {**scene.get(name, {}), **table}
-    return {**plan, "scene": scene}
+        scene = merged(scene, tables)
+    return replace(plan, scene=build(Scene, scene))

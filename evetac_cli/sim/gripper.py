@@ -19,16 +19,15 @@ damping and for no mass.
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
-from evetac_cli.sim.sampling import GRIPPER_FAULTS
+from evetac_cli.sim.setup.sensor import SensorGripper
 
 Mode = Literal["position", "current"]
 
@@ -37,8 +36,6 @@ LINK_PAIR_M = 0.114
 LINK_OFFSET_M = 0.0061
 START_RAD = math.radians(60.0)
 TICK_RAD = math.radians(0.088)
-
-NOT_OF_DRIVE = ("finger_stiffness_n_m", *GRIPPER_FAULTS)  # what a row says of the gripper beside its drive
 
 
 @dataclass(frozen=True)
@@ -77,22 +74,32 @@ class Drive:
             raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
 
 
-def make_drive(sensor_row: Mapping[str, Any], friction_factor: float = 1.0, backlash_ticks: float = 0.0) -> Drive:
-    """The drive of a sensor's gripper: `Drive` but for what its row's `gripper` names and what a scene adds.
+def make_drive(own: SensorGripper, friction_factor: float = 1.0, backlash_ticks: float = 0.0) -> Drive:
+    """The drive of a sensor's gripper: `Drive` but for what is its own and what a scene adds.
 
     servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
     gain_ma_tick and friction_n, because they are what a gripper shows; friction_factor then multiplies the friction.
     ValueError as from `Drive`.
     """
-    named = {key: value for key, value in sensor_row.get("gripper", {}).items() if key not in NOT_OF_DRIVE}
-    friction_factor *= named.pop("friction_factor", 1.0)
-    if "servo_n_tick" in named:
-        servo_n_tick = named.pop("servo_n_tick")
-        force_per_current = named.get("force_per_current_n_ma", Drive.force_per_current_n_ma)
-        named["gain_ma_tick"] = servo_n_tick / force_per_current
-        named["friction_n"] = 2 * servo_n_tick - named.pop("two_ticks_n")
-    drive = Drive(**named)
-    return replace(drive, friction_n=drive.friction_n * friction_factor, backlash_ticks=backlash_ticks)
+    drive = Drive(**{name: value for name in OF_DRIVE if (value := getattr(own, name)) is not None})
+    if own.servo_n_tick is not None and own.two_ticks_n is not None:
+        gain = own.servo_n_tick / drive.force_per_current_n_ma
+        drive = replace(drive, gain_ma_tick=gain, friction_n=2 * own.servo_n_tick - own.two_ticks_n)
+    friction_n = drive.friction_n * (friction_factor * own.friction_factor)
+    return replace(drive, friction_n=friction_n, backlash_ticks=backlash_ticks)
+
+
+# What a sensor may say of its gripper's drive, each in place of the usual value; its other keys are no part of it.
+OF_DRIVE = (
+    "force_per_current_n_ma",
+    "gain_ma_tick",
+    "friction_n",
+    "friction_share",
+    "damping_n_s_m",
+    "mass_kg",
+    "speed_limit_m_s",
+    "current_limit_ma",
+)
 
 
 @dataclass

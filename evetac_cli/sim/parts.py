@@ -1,340 +1,308 @@
-"""The parts of a simulated scene: which of them a plan builds, which it leaves out, and the same plan the other way.
+"""The parts of a simulated scene: which of them exist, which are left out, and the same plan the other way.
 
-A scene pays only for what it names. What a part costs, or would cost, is measured on the plan that `switched` makes:
-the trial with just this part left out, or with just this part built.
+A scene pays only for what it names. What builds a part says that it did (`built` of a camera and of a simulation); here
+that is put into words. What a part costs, or would cost, is measured on the plan that `switched` makes: the trial with
+just this part left out, or with just this part built.
 """
 
-import copy
-from collections.abc import Callable
+from collections.abc import Callable, Set
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-from evetac_cli.sim.sampling import GRIPPER_FAULTS, gripper_faults
-from evetac_cli.sim.solver import from_scene
+import numpy as np
 
-Plan = dict[str, Any]
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sampling import gripper_faults
+from evetac_cli.sim.setup.scene import HandSettings, Scene
+from evetac_cli.sim.setup.sensor import Sensor
 
 MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}  # where it grips
-DOT_SPREADS = ("dot_radius_spread", "dot_contrast_spread")
+READOUTS = {"dvxplorer": "{:.0f} scans/s, global hold", "ideal": "every event to the us"}
+
+Switch = Callable[[Plan], Plan]
 
 
 class Part(NamedTuple):
-    """A part of a scene: what is built of it ("" where it is left out), why it is left out, how to have it otherwise.
+    """A part of a scene: what is built of it, in words, and why it is left out where it is.
 
-    switch: leaves the part out of a plan, or builds it there; None where a scene cannot be had otherwise.
+    switch: the plan without the part, or with it where it is left out; None where a scene cannot be had otherwise.
     """
 
     name: str
-    built: str
+    words: str
     why_not: str
-    switch: Callable[[Plan], None] | None = None
+    switch: Switch | None = None
 
 
-def parts(plan: Plan) -> list[dict[str, Any]]:
+def rows_of(plan: Plan) -> list[dict[str, Any]]:
     """What a plan builds and what it leaves out, a row a part."""
+    built, parts = _built(plan), parts_of(plan)
     return [
-        {"part": part.name, "built": part.built or None, "left_out": None if part.built else part.why_not}
-        for part in _table(plan)
+        {
+            "part": part.name,
+            "built": part.words if part.name in built else None,
+            "left_out": None if part.name in built else part.why_not,
+        }
+        for part in parts
     ]
 
 
 def switched(plan: Plan) -> dict[str, Plan]:
     """The plan with one part the other way, by part: left out where it is built, built where it is left out."""
-    changed = {}
-    for part in _table(plan):
-        if part.switch is not None:
-            changed[part.name] = copy.deepcopy(plan)
-            part.switch(changed[part.name])
-    return changed
+    built = _built(plan)
+    return {
+        part.name: part.switch(plan)
+        for part in parts_of(plan)
+        if part.switch is not None and (part.name in built or part.name in CAN_BE_ADDED)
+    }
 
 
-def _table(plan: Plan) -> list[Part]:
-    return [*_mechanics(plan), *_camera(plan), *_disturbances(plan)]
+def _built(plan: Plan) -> Set[str]:
+    """What the simulation of a plan says that it has built."""
+    from evetac_cli.sim.scenes.building import simulation_of  # brings numba
+
+    simulation = simulation_of(plan, np.random.SeedSequence(0))
+    return simulation.built | simulation.gel_camera.built
+
+
+def parts_of(plan: Plan) -> list[Part]:
+    """All parts that a plan may have, in words, built or not."""
+    return [*_mechanics(plan), *_camera(plan.scene, plan.sensor, plan.readout), *_disturbances(plan)]
 
 
 def _mechanics(plan: Plan) -> list[Part]:
-    resolved = plan["scene"]
-    kind = resolved["kind"]
-    gripped = kind in MODES
-    settings = from_scene(resolved)
-    steps = f"{settings.tolerance_um:g} um a step" if settings.step_ms is None else f"{settings.step_ms:g} ms steps"
-    nodes = "" if kind == "tone" else f"nodes every {settings.node_pitch_mm:g} mm, {steps}"
-    touching = f"object {plan['object']}"
-    if kind == "press":
-        touching = f"a face, {resolved['motion']['kind']}"
-    elif kind == "rub":
-        touching = f"a {' or a '.join(resolved['rub']['objects'])}, rubbed"
-    elif kind == "tone":
-        touching = f"a speaker, {plan['tone_hz']:.4g} Hz for {resolved['time']['tone_s']:g} s"
-    pushes = f"{len(resolved['push']['at_s'])} half sines" if "push" in resolved else ""
-    weight = f"{resolved['drop']['mass_g']} g" if "drop" in resolved else ""
-    rubs = plan["sensor_row"].get("friction", {}) if kind != "tone" else {}
-    spread = rubs.get("patch_spread", 0.0)
-    patches = f"by {spread:.0%} over {rubs['patch_mm']:.3g} mm" if spread and "patch_mm" in rubs else ""
+    scene, sensor, solver = plan.scene, plan.sensor, plan.scene.solver
+    steps = f"{solver.tolerance_um:g} um a step" if solver.step_ms is None else f"{solver.step_ms:g} ms steps"
+    friction, creep = sensor.friction, sensor.creep
+    spread = f"by {friction.patch_spread or 0.0:.0%} over {friction.patch_mm or 0.0:.3g} mm"
+    arms = () if creep is None else zip(creep.share, creep.time_s, strict=True)
+    even = replace(friction, patch_spread=None, patch_mm=None)
     return [
-        Part("gel and friction", nodes, "nothing slips: a closed form for each wave"),
+        Part(
+            "gel and friction",
+            f"nodes every {solver.node_pitch_mm:g} mm, {steps}",
+            "nothing slips: a closed form for each wave",
+        ),
         Part(
             "friction that varies over the gel",
-            patches,
-            "nothing slips" if kind == "tone" else "the sensor has none",
-            _even_friction if patches else None,
+            spread,
+            "nothing slips" if scene.kind == "tone" else "the sensor has none",
+            _sensor(friction=even),
         ),
         Part(
             "slow creep",
-            _creep(plan["sensor_row"]),
+            ", ".join(f"{share:.0%} in {time_s:.3g} s" for share, time_s in arms),
             "the sensor has none",
-            _without_creep if _creep(plan["sensor_row"]) else None,
+            _sensor(creep=None),
         ),
-        Part("what touches", touching, ""),
-        Part("gripper", _gripper(resolved), "a hand drives the face"),
-        Part("free object", "mass, weight, rotation" if gripped else "", "its motion is prescribed"),
-        Part("table and hand", "lift" if kind == "lift" else "", "nothing is lifted"),
-        Part("pushes", pushes, "none named", _without("push") if pushes else None),
-        Part("falling weight", weight, "none named", _without("drop") if weight else None),
+        Part("what touches", _touching(plan), ""),
+        Part("gripper", _gripper(scene), "a hand drives the face"),
+        Part("free object", "mass, weight, rotation", "its motion is prescribed"),
+        Part("table and hand", "lift", "nothing is lifted"),
+        Part("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
+        Part("falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "none named", _scene(drop=None)),
     ]
 
 
-def _gripper(resolved: Plan) -> str:
-    """How the gripper of a scene is commanded; "" where there is none."""
-    if "current" in resolved.get("gripper", {}):
-        return "current mode, as the scene names it"
-    return MODES.get(resolved["kind"], "")
+def _touching(plan: Plan) -> str:
+    scene = plan.scene
+    if scene.motion is not None:
+        return f"a face, {scene.motion.kind}"
+    if scene.rub is not None:
+        return f"a {' or a '.join(scene.rub.objects)}, rubbed"
+    if scene.tone is not None:
+        return f"a speaker, {plan.tone_hz:.4g} Hz for {scene.time.tone_s:g} s"
+    return f"object {plan.called}"
 
 
-def _camera(plan: Plan) -> list[Part]:
+def _gripper(scene: Scene) -> str:
+    """How the gripper of a scene is commanded."""
+    return MODES.get(scene.kind, "") if scene.gripper.current is None else "current mode, as the scene names it"
+
+
+def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[Part]:
     from evetac_cli.sim.camera.gel_camera import dot_grid  # brings numba
 
-    resolved, sensor_row = plan["scene"], plan["sensor_row"]
-    cut = resolved["gel"]["cut"]
-    dots = dot_grid(sensor_row, cut).size // 2
-    readout = {"dvxplorer": "5000 scans/s, global hold", "ideal": "every event to the us"}[plan["readout"]]
-    textured = "texture" in resolved
-    shown = cut and textured and resolved["texture"].get("show", True)
-    no_window = "nobody looks at it" if textured else "nothing behind it has texture"
-    rubbed = resolved["kind"] == "rub" and resolved["rub"]["edge_log_contrast"][1] > 0.0
-    cut_edge = cut and sensor_row.get("cut_contrast", 0.0) > 0.0
-    hot_pixels = sensor_row["hot_pixels"] + len(sensor_row.get("hot_pixel_table", {}).get("x_px", ()))
-    noisy = sensor_row["noise_hz"] > 0.0 or hot_pixels > 0
-    noise = f"{sensor_row['noise_hz']:.3g} Hz a pixel, {hot_pixels} hot pixels"
-    by_light = sensor_row.get("bandwidth_by_light", False) and sensor_row.get("bandwidth_hz", 0.0) > 0.0
-    sizes, inks = (sensor_row.get(key, 0.0) for key in DOT_SPREADS)
-    gradient, distortion = sensor_row.get("light_gradient", 0.0), sensor_row.get("distortion", [0.0, 0.0])
+    cut, texture = scene.gel.cut, scene.texture
+    hot_pixels = sensor.hot_pixels + (0 if sensor.hot_pixel_table is None else len(sensor.hot_pixel_table.x_px))
+    off = sensor.threshold if sensor.threshold_off is None else sensor.threshold_off
+    no_window = "nobody looks at it" if texture is not None else "nothing behind it has texture"
+    limit = 0.0 if sensor.readout is None else sensor.readout.events_per_s
     return [
-        Part("camera", readout, ""),
-        Part("dots", f"{dots}, evaluated while they move", ""),
+        Part("camera", READOUTS[readout].format(1000 * scene.solver.scans_per_ms), ""),
+        Part("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated while they move", ""),
         Part(
             "dots that differ",
-            f"radius by {sizes:.0%}, contrast by {inks:.0%}" if sizes or inks else "",
+            f"radius by {sensor.dot_radius_spread:.0%}, contrast by {sensor.dot_contrast_spread:.0%}",
             "all dots are alike",
-            _without_sensor(*(key for key in DOT_SPREADS if key in sensor_row)) if sizes or inks else None,
+            _sensor(dot_radius_spread=0.0, dot_contrast_spread=0.0),
         ),
         Part(
             "window",
-            "texture of the object, moved with it" if shown else "",
+            "texture of the object, moved with it",
             no_window if cut else "closed gel: it has no window",
-            (_hide_texture if shown else _show_texture) if textured else None,
+            None if texture is None else _other_window,
         ),
-        Part("contact edges", "where they move" if rubbed else "", "none named", _no_edges if rubbed else None),
+        Part("contact edges", "where they move", "none named", _without_edges),
         Part(
             "cut edge",
-            "moves with the gel" if cut_edge else "",
+            "moves with the gel",
             "the sensor's cut is not seen" if cut else "closed gel: no cut",
-            _without_sensor("cut_contrast") if cut_edge else None,
+            _sensor(cut_contrast=0.0),
         ),
         Part(
             "noise",
-            noise if noisy else "",
+            f"{sensor.noise_hz:.3g} Hz a pixel, {hot_pixels} hot pixels",
             "a camera without noise",
-            _without_noise if noisy else None,
+            _sensor(noise_hz=0.0, hot_pixels=0, hot_pixel_table=None),
         ),
         Part(
             "OFF threshold of its own",
-            f"{sensor_row['threshold_off']:.3g}, ON {sensor_row['threshold']:.3g}"
-            if "threshold_off" in sensor_row
-            else "",
+            f"{off:.3g}, ON {sensor.threshold:.3g}",
             "as that of ON",
-            _unnamed_in_sensor("threshold_off") if "threshold_off" in sensor_row else None,
+            _sensor(threshold_off=None),
         ),
-        Part(
-            "limit of the readout",
-            f"{sensor_row['readout']['events_per_s']:,.0f} events a second" if "readout" in sensor_row else "",
-            "as fast as events come",
-            _unnamed_in_sensor("readout") if "readout" in sensor_row else None,
-        ),
-        _pixels("slow pixels", sensor_row, "bandwidth_hz", "Hz", "as fast as anything moves"),
+        Part("limit of the readout", f"{limit:,.0f} events a second", "as fast as events come", _sensor(readout=None)),
+        Part("slow pixels", f"{sensor.bandwidth_hz:.4g} Hz", "as fast as anything moves", _sensor(bandwidth_hz=0.0)),
         Part(
             "bandwidth that falls with light",
-            "proportional to brightness" if by_light else "",
-            "one bandwidth of all pixels" if sensor_row.get("bandwidth_hz", 0.0) else "no pixel is slow",
-            _unnamed_in_sensor("bandwidth_by_light") if by_light else None,
+            "proportional to brightness",
+            "one bandwidth of all pixels" if sensor.bandwidth_hz else "no pixel is slow",
+            _sensor(bandwidth_by_light=False),
         ),
         Part(
             "uneven light",
-            f"{gradient:.0%} less in the corners" if by_light and gradient else "",
-            "seen only where bandwidth falls with light" if gradient else "the sensor has none",
-            _without_sensor("light_gradient") if by_light and gradient else None,
+            f"{sensor.light_gradient:.0%} less in the corners",
+            "seen only where bandwidth falls with light" if sensor.light_gradient else "the sensor has none",
+            _sensor(light_gradient=0.0),
         ),
         Part(
             "lens distortion",
-            f"k1 {distortion[0]:.3g}, k2 {distortion[1]:.3g}" if any(distortion) else "",
+            "k1 {:.3g}, k2 {:.3g}".format(*sensor.distortion),
             "the sensor has none",
-            _unnamed_in_sensor("distortion") if any(distortion) else None,
+            _sensor(distortion=(0.0, 0.0)),
         ),
-        _pixels("leak", sensor_row, "leak_hz", "Hz a pixel", "the sensor has none"),
-        _pixels("blind pixels", sensor_row, "refractory_us", "us after an event", "the sensor has none"),
+        Part("leak", f"{sensor.leak_hz:.4g} Hz a pixel", "the sensor has none", _sensor(leak_hz=0.0)),
+        Part(
+            "blind pixels",
+            f"{sensor.refractory_us:.4g} us after an event",
+            "the sensor has none",
+            _sensor(refractory_us=0.0),
+        ),
     ]
-
-
-def _pixels(name: str, sensor_row: Plan, key: str, unit: str, why_not: str) -> Part:
-    """A property of the camera's pixels that a sensor has if its row names it."""
-    value = sensor_row.get(key, 0.0)
-    return Part(name, f"{value:.4g} {unit}" if value else "", why_not, _without_sensor(key) if value else None)
 
 
 def _disturbances(plan: Plan) -> list[Part]:
-    """What is off unless a scene, or of a gripper its sensor's row, names it."""
-    resolved = plan["scene"]
-    faults = gripper_faults(resolved, plan["sensor_row"] if resolved["kind"] in MODES else {})
-    light, gripper, hand = (resolved.get(group, {}) for group in ("light", "gripper", "hand"))
-    flicker, step, jerk = light.get("flicker"), light.get("step"), hand.get("jerk")
-    lights = [f"flickers by {flicker['depth']:.0%} at {flicker['frequency_hz']:g} Hz"] if flicker else []
-    lights += [f"x {step['factor']:g} from {step['at_s']:g} s on"] if step else []
-    gone, change, off = (resolved.get(group) for group in ("vanishing_dots", "friction_change", "calibration"))
-    off_px = off.get("offset_px", [0.0, 0.0]) if off else []
-    play, stiffness = faults["backlash_ticks"], resolved["gel"].get("stiffness_factor", 1.0)
-    factor = gripper.get("friction_factor", [1.0, 1.0])
-    factor = factor if isinstance(factor, list) else [factor, factor]
-    rubs = f"x {factor[0]:g}" + (f" to {factor[1]:g}" if factor[1] > factor[0] else "")
-    mass = f"{resolved['object']['mass_g']:g} g" if "object" in resolved else ""
-    noise, delay_ms, jitter_ms = (faults[key] for key in GRIPPER_FAULTS[1:])
-    late = (
-        f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms"
-        if jitter_ms
-        else f"by {delay_ms:.3g} ms"
-        if delay_ms
-        else ""
+    """What is off unless a scene, or of a gripper its sensor, names it; those that cost nothing cannot be switched."""
+    scene, hand = plan.scene, plan.scene.hand
+    faults = gripper_faults(scene, plan.sensor)
+    second, off, gone, change = (
+        scene.gripper.second_finger,
+        scene.calibration,
+        scene.vanishing_dots,
+        scene.friction_change,
     )
-    profile = {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.get("profile", ""), "")
-    named = {
-        ("changing light", "light"): (", ".join(lights), "steady: none named"),
-        ("vanishing dots", "vanishing_dots"): (
-            f"{len(gone['dots'])} from {gone['at_s']:g} s on" if gone else "",
+    factors = {} if second is None else {"friction": second.friction_factor, "stiffness": second.stiffness_factor}
+    low, high = scene.gripper.friction_factor
+    delay_ms, jitter_ms = faults.command_delay_ms, faults.command_jitter_ms
+    late = f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms" if jitter_ms else f"by {delay_ms:.3g} ms"
+    jerk = hand.jerk
+    return [
+        Part("changing light", _light(scene), "steady: none named", _scene(light=None)),
+        Part(
+            "vanishing dots",
+            "" if gone is None else f"{len(gone.dots)} from {gone.at_s:g} s on",
             "none named",
+            _scene(vanishing_dots=None),
         ),
-        ("calibration that is off", "calibration"): (
-            f"by {off_px[0]:g}, {off_px[1]:g} px and {off.get('turned_deg', 0.0):g} deg" if off else "",
+        Part(
+            "calibration that is off",
+            "" if off is None else "by {:g}, {:g} px and {:g} deg".format(*off.offset_px, off.turned_deg),
             "the dots at rest are known",
         ),
-        ("change of friction", "friction_change"): (
-            f"x {change['factor']:g} from {change['at_s']:g} s on" if change else "",
+        Part(
+            "change of friction",
+            "" if change is None else f"x {change.factor:g} from {change.at_s:g} s on",
             "none named",
+            _scene(friction_change=None),
         ),
-        ("gear friction", "gripper.friction_factor"): (
-            rubs if factor != [1.0, 1.0] else "",
+        Part(
+            "gear friction",
+            f"x {low:g}" + (f" to {high:g}" if high > low else ""),
             "as the sensor's gripper has it",
         ),
-        ("backlash of the gripper", "gripper.backlash_ticks"): (f"{play:.3g} ticks" if play else "", "none named"),
-        ("second finger of its own", "gripper.second_finger"): (_second(gripper), "a mirror image of the first"),
-        ("noise of the gripper's encoder", "gripper.encoder_noise_ticks"): (
-            f"{noise:.3g} ticks" if noise else "",
-            "it reads the motor's place",
+        Part("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "none named"),
+        Part(
+            "second finger of its own",
+            ", ".join(f"{name} x {factor:g}" for name, factor in factors.items() if factor != 1.0),
+            "a mirror image of the first",
+            lambda plan: _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)),
         ),
-        ("commands that come late", "gripper.command_delay_ms"): (late, "in effect in the next ms"),
-        ("profile of the hand's motion", "hand.profile"): (profile, "a trapezoid of speed"),
-        ("vibration of the hand", "hand.vibration"): (_vibration(hand), "none named"),
-        ("jerk of the hand", "hand.jerk"): (
-            f"{jerk['speed_mm_s']:g} mm/s for {jerk['lasts_s']:g} s at {jerk['at_s']:g} s" if jerk else "",
+        Part("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "it reads the motor's place"),
+        Part("commands that come late", late, "in effect in the next ms"),
+        Part(
+            "profile of the hand's motion",
+            {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.profile, ""),
+            "a trapezoid of speed",
+            _hand(profile=HandSettings.profile),
+        ),
+        Part("vibration of the hand", _vibration(hand), "none named", _hand(vibration=None)),
+        Part(
+            "jerk of the hand",
+            "" if jerk is None else f"{jerk.speed_mm_s:g} mm/s for {jerk.lasts_s:g} s at {jerk.at_s:g} s",
             "none named",
+            _hand(jerk=None),
         ),
-        ("other stiffness of the gel", "gel.stiffness_factor"): (
-            f"x {stiffness:g}" if stiffness != 1.0 else "",
-            "as the sensor has it",
-        ),
-        ("other mass of the object", "object"): (mass, "none named"),
-    }
-    measured = (  # the others cost nothing
-        "changing light",
-        "vanishing dots",
-        "change of friction",
-        "second finger of its own",
-        "profile of the hand's motion",
-        "vibration of the hand",
-        "jerk of the hand",
-    )
-    return [
-        Part(name, built, why_not, _without(*place.split(".")) if built and name in measured else None)
-        for (name, place), (built, why_not) in named.items()
+        Part("other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "as the sensor has it"),
+        Part("other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "none named"),
     ]
 
 
-def _without(*place: str) -> Callable[[Plan], None]:
-    def leave_out(plan: Plan) -> None:
-        named = plan["scene"]
-        for key in place[:-1]:
-            named = named[key]
-        del named[place[-1]]
-
-    return leave_out
+def _light(scene: Scene) -> str:
+    flicker, step = (scene.light.flicker, scene.light.step) if scene.light else (None, None)
+    lights = [f"flickers by {flicker.depth:.0%} at {flicker.frequency_hz:g} Hz"] if flicker else []
+    lights += [f"x {step.factor:g} from {step.at_s:g} s on"] if step else []
+    return ", ".join(lights)
 
 
-def _without_noise(plan: Plan) -> None:
-    plan["sensor_row"] |= {"noise_hz": 0.0, "hot_pixels": 0}
-    plan["sensor_row"].pop("hot_pixel_table", None)
-
-
-def _without_sensor(*keys: str) -> Callable[[Plan], None]:
-    def leave_out(plan: Plan) -> None:
-        plan["sensor_row"] |= {key: type(plan["sensor_row"][key])(0) for key in keys}
-
-    return leave_out
-
-
-def _unnamed_in_sensor(key: str) -> Callable[[Plan], None]:
-    def leave_out(plan: Plan) -> None:
-        del plan["sensor_row"][key]
-
-    return leave_out
-
-
-def _show_texture(plan: Plan) -> None:
-    plan["scene"]["gel"]["cut"] = True
-    plan["scene"]["texture"]["show"] = True
-
-
-def _second(gripper: Plan) -> str:
-    """What a second finger has otherwise than the first."""
-    named = gripper.get("second_finger", {})
-    return ", ".join(f"{key.removesuffix('_factor')} x {named[key]:g}" for key in named)
-
-
-def _vibration(hand: Plan) -> str:
+def _vibration(hand: HandSettings) -> str:
     """The sine waves of a hand's vibration."""
-    named = hand.get("vibration")
+    named = hand.vibration
     if named is None:
         return ""
-    waves = zip(named["acceleration_m_s2"], named["frequency_hz"], strict=True)
+    waves = zip(named.acceleration_m_s2, named.frequency_hz, strict=True)
     listed = ", ".join(f"{acceleration:g} m/s2 at {frequency:g} Hz" for acceleration, frequency in waves)
-    return f"{listed}, while it rises" if named.get("only_moving", False) else listed
+    return f"{listed}, while it rises" if named.only_moving else listed
 
 
-def _creep(sensor_row: Plan) -> str:
-    """By how much of its stiffness a sensor's gel yields, and how slowly."""
-    named = sensor_row.get("creep", {})
-    arms = zip(named.get("share", []), named.get("time_s", []), strict=False)
-    return ", ".join(f"{share:.0%} in {time_s:.3g} s" for share, time_s in arms)
+def _with_scene(plan: Plan, **changes: Any) -> Plan:
+    return replace(plan, scene=replace(plan.scene, **changes))
 
 
-def _without_creep(plan: Plan) -> None:
-    del plan["sensor_row"]["creep"]
+def _scene(**changes: Any) -> Switch:
+    return lambda plan: _with_scene(plan, **changes)
 
 
-def _even_friction(plan: Plan) -> None:
-    named = plan["sensor_row"]["friction"]
-    plan["sensor_row"]["friction"] = {key: named[key] for key in named if not key.startswith("patch_")}
+def _sensor(**changes: Any) -> Switch:
+    return lambda plan: replace(plan, sensor=replace(plan.sensor, **changes))
 
 
-def _hide_texture(plan: Plan) -> None:
-    plan["scene"]["texture"]["show"] = False
+def _hand(**changes: Any) -> Switch:
+    return lambda plan: _with_scene(plan, hand=replace(plan.scene.hand, **changes))
 
 
-def _no_edges(plan: Plan) -> None:
-    plan["scene"]["rub"]["edge_log_contrast"] = [0.0, 0.0]
+def _other_window(plan: Plan) -> Plan:
+    """With the texture in the window, or without."""
+    scene = plan.scene
+    assert scene.texture is not None
+    if scene.shows_texture:
+        return _with_scene(plan, texture=replace(scene.texture, show=False))
+    return _with_scene(plan, texture=replace(scene.texture, show=True), gel=replace(scene.gel, cut=True))
+
+
+def _without_edges(plan: Plan) -> Plan:
+    rub = plan.scene.rub
+    return plan if rub is None else _with_scene(plan, rub=replace(rub, edge_log_contrast=(0.0, 0.0)))
+
+
+CAN_BE_ADDED = ("window",)  # to a scene that names a texture and leaves it out

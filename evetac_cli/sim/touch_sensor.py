@@ -18,6 +18,7 @@ Left out: texture in the window, the outline of the object, vibration of what ho
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -28,13 +29,16 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.sensitivity import Sensitivity
-from evetac_cli.sim import object_file, sampling, scene
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, friction_factor, friction_of, material, pad
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
-from evetac_cli.sim.solver import from_scene, resolve
+from evetac_cli.sim.setup import object_file, plan, sampling
+from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTimes
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.solver import Solver, with_given
 from evetac_cli.text_files import require_finite
 
 Floats = NDArray[np.float64]
@@ -44,7 +48,6 @@ PUSHER_N_S_M = 10.0
 PUSHER_ARM_M = 5e-3  # at which the same damper resists a turn
 SURFACE_STEP_M = 1e-6  # a surface that has moved along the gel by less presses as before
 KINETIC_SHARE = 0.85  # the middle of what scenes draw
-READOUTS = ("dvxplorer", "ideal")
 # Beyond these a number is more likely in another unit than meant.
 LONGEST_S, FARTHEST_M, FASTEST_M_S, FASTEST_RAD_S, MOST_N = 10.0, 0.1, 10.0, 100.0, 1000.0
 
@@ -142,45 +145,46 @@ class TouchSensor:
         solver: Mapping[str, Any] = MappingProxyType({}),
         at_m: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        for name, given, known in (("gel", gel, ("cut", "closed")), ("readout", readout, READOUTS)):
+        for name, given, known in (("gel", gel, ("cut", "closed")), ("readout", readout, plan.READOUTS)):
             if given not in known:
                 raise _refused(f"unknown {name}", " or ".join(known), given)
         mechanics, optics = rng.spawn(2)
-        name, row = scene.named_sensor(sensor)
-        if name == scene.FOR_EACH_TRIAL:
-            row = sampling.sample_sensor(row, mechanics)
-        described = _object_row(object)
-        share = described.pop("kinetic_share", KINETIC_SHARE)
-        parts: dict[str, Any] = {"gel": {"cut": gel == "cut"}, "randomise": {"kinetic_share": share}}
+        _, named = plan.named_sensor(sensor)
+        one = named if isinstance(named, Sensor) else sampling.sample_sensor(named, mechanics)
+        touched = _touched(object)
+        share = KINETIC_SHARE if touched.kinetic_share is None else touched.kinetic_share
         try:
-            parts["solver"] = resolve(parts, solver)
+            chosen = with_given(Solver(), solver)
         except (ValueError, TypeError) as error:
             raise InputError(f"solver: {error}", where="TouchSensor") from error
-        self.sampled = sampling.sample_trial(parts, described, mechanics, row)
-        self._camera = GelCamera(row, cut=gel == "cut", texture=None, rng=optics, readout=readout, scene=parts)
-        self._build(row, described, parts, _finite("at_m", at_m, 2, FARTHEST_M))
+        scene = Scene(
+            name="touch",
+            kind="press",
+            summary="another simulator drives the object",
+            time=SceneTimes(),
+            gel=GelSettings(cut=gel == "cut"),
+            randomise=Randomised(kinetic_share=(share, share)),
+            solver=chosen,
+        )
+        self.sampled = sampling.sample_trial(scene, replace(touched, kinetic_share=None), one, mechanics)
+        self._camera = GelCamera(one, scene=scene, texture=None, rng=optics, readout=readout)
+        self._build(one, touched, scene, _finite("at_m", at_m, 2, FARTHEST_M))
         self.dot_xy_px: Floats = self._camera.calibrated_grid_xy_px  # at rest, (rows, columns, 2)
-        self.dot_radius_px = float(row["dot_radius_px"])
+        self.dot_radius_px = one.dot_radius_px
         self.window_px = self._camera.window_px
-        self.frame_px = (int(row["frame_px"][0]), int(row["frame_px"][1]))
-        self.sensitivity: Sensitivity = scene.sensitivity(row)
+        self.frame_px = one.frame_px
+        self.sensitivity: Sensitivity = one.sensitivity()
 
-    def _build(
-        self,
-        row: Mapping[str, Any],
-        described: Mapping[str, Any],
-        parts: Mapping[str, Any],
-        at_m: tuple[float, ...],
-    ) -> None:
-        nodes = pad(parts, row)
-        self._material = material(row)
-        self._shape = (described["shape"], float(described["width_mm"]) * 0.5e-3, self.sampled.tilt_rad)
-        self._node_stiffness_n_m = float(row["normal_modulus_pa"]) / self._material.height_m * contact.cell_area(nodes)
+    def _build(self, sensor: Sensor, touched: TouchedObject, scene: Scene, at_m: tuple[float, ...]) -> None:
+        nodes = pad(scene.solver, sensor, cut=scene.gel.cut)
+        self._material = material(sensor)
+        self._shape = (touched.shape, touched.width_mm * 0.5e-3, self.sampled.tilt_rad)
+        self._node_stiffness_n_m = sensor.normal_modulus_pa / self._material.height_m * contact.cell_area(nodes)
         mass_kg = PUSHER_N_S_M * STEP_S
         start = (mass_kg, mass_kg * PUSHER_ARM_M**2, 1)
-        varies = friction_factor(row, nodes)
+        varies = friction_factor(sensor, nodes)
         self._gel = gel.start(nodes, self._material, *start, body_xy_m=(at_m[0], at_m[1]), friction_factor=varies)
-        solver = from_scene(parts)
+        solver = scene.solver
         self._gel_slices = GelSlices(self._gel, solver)
         self._friction = friction_of(self.sampled)
         self._slip = GroundTruthSlip(self._gel, self._camera.mm_per_px, self._camera.window_px)
@@ -195,7 +199,7 @@ class TouchSensor:
         height_m = self._height_of_surface(place)
         self._touch_m = float(height_m.min()) if np.isfinite(height_m).any() else 0.0
         self._surface = self._next = self._surface_over(place, height_m - self._touch_m)
-        self._looks_same = described["shape"] == "flat" and self.sampled.tilt_rad == 0.0  # wherever it is
+        self._looks_same = touched.shape == "flat" and self.sampled.tilt_rad == 0.0  # wherever it is
         self._pressed_m = math.nan  # how deep the shares of the nodes are meant
         self._moved_to: tuple[float, ...] | None = place  # where the last slice was told to put the object
         self._normal_n = self._indentation_m = 0.0
@@ -411,18 +415,18 @@ class TouchSensor:
         )
 
 
-def _object_row(given: int | str | Path | Mapping[str, Any]) -> dict[str, Any]:
-    """What the simulation needs of an object: a row of the table, or one's own; InputError if it is neither."""
+def _touched(given: int | str | Path | Mapping[str, Any]) -> TouchedObject:
+    """The object of the simulation: of the table, or one's own; InputError if it is neither."""
     if isinstance(given, str | Path):
         return object_file.read(Path(given))[1]
     if not isinstance(given, Mapping):
-        return scene.object_row(given)
+        return object_file.of_table(given)
     where = "TouchSensor(object=...)"
     table = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
     require_finite(table, where)
-    row = object_file.row_of(table, where, ("width_mm",) if table.get("shape") in ("cylinder", "sphere") else ())
-    row = {"mass_g": 1.0, "width_mm": object_file.WIDEST_SURFACE_MM, **row}
-    return {**row, "tilt_deg": row.get("tilt_deg", [0.0, 0.0])}
+    is_round = table.get("shape") in ("cylinder", "sphere")
+    touched = object_file.of_keys(table, where, ("width_mm",) if is_round else ())
+    return replace(touched, tilt_deg=touched.tilt_deg or (0.0, 0.0))
 
 
 def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]:

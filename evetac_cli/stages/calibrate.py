@@ -20,9 +20,10 @@ from evetac_cli.kernels.calibration import dot_search, gel_layout, grid, rest_im
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.params.recording import Calibrate
-from evetac_cli.sim import scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.setup import sensor_file
+from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages import calibrated_gel
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
@@ -187,17 +188,15 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
 
 def _of_sensor(source: Path, params: Calibrate) -> Calibration:
     """The dots of a sensor's file as its camera sees them, and how strongly it answers contact."""
-    _, row = scene.named_sensor(str(source))
+    _, sensor = sensor_file.read(source, one_sensor)
     cut = params.gel != "closed"
-    dots, lens = dot_grid(row, cut), Lens.of_sensor(row)
-    x0, y0, x1, y1 = row["window_px"]
-    width, height = row["frame_px"]
+    dots, lens = dot_grid(sensor, cut), Lens.of_sensor(sensor)
     return Calibration(
-        (width, height),
+        sensor.frame_px,
         dots if lens is None else lens.seen(dots),
-        row["dot_radius_px"],
-        (x0, y0, x1, y1) if cut else None,
-        scene.sensitivity(row),
+        sensor.dot_radius_px,
+        sensor.window_px if cut else None,
+        sensor.sensitivity(),
     )
 
 

@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import CLOSED_COLUMNS, CUT_COLUMNS, ROWS, Window
 from evetac_cli.params.recording import Calibrate
-from evetac_cli.sim import sensor_file
+from evetac_cli.sim.setup import sensor_file
 from evetac_cli.store.calibration import Calibration
 
 MOST_MISSING = 0.25  # of the dots; with more, a part of the gel was not pressed

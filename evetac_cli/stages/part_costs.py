@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.sim.parts import parts, switched
+from evetac_cli.sim.parts import rows_of, switched
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.stages.trials import SimulatedTrial
 
 REPEATS = 3  # of a dry run, at most
@@ -42,7 +44,7 @@ class PartCosts:
     whole: the trial as it is; timed: in the calls that are timed; switched: the trial with one part the other way.
     """
 
-    plan: dict[str, Any]
+    plan: Plan
     whole: Floats
     timed: dict[str, Floats]
     switched: dict[str, Floats]
@@ -54,7 +56,7 @@ class PartCosts:
 
     def more_us(self, part: str) -> float:
         """How much more the trial takes with a part that can be switched than without it."""
-        left_out = any(row["part"] == part and row["left_out"] for row in parts(self.plan))
+        left_out = any(row["part"] == part and row["left_out"] for row in rows_of(self.plan))
         difference_us = float(self._differences_us(part).mean())
         return -difference_us if left_out else difference_us
 
@@ -81,7 +83,7 @@ class PartCosts:
         otherwise. What the other parts of the camera do not account for is that of the dots. noise_us: within so much
         of zero a figure says nothing; None of one that is counted and not a difference.
         """
-        rows = parts(self.plan)
+        rows = rows_of(self.plan)
         names = [row["part"] for row in rows]
         built = [row["part"] for row in rows if row["left_out"] is None]
         timed_us = {part: float(us.mean()) for part, us in self.timed.items()}
@@ -117,7 +119,7 @@ def dry_run(
     costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
     files = {"files": len(trials), "first_file": str(trials[0].output)}
     if not costs.slices:  # over before there was anything to measure
-        return Outcome(parts(trials[0].plan), True, files, made=False)
+        return Outcome(rows_of(trials[0].plan), True, files, made=False)
     rows, total_us = costs.rows(), float(costs.whole.mean())
     summary = {
         **files,
@@ -190,9 +192,7 @@ def measure(
     with _timers((*_scene_timers(), *more_timers)) as seconds:
         for one in (trial, *others.values()):
             _run(one, play, 2 * BLOCK, seconds)  # compiles, or loads what was compiled
-        slices = _slices_within(
-            trial, play, _moving_slices(trial.plan["scene"], moving_s), budget_s / (2 + len(others))
-        )
+        slices = _slices_within(trial, play, _moving_slices(trial.plan.scene, moving_s), budget_s / (2 + len(others)))
         plain: list[Floats] = []
         with_other: dict[str, list[Floats]] = {part: [] for part in others}
         started = thread_time()
@@ -223,12 +223,14 @@ def _slices_within(trial: SimulatedTrial, play: Play, slices: int, most_s: float
     return max(ran, BLOCK)
 
 
-def _moving_slices(scene: dict[str, Any], moving_s: float) -> int:
+def _moving_slices(scene: Scene, moving_s: float) -> int:
     """How many slices of a trial are measured: until things move as they mostly do in it, and `moving_s` of that."""
-    time, rub = scene["time"], scene.get("rub", {})
-    still = ("rest_s", "load_s", "hold_s", "touch_s", "before_rise_s")
-    still_s = sum(time.get(name, 0.0) for name in still) + sum(rub.get(name, 0.0) for name in ("touch_s", "shear_s"))
-    moves_s = float(max(still_s, time.get("tone_at_s", 0.0)) + 2 * rub.get("pause_s", 0.0))
+    time, rub = scene.time, scene.rub
+    still_s = time.rest_s + time.load_s + time.hold_s + time.touch_s + time.before_rise_s
+    pauses_s = 0.0
+    if rub is not None:
+        still_s, pauses_s = still_s + rub.touch_s + rub.shear_s, 2 * rub.pause_s
+    moves_s = max(still_s, time.tone_at_s) + pauses_s
     return round(1000 * (moves_s + moving_s)) // BLOCK * BLOCK
 
 

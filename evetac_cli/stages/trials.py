@@ -17,15 +17,14 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
 from evetac_cli.params.trials import Trials
-from evetac_cli.sim import scene
-from evetac_cli.sim.object_file import seed_of
+from evetac_cli.sim.setup.object_file import seed_of
+from evetac_cli.sim.setup.plan import Plan, plans
+from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import one_file
 from evetac_cli.store.segments import refuse_leftover
 
 OUTPUT = "recording"
 FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset depends on the grid
-
-Plan = dict[str, Any]  # what a scene is built from, as sim.scene.plan gives it
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,8 @@ class Trial(Job):
         """The seeds of this trial, which depend on no other trial."""
         if self.plan is None:
             return np.random.SeedSequence([self.seed, self.number])
-        tone_mhz = [round(1000 * self.plan["tone_hz"])] if "tone_hz" in self.plan else []
-        return np.random.SeedSequence([self.seed, seed_of(self.plan["object"]), self.number, *tone_mhz])
+        tone_mhz = [] if self.plan.tone_hz is None else [round(1000 * self.plan.tone_hz)]
+        return np.random.SeedSequence([self.seed, seed_of(self.plan.called), self.number, *tone_mhz])
 
 
 @dataclass(frozen=True)
@@ -92,15 +91,15 @@ def simulated_trials(
     """
     trials = []
     named = (params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones)
-    for plan in scene.plan(*named, solver=params.solver(), texture=params.texture):
-        called = plan["object"]
+    for each in plans(*named, solver=params.solver(), texture=params.texture):
+        called = each.called
         what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
-        what += f"-{plan['tone_hz']:g}hz" if "tone_hz" in plan else ""
+        what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"
         for number in range(params.count):
-            name = f"{prefix}{plan['scene']['name']}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
+            name = f"{prefix}{each.scene.name}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
-            built = scene.for_trial(plan, (params.seed, seed_of(called), number))
-            trials.append(SimulatedTrial((), output, number, params.seed, built))
+            plan = each.of_trial((params.seed, seed_of(called), number))
+            trials.append(SimulatedTrial((), output, number, params.seed, plan))
     one_file(trials, out)
     return trials
 
@@ -118,21 +117,21 @@ def device_trials(
     They are named <prefix><camera>[-<serial or recording>][-<which of the same>]-s<seed>-<trial>.recording.h5, those
     of a virtual scene virtual-<scene>...
     """
-    plans: list[tuple[int, Plan | None]]
+    numbered: list[tuple[int, Plan | None]]
     outputs: list[tuple[Path, ...]]
     if cameras[0].simulates_scene:
         simulated = simulated_trials(kinds, params, out, prefix="virtual-")
-        plans = [(trial.number, trial.plan) for trial in simulated]
+        numbered = [(trial.number, trial.plan) for trial in simulated]
         outputs = [trial.outputs for trial in simulated]
     else:
-        plans = [(number, None) for number in range(params.count)]
+        numbered = [(number, None) for number in range(params.count)]
         outputs = [_camera_files(cameras, params.seed, number, out, prefix) for number in range(params.count)]
         one_file([path for files in outputs for path in files], out)
     inputs = tuple(path for camera in cameras for path in camera.files)
     taken = tuple(path for files in outputs for path in files if _is_taken(path))
     return [
         DeviceTrial(inputs, files[0], number, params.seed, plan, cameras, gripper, files, tuple(outputs), taken)
-        for (number, plan), files in zip(plans, outputs, strict=True)
+        for (number, plan), files in zip(numbered, outputs, strict=True)
     ]
 
 
@@ -178,7 +177,7 @@ class SolverFigures:
         half = np.atleast_1d(rows["truth/slip_half_wavelength_nodes"])
         self._half_wavelength = min(self._half_wavelength, float(np.min(half[np.isfinite(half)], initial=math.inf)))
 
-    def figures(self, solver: Mapping[str, Any]) -> dict[str, Any]:
+    def figures(self, solver: Solver) -> dict[str, Any]:
         """Steps a slice, estimated errors of a step, and a warning where nodes are too far apart."""
         if not self._slices:
             return {}
@@ -186,10 +185,10 @@ class SolverFigures:
             "mechanical_steps_a_slice": self._steps / self._slices,
             "estimated_error_um_median": float(np.median(self._errors_um)),
         }
-        if "tolerance_um" in solver:
-            row["slices_over_tolerance"] = int((np.array(self._errors_um) > solver["tolerance_um"]).sum())
+        if solver.step_ms is None:
+            row["slices_over_tolerance"] = int((np.array(self._errors_um) > solver.tolerance_um).sum())
         if self._half_wavelength < FEWEST_NODES:
-            pitch_mm = solver["node_pitch_mm"] * self._half_wavelength / FEWEST_NODES
+            pitch_mm = solver.node_pitch_mm * self._half_wavelength / FEWEST_NODES
             row["warning"] = (
                 f"onset of slip depends on the gel's grid: unstable slip spans {self._half_wavelength:.1f} nodes,"
                 f" of {FEWEST_NODES} at least; --node-pitch-mm {pitch_mm:.2f} resolves it"

@@ -33,6 +33,7 @@ from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, ignore_interrupts, start_shielded
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
+from evetac_cli.sim.setup.plan import Plan
 
 SLICE_S = 1e-3
 LATE_S = 5e-3  # a slice whose words leave later than this after its end was late
@@ -62,7 +63,7 @@ class VirtualWorld:
 
     def __init__(
         self,
-        plan: Mapping[str, Any],
+        plan: Plan,
         seeds: np.random.SeedSequence,
         *,
         tells_truth: bool = False,
@@ -82,7 +83,7 @@ class VirtualWorld:
         self._process: BaseProcess | None = context.Process(
             target=telling,
             args=(
-                *(self._last_words, _run_world, dict(plan), seeds, durations, self.patient),
+                *(self._last_words, _run_world, plan, seeds, durations, self.patient),
                 *(self.plant, orders, words, truth_pipe, self._counters),
             ),
             name="evetac-world",
@@ -201,7 +202,7 @@ class VirtualWorld:
 
 
 def _run_world(
-    plan: dict[str, Any],
+    plan: Plan,
     seeds: np.random.SeedSequence,
     durations: dict[str, float],
     patient: bool,
@@ -249,7 +250,7 @@ class _RunningWorld:
 
     def __init__(
         self,
-        plan: dict[str, Any],
+        plan: Plan,
         seeds: np.random.SeedSequence,
         durations: dict[str, float],
         patient: bool,
@@ -268,13 +269,13 @@ class _RunningWorld:
                 break
             encode(events, FIRST_MS)
             timestamp(FIRST_MS)
-            if isinstance(first.gripper, SimulatedGripper) and plan["scene"]["kind"] == "lift":
+            if isinstance(first.gripper, SimulatedGripper) and plan.scene.kind == "lift":
                 first.gripper.write_position(first.gripper.read().position_ticks + WARMING_TICKS)
         self._encode = encode
         self._timestamp = timestamp
         self._rig = rig(plan, seeds, **durations)
         if not isinstance(self._rig.gripper, SimulatedGripper):
-            raise DeviceError("a virtual gripper needs a scene with a gripper", found=str(plan["scene"]["name"]))
+            raise DeviceError("a virtual gripper needs a scene with a gripper", found=plan.scene.name)
         self._world = self._rig.gripper.simulation
         self._gain_ma_tick = self._world.drive.gain_ma_tick / PAPER_P_GAIN
         self._plant = plant

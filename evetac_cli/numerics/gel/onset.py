@@ -22,7 +22,7 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pressure
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
-from evetac_cli.sim.solver import Solver
+from evetac_cli.sim.setup.solver import Solver
 
 Floats = NDArray[np.float64]
 

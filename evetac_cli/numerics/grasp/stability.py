@@ -21,9 +21,11 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.numerics.bounds import CURRENT, FINITE, GOAL, HELD, LET_GO, MOVED, SWING, case_rows, run_case
-from evetac_cli.numerics.extreme_scenes import LIFTS, MORE_LIFTS, Plan, Tables, merge
+from evetac_cli.numerics.extreme_scenes import LIFTS, MORE_LIFTS, Tables, merge
 from evetac_cli.numerics.grasp.trials import CONTROLLERS, FixedDetector, GraspResult, ShortGrasp, run_short_grasp
 from evetac_cli.sim.gripper import Drive
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sensor import SensorGripper
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.grasp.loop import SlipDetector
 
@@ -84,23 +86,24 @@ class Case:
     """One extreme: how the plan, the detector or the controller is changed."""
 
     name: str
-    change_plan: Callable[[Plan], None] = lambda plan: None
+    change_plan: Callable[[Plan], Plan] = lambda plan: plan
     wrap_detector: Callable[[SlipDetector, np.random.Generator], SlipDetector] = lambda detector, rng: detector
     timing: tuple[tuple[str, Any], ...] = ()  # fields of ShortGrasp
     paper_only: bool = False
 
 
-def _servo(factor: float, plan: Plan) -> None:
-    gain = Drive.gain_ma_tick * factor
-    plan["sensor_row"] = {**plan["sensor_row"], "gripper": {"gain_ma_tick": gain}}
+def _servo(factor: float, plan: Plan) -> Plan:
+    gripper = SensorGripper(gain_ma_tick=Drive.gain_ma_tick * factor)
+    return replace(plan, sensor=replace(plan.sensor, gripper=gripper))
 
 
-def _friction(static: float, plan: Plan) -> None:
-    plan["object_row"] = {**plan["object_row"], "static_friction": static}
+def _friction(static: float, plan: Plan) -> Plan:
+    assert plan.touched is not None
+    return replace(plan, touched=replace(plan.touched, static_friction=static))
 
 
-def _scene(tables: Tables, plan: Plan) -> None:
-    plan.update(merge(plan, tables))
+def _scene(tables: Tables, plan: Plan) -> Plan:
+    return merge(plan, tables)
 
 
 def extreme_cases(*, full: bool) -> list[Case]:
@@ -126,9 +129,9 @@ def extreme_cases(*, full: bool) -> list[Case]:
     ]
 
 
-def _together(mass_g: float, friction: float, stiffness: float, plan: Plan) -> None:
-    _friction(friction, plan)
-    _scene({"object": {"mass_g": mass_g}, "gel": {"stiffness_factor": stiffness}}, plan)
+def _together(mass_g: float, friction: float, stiffness: float, plan: Plan) -> Plan:
+    tables = {"object": {"mass_g": mass_g}, "gel": {"stiffness_factor": stiffness}}
+    return merge(_friction(friction, plan), tables)
 
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:

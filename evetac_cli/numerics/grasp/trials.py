@@ -19,7 +19,9 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.sim import grasp_outcome, scene
+from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.plan import plan as planned
 from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, run_grasp
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
@@ -134,19 +136,17 @@ def run_short_grasp(
     short: ShortGrasp,
     seed: int,
     model: Path | None = None,
-    change_plan: Callable[[dict[str, Any]], None] = lambda plan: None,
+    change_plan: Callable[[Plan], Plan] = lambda plan: plan,
     wrap_detector: Callable[[SlipDetector, Rig], SlipDetector] = lambda detector, devices: detector,
 ) -> GraspResult:
     """Simulate one short grasp.
 
-    model: of the detector, default the package's; `change_plan` alters the plan (its object_row, sensor_row, scene);
+    model: of the detector, default the package's; `change_plan` makes another plan of the usual one;
     `wrap_detector` puts something between the detector and the controller. ValueError where the plan cannot be
     simulated.
     """
-    (plan,) = scene.plan(short.scene, str(short.object), short.sensor, ("lift",))
-    plan = {key: dict(value) if isinstance(value, dict) else value for key, value in plan.items()}
-    change_plan(plan)
-    touch_ms = round(SLICES_S * plan["scene"]["time"]["touch_s"])
+    plan = change_plan(planned(short.scene, str(short.object), short.sensor))
+    touch_ms = round(SLICES_S * plan.scene.time.touch_s)
     timing = Timing(
         touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
     )
@@ -160,10 +160,10 @@ def run_short_grasp(
                     open_detector(file, devices.camera.sensor, Grasp().tracker, Grasp().slip_threshold), devices
                 )
             )
-        watched = replace(devices, camera=CameraUntilLost(devices, plan["sensor_row"]["mm_per_px"]))
+        watched = replace(devices, camera=CameraUntilLost(devices, plan.sensor.mm_per_px))
         run_grasp(watched, detector, control, timing, lambda _, rows: buffer.append_rows(rows), lambda _: None)
     finally:
         devices.close()
     rows = buffer.row_arrays()
-    figures = grasp_outcome.outcome(rows, plan["sensor_row"]["mm_per_px"], timing.end_ms)
+    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, timing.end_ms)
     return GraspResult(figures, rows, np.array(detector.took_us))

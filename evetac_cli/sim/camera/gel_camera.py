@@ -3,9 +3,6 @@
 Three tables of a scene are the camera's: `light` (see scanning/light), `vanishing_dots` and `calibration`.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +13,10 @@ from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.camera.low_pass import LowPass, light_at, rim_bandwidth
-from evetac_cli.sim.camera.noise import HotPixelTable
 from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
-from evetac_cli.sim.solver import from_scene
+from evetac_cli.sim.setup.scene import CalibrationError, Scene, VanishingDots
+from evetac_cli.sim.setup.sensor import Sensor
 
 Floats = NDArray[np.float64]
 
@@ -30,60 +27,60 @@ FAINTEST = 0.2  # least share of the usual radius and contrast that a dot has
 AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees no more; farther than any ring
 
 
-def dot_grid(sensor_row: Mapping[str, Any], cut: bool) -> Floats:
+def dot_grid(sensor: Sensor, cut: bool) -> Floats:
     """Dot centres at rest (rows, columns, 2) in px: the sensor's grid, turned, with its jitter.
 
     A cut gel lacks the columns that the window took away. A sensor may name the place of every dot instead; dots in no
     grid are one row of them, of which a cut gel lacks those that the window touches.
     """
-    if "dot_xy_px" in sensor_row:
-        named = np.array(sensor_row["dot_xy_px"], np.float64)
-        return _beside_window(named, sensor_row) if cut else named
-    columns, rows = sensor_row["dot_columns_px"], sensor_row["dot_rows_px"]
-    rng = np.random.default_rng(sensor_row["seed"])
+    if sensor.dot_xy_px:
+        named = np.array(sensor.dot_xy_px, np.float64)
+        return _beside_window(named, sensor) if cut else named
+    columns, rows = sensor.dot_columns_px, sensor.dot_rows_px
+    rng = np.random.default_rng(sensor.seed)
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-    grid = grid + rng.normal(0.0, sensor_row["dot_jitter_px"], grid.shape)
-    angle = np.deg2rad(sensor_row["turned_deg"])
-    middle = np.array(sensor_row["frame_px"]) / 2
+    grid = grid + rng.normal(0.0, sensor.dot_jitter_px, grid.shape)
+    angle = np.deg2rad(sensor.turned_deg)
+    middle = np.array(sensor.frame_px) / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     grid = (grid - middle) @ turn + middle
-    dots: Floats = _beside_window(grid, sensor_row) if cut else grid
+    dots: Floats = _beside_window(grid, sensor) if cut else grid
     return dots
 
 
-def _beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> Floats:
-    beside: Floats = grid[:, _columns_beside_window(grid, sensor_row)]
+def _beside_window(grid: Floats, sensor: Sensor) -> Floats:
+    beside: Floats = grid[:, _columns_beside_window(grid, sensor)]
     return beside
 
 
-def _columns_beside_window(grid: Floats, sensor_row: Mapping[str, Any]) -> NDArray[np.bool_]:
-    beside: NDArray[np.bool_] = grid[..., 0].max(axis=0) + sensor_row["dot_radius_px"] < sensor_row["window_px"][0]
+def _columns_beside_window(grid: Floats, sensor: Sensor) -> NDArray[np.bool_]:
+    beside: NDArray[np.bool_] = grid[..., 0].max(axis=0) + sensor.dot_radius_px < sensor.window_px[0]
     return beside
 
 
-def dots_differ(sensor_row: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats] | None:
+def dots_differ(sensor: Sensor, cut: bool) -> tuple[Floats, Floats] | None:
     """Factors of radius and log contrast of every dot (dots,), drawn by the sensor's seed; None where dots are alike.
 
     Standard deviations are the sensor's dot_radius_spread and dot_contrast_spread; nothing is beyond three of them, or
     below FAINTEST.
     """
-    spreads = sensor_row.get("dot_radius_spread", 0.0), sensor_row.get("dot_contrast_spread", 0.0)
+    spreads = sensor.dot_radius_spread, sensor.dot_contrast_spread
     if not any(spreads):
         return None
-    grid = dot_grid(sensor_row, cut=False)
-    drawn = np.random.default_rng([sensor_row["seed"], 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
+    grid = dot_grid(sensor, cut=False)
+    drawn = np.random.default_rng([sensor.seed, 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
     if cut:
-        drawn = drawn[:, :, _columns_beside_window(grid, sensor_row)]
+        drawn = drawn[:, :, _columns_beside_window(grid, sensor)]
     radii, contrasts = np.maximum(1.0 + np.array(spreads)[:, None] * drawn.reshape(2, -1), FAINTEST)
     return radii, contrasts
 
 
-def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: Mapping[str, Any]) -> Floats:
+def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: CalibrationError) -> Floats:
     """The dots at rest as a calibration has them that is off: turned about the middle of the frame, then moved."""
-    angle = np.deg2rad(float(calibration.get("turned_deg", 0.0)))
+    angle = np.deg2rad(calibration.turned_deg)
     middle = np.asarray(frame_px) / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    off_px = np.asarray(calibration.get("offset_px", (0.0, 0.0)), np.float64)
+    off_px = np.asarray(calibration.offset_px, np.float64)
     grid: Floats = (grid_xy_px - middle) @ turn + middle + off_px
     return grid
 
@@ -112,131 +109,147 @@ class GelCamera:
 
     def __init__(
         self,
-        sensor_row: Mapping[str, Any],
+        sensor: Sensor,
         *,
-        cut: bool,
+        scene: Scene,
         texture: NDArray[np.float32] | None,
         rng: np.random.Generator,
         readout: str = "dvxplorer",
         outline: contact_edges.Outline | None = None,
         outline_at_px: Floats | None = None,
-        scene: Mapping[str, Any] | None = None,
     ) -> None:
         """Switch the sensor's camera on.
 
         `outline` is that of an object which dents the gel, its middle at `outline_at_px` (x, y) while the object is not
         displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
-        `scene` may name the tables of a scene that are the camera's.
         """
-        self._lens = Lens.of_sensor(sensor_row)
-        self._flat_xy_px = dot_grid(sensor_row, cut)  # without the lens
+        cut = scene.gel.cut
+        self._lens = Lens.of_sensor(sensor)
+        self._flat_xy_px = dot_grid(sensor, cut)  # without the lens
         self.grid_xy_px = self._flat_xy_px if self._lens is None else self._lens.seen(self._flat_xy_px)
-        parts = scene or {}
         self.calibrated_grid_xy_px = self.grid_xy_px
-        if "calibration" in parts:
-            self.calibrated_grid_xy_px = calibrated_grid(self.grid_xy_px, sensor_row["frame_px"], parts["calibration"])
-        self._gone, self._gone_from_us = self._vanishing(parts.get("vanishing_dots"))
-        x0, y0, x1, y1 = sensor_row["window_px"]
-        self.window_px: tuple[int, int, int, int] | None = (x0, y0, x1, y1) if cut else None
-        self.mm_per_px = float(sensor_row["mm_per_px"])
-        frame = np.array(sensor_row["frame_px"])
+        if scene.calibration is not None:
+            self.calibrated_grid_xy_px = calibrated_grid(self.grid_xy_px, sensor.frame_px, scene.calibration)
+        self._gone, self._gone_from_us = self._vanishing(scene.vanishing_dots)
+        self.window_px = sensor.window_px if cut else None
+        self.mm_per_px = sensor.mm_per_px
+        frame = np.array(sensor.frame_px)
         self.rest_m = (self._flat_xy_px.reshape(-1, 2) - frame / 2) * self.mm_per_px * 1e-3
         model = camera.CameraModel(
-            frame_px=tuple(sensor_row["frame_px"]),
-            scans_per_ms=from_scene(parts).scans_per_ms,
-            threshold=sensor_row["threshold"],
-            threshold_off=sensor_row.get("threshold_off"),
-            mismatch=sensor_row["mismatch"],
-            noise_rate_hz=sensor_row["noise_hz"],
-            hot_pixels=sensor_row["hot_pixels"],
-            hot_rate_hz=tuple(sensor_row["hot_pixel_hz"]),
-            noise_on_share=sensor_row.get("noise_on_share", 0.5),
-            timestamp_step_us=sensor_row.get("timestamp_step_us", 0.0),
-            hot_pixel_table=HotPixelTable.read(sensor_row["hot_pixel_table"])
-            if "hot_pixel_table" in sensor_row
-            else None,
-            edge_sigma_px=sensor_row["edge_sigma_px"],
-            log_contrast=sensor_row["log_contrast"],
-            dot_radius_px=sensor_row["dot_radius_px"],
-            leak_hz=sensor_row.get("leak_hz", 0.0),
-            refractory_us=sensor_row.get("refractory_us", 0.0),
-            events_per_s=sensor_row.get("readout", {}).get("events_per_s"),
+            frame_px=sensor.frame_px,
+            scans_per_ms=scene.solver.scans_per_ms,
+            threshold=sensor.threshold,
+            threshold_off=sensor.threshold_off,
+            mismatch=sensor.mismatch,
+            noise_rate_hz=sensor.noise_hz,
+            hot_pixels=sensor.hot_pixels,
+            hot_rate_hz=sensor.hot_pixel_hz,
+            noise_on_share=sensor.noise_on_share,
+            timestamp_step_us=sensor.timestamp_step_us,
+            hot_pixel_table=sensor.hot_pixel_table,
+            edge_sigma_px=sensor.edge_sigma_px,
+            log_contrast=sensor.log_contrast,
+            dot_radius_px=sensor.dot_radius_px,
+            leak_hz=sensor.leak_hz,
+            refractory_us=sensor.refractory_us,
+            events_per_s=None if sensor.readout is None else sensor.readout.events_per_s,
         )
         self._rng = rng
         self._texture_at_px = rng.uniform(0, texture.shape[0], 2) if texture is not None else np.zeros(2)
         self.dot_xy_px = self.grid_xy_px.reshape(-1, 2).copy()
         self.object_xy_px = np.zeros(2)
-        bandwidth_hz = float(sensor_row.get("bandwidth_hz", 0.0))  # 0: as fast as anything moves
         self._looked_at_rest = False
         self._lagging = None
-        if bandwidth_hz:
-            dots_hz, object_hz = self._bandwidths(sensor_row, bandwidth_hz)
+        if sensor.bandwidth_hz:
+            dots_hz, object_hz = self._bandwidths(sensor)
             self._lagging = LowPass(dots_hz, self.dot_xy_px), LowPass(object_hz, self.object_xy_px[None])
         window = self.window_px if texture is not None else None
-        built = np.random.default_rng([sensor_row["seed"], 1])
+        built = np.random.default_rng([sensor.seed, 1])
         self._outline = outline
         self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
-        self._object_at_px = self._outline_at_px if outline else self._window_middle_px(sensor_row)
+        self._object_at_px = self._outline_at_px if outline else self._window_middle_px(sensor)
         if self._lens is not None:
             self._outline_at_px = self._lens.seen(self._outline_at_px)
         self._outline_half_px = 0.5 * (np.array(outline.picture.shape[::-1]) - 1.0) if outline else np.zeros(2)
-        self._cut_x_px, self.cut_rest_m = self._cut_edge(sensor_row, cut)
+        self._cut_x_px, self.cut_rest_m = self._cut_edge(sensor, cut)
         self._cut_m = np.zeros_like(self.cut_rest_m)
         self._cut_node_rows = np.linspace(0.0, len(self._cut_x_px) - 1.0, CUT_NODES)
         self._lines = None
         if outline is not None or len(self.cut_rest_m):
             self._place = self._place_at(self.object_xy_px, self._cut_m, 0.0)
             self._lined_at = self.object_xy_px
-            line = (sensor_row.get("cut_contrast", 0.0), sensor_row.get("cut_width_px", 3.0))
+            line = (sensor.cut_contrast, sensor.cut_width_px)
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
-        change = light.of_scene(parts)
+        change = light.of_scene(scene.light)
         if readout == "ideal" and change is not None:
             raise ValueError("light that flickers or steps: expected the readout dvxplorer, found ideal")
-        differ = dots_differ(sensor_row, cut)
+        differ = dots_differ(sensor, cut)
         if readout == "ideal" and differ is not None:
             raise ValueError("dots that differ: expected the readout dvxplorer, found ideal")
         at_start = (model, self.dot_xy_px, None, window, texture, rng, built, self._lines)
         self._camera: CameraState | IdealState = (
             ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change, differ)
         )
+        is_slow, by_light = self._lagging is not None, sensor.bandwidth_by_light
+        exists = {
+            "camera": True,
+            "dots": True,
+            "dots that differ": differ is not None,
+            "window": window is not None,
+            "contact edges": outline is not None,
+            "cut edge": len(self.cut_rest_m) > 0,
+            "noise": model.is_noisy,
+            "OFF threshold of its own": model.threshold_off is not None,
+            "limit of the readout": model.events_per_s is not None,
+            "slow pixels": is_slow,
+            "bandwidth that falls with light": is_slow and by_light,
+            "uneven light": is_slow and by_light and sensor.light_gradient > 0.0,
+            "lens distortion": self._lens is not None,
+            "leak": model.leak_hz > 0.0,
+            "blind pixels": model.refractory_us > 0.0,
+            "changing light": change is not None,
+            "vanishing dots": len(self._gone) > 0,
+            "calibration that is off": self.calibrated_grid_xy_px is not self.grid_xy_px,
+        }
+        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
-    def _bandwidths(self, sensor_row: Mapping[str, Any], bandwidth_hz: float) -> tuple[float | Floats, float | Floats]:
+    def _bandwidths(self, sensor: Sensor) -> tuple[float | Floats, float | Floats]:
         """The bandwidths of the pixels that see the dots' rims, of each dot, and the window."""
-        if not sensor_row.get("bandwidth_by_light", False):
+        bandwidth_hz = sensor.bandwidth_hz
+        if not sensor.bandwidth_by_light:
             return bandwidth_hz, bandwidth_hz
-        gradient = float(sensor_row.get("light_gradient", 0.0))
-        places = self.dot_xy_px, self._window_middle_px(sensor_row)
-        dots, window = (light_at(place, sensor_row["frame_px"], gradient) for place in places)
-        return bandwidth_hz * rim_bandwidth(float(sensor_row["log_contrast"])) * dots, bandwidth_hz * window
+        places = self.dot_xy_px, self._window_middle_px(sensor)
+        dots, window = (light_at(place, sensor.frame_px, sensor.light_gradient) for place in places)
+        return bandwidth_hz * rim_bandwidth(sensor.log_contrast) * dots, bandwidth_hz * window
 
-    def _window_middle_px(self, sensor_row: Mapping[str, Any]) -> Floats:
-        x0, y0, x1, y1 = sensor_row["window_px"]
+    def _window_middle_px(self, sensor: Sensor) -> Floats:
+        x0, y0, x1, y1 = sensor.window_px
         return np.array([x0 + x1, y0 + y1]) / 2
 
-    def _vanishing(self, named: Mapping[str, Any] | None) -> tuple[NDArray[np.intp], float]:
+    def _vanishing(self, named: VanishingDots | None) -> tuple[NDArray[np.intp], float]:
         """Which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
         if named is None:
             return np.empty(0, np.intp), np.inf
         rows, columns = self.grid_xy_px.shape[:2]
-        for row, column in named["dots"]:
+        for row, column in named.dots:
             if not (0 <= row < rows and 0 <= column < columns):
                 raise ValueError(
                     f"vanishing_dots.dots: expected rows 0 to {rows - 1} and columns 0 to {columns - 1},"
                     f" found [{row}, {column}]"
                 )
-        numbers = [row * columns + column for row, column in named["dots"]]
-        return np.array(numbers, np.intp), float(named["at_s"]) * 1e6
+        numbers = [row * columns + column for row, column in named.dots]
+        return np.array(numbers, np.intp), named.at_s * 1e6
 
-    def _cut_edge(self, sensor_row: Mapping[str, Any], cut: bool) -> tuple[Floats, Floats]:
+    def _cut_edge(self, sensor: Sensor, cut: bool) -> tuple[Floats, Floats]:
         """Where the cut edge crosses every row at rest, in px, and where on it the gel's motion is asked for, in m.
 
         A straight cut between two ends, each off the window's border by the sensor's jitter. Empty without one.
         """
-        if not cut or sensor_row.get("cut_contrast", 0.0) == 0.0:
+        if not cut or sensor.cut_contrast == 0.0:
             return np.zeros(0), np.zeros((0, 2))
-        width, height = sensor_row["frame_px"]
-        border_px = sensor_row["window_px"][0]
-        off_px = np.random.default_rng([sensor_row["seed"], 2]).normal(0.0, sensor_row.get("cut_jitter_px", 0.0), 2)
+        width, height = sensor.frame_px
+        border_px = sensor.window_px[0]
+        off_px = np.random.default_rng([sensor.seed, 2]).normal(0.0, sensor.cut_jitter_px, 2)
         ends_px = border_px + np.clip(off_px, -FARTHEST_CUT_PX, FARTHEST_CUT_PX)
         nodes_px = np.stack([np.full(CUT_NODES, float(border_px)), np.linspace(0.0, height - 1.0, CUT_NODES)], axis=1)
         rest_m: Floats = (nodes_px - np.array([width, height]) / 2) * self.mm_per_px * 1e-3

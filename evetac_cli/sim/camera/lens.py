@@ -5,13 +5,13 @@ numbers are a barrel, positive ones a pincushion. Dots, the cut edge and the mid
 they are seen. Left out: dots and outlines keep their shape, and a texture moves as the middle of its window does.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from evetac_cli.sim.setup.sensor import Sensor
 
 Floats = NDArray[np.float64]
 
@@ -32,11 +32,10 @@ class Lens:
             raise ValueError(f"distortion: expected seen distances that grow with distance, found {self.k1}, {self.k2}")
 
     @classmethod
-    def of_sensor(cls, sensor_row: Mapping[str, Any]) -> "Lens | None":
-        """The lens that a sensor's row names; None without distortion."""
-        k1, k2 = sensor_row.get("distortion", (0.0, 0.0))
-        width, height = sensor_row["frame_px"]
-        return cls((width, height), float(k1), float(k2)) if k1 or k2 else None
+    def of_sensor(cls, sensor: Sensor) -> "Lens | None":
+        """The lens of a sensor; None without distortion."""
+        k1, k2 = sensor.distortion
+        return cls(sensor.frame_px, k1, k2) if k1 or k2 else None
 
     def seen(self, xy_px: ArrayLike) -> Floats:
         """Where points (..., 2) are seen."""

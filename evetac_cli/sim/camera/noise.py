@@ -9,16 +9,13 @@ depend on those before, and mix short ones with long ones (two exponentials; a g
 the median). The polarity of an event depends on that before: most pixels alternate more, or less, than by chance.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.setup.sensor import HotPixelTable
 
 
 def hot_rates(hot_rate_hz: ArrayLike, hot_pixels: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -52,32 +49,6 @@ def add_noise(
         return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))
     hot = (hot_pixel, hot_cumulative_hz)
     return int(_place_in_steps(uniform, background_hz, *hot, frame_px, on_share, step_us, t0_us, keys, made))
-
-
-@dataclass(frozen=True)
-class HotPixelTable:
-    """Hot pixels of known place, an entry for each: where, how often, which polarity, at which intervals.
-
-    Times between events are `dead_time_us` plus one of two exponentials: with `short_interval_share` one of the mean
-    `short_interval_us`, else one that makes the rate right. A share `polarity_change_share` of events changes polarity.
-    """
-
-    x_px: tuple[int, ...]
-    y_px: tuple[int, ...]
-    rate_hz: tuple[float, ...]
-    on_share: tuple[float, ...]
-    polarity_change_share: tuple[float, ...]
-    short_interval_share: tuple[float, ...]
-    short_interval_us: tuple[float, ...]
-    dead_time_us: float
-
-    @classmethod
-    def read(cls, row: Mapping[str, Any]) -> "HotPixelTable":
-        """From the table of a sensor's row."""
-        columns: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in row.items()
-        }
-        return cls(**columns)
 
 
 class HotPixels:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
-from evetac_cli.sim.solver import MOST_HALVINGS, Solver
+from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
 Floats = NDArray[np.float64]
 

@@ -8,13 +8,13 @@ centre of the view.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Shape = Literal["flat", "cylinder", "sphere"]
+from evetac_cli.sim.setup.object_file import Shape
+
 Floats = NDArray[np.float64]
 
 

@@ -10,20 +10,18 @@ Why so: down is +x of the image in a grasp from the top, +y in one from the side
 """
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.sim import gripper, sampling
+from evetac_cli.sim import gripper
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.object_file import seed_of
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
 from evetac_cli.sim.scenes.second_finger import SecondFinger
@@ -32,6 +30,7 @@ from evetac_cli.sim.scenes.shared import (
     DotPath,
     GelSlices,
     SolverTruth,
+    built_of_gel,
     friction_factor,
     friction_of,
     material,
@@ -39,7 +38,11 @@ from evetac_cli.sim.scenes.shared import (
 )
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
-from evetac_cli.sim.solver import from_scene
+from evetac_cli.sim.setup import sampling
+from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
+from evetac_cli.sim.setup.plan import Called, Plan
+from evetac_cli.sim.setup.scene import HandSettings
+from evetac_cli.sim.setup.sensor import Sensor
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
 GONE_M = 0.02  # an object that slid this far is lost
@@ -55,38 +58,32 @@ class GraspSimulation:
 
     def __init__(
         self,
-        plan: Mapping[str, Any],
+        plan: Plan,
         mechanics: np.random.Generator,
         optics_rng: np.random.Generator,
         *,
         lift_s: float = 10.0,
         balance_s: float = 20.0,
     ) -> None:
-        """Build what a plan names: scene, object (its number or name), object_row, sensor_row."""
-        self._scene = plan["scene"]
-        self._time = self._scene["time"]
-        self._kind = self._scene["kind"]
-        self._drop = self._scene.get("drop")
-        self._solver = from_scene(self._scene)
-        object_params, sensor_row = plan["object_row"], sampling.sensor_with_gel(self._scene, plan["sensor_row"])
-        self.sampled = sampling.sample_trial(self._scene, object_params, mechanics, sensor_row, plan["object"])
+        """Build what a plan names; ValueError where values of a scene do not go together."""
+        assert plan.touched is not None
+        self._scene = plan.scene
+        self._time = self._scene.time
+        self._kind = self._scene.kind
+        self._drop = self._scene.drop
+        self._solver = self._scene.solver
+        touched, sensor = plan.touched, sampling.sensor_with_gel(self._scene, plan.sensor)
+        self.sampled = sampling.sample_trial(self._scene, touched, sensor, mechanics, plan.called)
         # each part has a stream of its own, and draws from it only where a scene names it
         hand_rng, self._encoder_rng, commands_rng = mechanics.spawn(3)
-        self._down = 1 if self._scene["gel"].get("sideways", False) else 0
-        texture = self._texture(plan["object"], optics_rng)
+        self._down = 1 if self._scene.gel.sideways else 0
+        texture = self._texture(plan.called, optics_rng)
         self._shows_texture = texture is not None
-        self.gel_camera = GelCamera(
-            sensor_row,
-            cut=self._scene["gel"]["cut"],
-            texture=texture,
-            rng=optics_rng,
-            readout=plan["readout"],
-            scene=self._scene,
-        )
-        self._faults = sampling.gripper_faults(self._scene, sensor_row)
-        self._build_mechanics(object_params, sensor_row)
-        self._encoder_noise_ticks = self._faults["encoder_noise_ticks"]
-        delay, jitter = (self._faults[f"command_{key}_ms"] * 1e-3 / STEP_S for key in ("delay", "jitter"))
+        self.gel_camera = GelCamera(sensor, scene=self._scene, texture=texture, rng=optics_rng, readout=plan.readout)
+        self._faults = sampling.gripper_faults(self._scene, sensor)
+        self._build_mechanics(touched, sensor)
+        self._encoder_noise_ticks = self._faults.encoder_noise_ticks
+        delay, jitter = (ms * 1e-3 / STEP_S for ms in (self._faults.command_delay_ms, self._faults.command_jitter_ms))
         self._commands = None
         if delay > 0.0 or jitter > 0.0:
             self._commands = gripper.DelayedCommands(self.command, delay, jitter, commands_rng)
@@ -101,23 +98,41 @@ class GraspSimulation:
         self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self.slices_in_all = self._planned_slices(lift_s, balance_s)
-        rises_at_s = float(self._time.get("touch_s", 0.0) + self._time.get("before_rise_s", 0.0))
-        self._hand = Hand(self._scene, rises_at_s, STEP_S, hand_rng)
-        self._drops_at = round((float(self._time.get("touch_s", 0.0)) + lift_s) * 1000)
-        if self._drop:
-            self._drops_at += round(float(self._drop["after_s"]) * 1000)
+        rises_at_s = self._time.touch_s + self._time.before_rise_s
+        self._hand = Hand(self._scene.hand, rises_at_s, STEP_S, hand_rng)
+        self._drops_at = round((self._time.touch_s + lift_s) * 1000)
+        if self._drop is not None:
+            self._drops_at += round(self._drop.after_s * 1000)
+        scene, hand = self._scene, self._scene.hand
+        exists = {
+            **built_of_gel(self._friction_factor, self._material, scene),
+            "gripper": True,
+            "free object": True,
+            "table and hand": self._kind == "lift",
+            "pushes": scene.push is not None,
+            "falling weight": self._drop is not None,
+            "gear friction": scene.gripper.friction_factor != (1.0, 1.0),
+            "backlash of the gripper": self.drive.backlash_ticks > 0.0,
+            "second finger of its own": self._second is not None,
+            "noise of the gripper's encoder": self._encoder_noise_ticks > 0.0,
+            "commands that come late": self._commands is not None,
+            "profile of the hand's motion": hand.profile != HandSettings.profile,
+            "vibration of the hand": hand.vibration is not None,
+            "jerk of the hand": hand.jerk is not None,
+            "other mass of the object": scene.object is not None,
+        }
+        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _planned_slices(self, lift_s: float, balance_s: float) -> int:
         if self._kind == "lift":
-            return round((float(self._time["touch_s"]) + lift_s + balance_s) * 1000)
-        return round(float(self._time["longest_s"]) * 1000)
+            return round((self._time.touch_s + lift_s + balance_s) * 1000)
+        return round(self._time.longest_s * 1000)
 
-    def _texture(self, called: int | str, rng: np.random.Generator) -> NDArray[np.float32] | None:
+    def _texture(self, called: Called, rng: np.random.Generator) -> NDArray[np.float32] | None:
         """What the window shows of the object; nothing if the scene has no texture, leaves it out, or has no window."""
-        named = self._scene.get("texture")
-        if named is None or not self._scene["gel"]["cut"]:
+        if self._scene.texture is None or not self._scene.gel.cut:
             return None
-        if not named.get("show", True):
+        if not self._scene.texture.show:
             rng.uniform(
                 0, TEXTURE_PX[0], 2
             )  # where a texture would lie: the gel's events are those of a trial with one
@@ -125,39 +140,40 @@ class GraspSimulation:
         drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called)])
         return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
-    def _build_mechanics(self, object_params: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> None:
-        nodes = pad(self._scene, sensor_row)
+    def _build_mechanics(self, touched: TouchedObject, sensor: Sensor) -> None:
+        nodes = pad(self._solver, sensor, cut=self._scene.gel.cut)
         sampled = self.sampled
-        width_m = float(object_params.get("grasped_width_mm", object_params["width_mm"])) * 1e-3
+        width_m = touched.held_mm * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
-        radius_m = float(object_params["width_mm"]) * 0.5e-3
-        self._gap = contact.gap_profile(upright - sampled.touch_m, object_params["shape"], radius_m, sampled.tilt_rad)
-        self._material = material(sensor_row)
-        second = self._scene.get("gripper", {}).get("second_finger")
-        self._second = None if second is None else SecondFinger(second, sensor_row, nodes)
+        radius_m = touched.width_mm * 0.5e-3
+        self._gap = contact.gap_profile(upright - sampled.touch_m, touched.shape, radius_m, sampled.tilt_rad)
+        self._material = material(sensor)
+        second = self._scene.gripper.second_finger
+        self._second = None if second is None else SecondFinger(second, sensor, nodes)
+        own_stiffness = sensor.gripper.finger_stiffness_n_m
         self._curve = contact.force_curve(
             self._gap,
             contact.cell_area(nodes),
-            float(sensor_row["normal_modulus_pa"]),
+            sensor.normal_modulus_pa,
             self._material.height_m,
-            float(sensor_row.get("gripper", {}).get("finger_stiffness_n_m", FINGER_STIFFNESS_N_M)),
+            FINGER_STIFFNESS_N_M if own_stiffness is None else own_stiffness,
             gripper.metres_per_tick(width_m),
             second_stiffness=None if self._second is None else self._second.stiffness_factor,
         )
-        self._friction_factor = friction_factor(sensor_row, nodes)
+        self._friction_factor = friction_factor(sensor, nodes)
         self._slip_limit_n = slip_limit_n(sampled, self._curve, self._gap, nodes, self._friction_factor, self._second)
-        backlash_ticks = self._faults["backlash_ticks"]
-        self.drive = gripper.make_drive(sensor_row, sampled.gear_friction_factor, backlash_ticks)
+        own = sensor.gripper
+        self.drive = gripper.make_drive(own, sampled.gear_friction_factor, self._faults.backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
         self.command: tuple[gripper.Mode, float]
         if self._kind == "ramp":
             self.finger = gripper.closed_with(self.drive, self._curve, touch_ticks, self.holding_ma())
             self.command = ("current", self.holding_ma())
         else:
-            away = APPROACH_TICKS if self._kind == "lift" else -float(self._scene["gripper"]["open_ticks"])
+            away = APPROACH_TICKS if self._kind == "lift" else -self._scene.gripper.open_ticks
             self.finger = gripper.start(self.drive, self._curve, touch_ticks, away)
             self.command = ("position", self.finger.position_ticks)
-        height_m = float(object_params["height_mm"]) * 1e-3
+        height_m = touched.height_mm * 1e-3
         inertia = sampled.mass_kg * (height_m**2 + width_m**2) / 12
         along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)
@@ -176,7 +192,7 @@ class GraspSimulation:
         self._gel_slices = GelSlices(self._gel, self._solver, second_pad)
         self._press()
         self._friction = friction_of(sampled)
-        self._changing_friction = ChangingFriction(self._scene, self._friction)
+        self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
         self._window_from_middle_m: tuple[float, float] | None = None
         if self.gel_camera.window_px is not None and self._middle_m.any():
@@ -194,7 +210,7 @@ class GraspSimulation:
     def holding_ma(self) -> float:
         """The current that closes to the sampled multiple of the force at the slip limit, and more if named."""
         limit_n = self._slip_limit_n
-        force_n = self.sampled.start_factor * limit_n + float(self._scene.get("gripper", {}).get("start_more_n", 0.0))
+        force_n = self.sampled.start_factor * limit_n + self._scene.gripper.start_more_n
         push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
         return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
 
@@ -241,8 +257,9 @@ class GraspSimulation:
 
     def _contrast(self) -> float:
         """How clearly the window shows the object: it blurs once it is away from the pad."""
+        assert self._scene.texture is not None
         open_mm = max(-self.finger.closing_ticks, 0.0) * self._curve.metres_per_tick * 0.5e3
-        return float(np.exp(-open_mm / self._scene["texture"]["focus_mm"]))
+        return float(np.exp(-open_mm / self._scene.texture.focus_mm))
 
     def _dilated(self) -> NDArray[np.float64]:
         """Shift of the dots by pressure alone; evaluated only where the indentation has changed."""
@@ -267,7 +284,7 @@ class GraspSimulation:
             self._press()
         shares = self._shares
         force_n = (before_n, after_n)
-        if self._drop and self.slices == self._drops_at:
+        if self._drop is not None and self.slices == self._drops_at:
             self._catch_weight()
         acceleration = self._hand.accelerate(self.slices)
         if self._kind == "lift":
@@ -319,31 +336,31 @@ class GraspSimulation:
 
     def _load(self) -> float:
         """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
-        done = (self.slices * STEP_S - self._time["rest_s"]) / max(self._time["load_s"], STEP_S)
+        done = (self.slices * STEP_S - self._time.rest_s) / max(self._time.load_s, STEP_S)
         if done >= 1.0:
             return 1.0
         return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
 
     def _push(self) -> float:
         """Force of whoever pushes the object down at this moment, in N."""
-        push = self._scene.get("push")
+        push = self._scene.push
         if push is None:
             return 0.0
         now = self.slices * STEP_S
         forces = [
-            force_n * float(np.sin(np.pi * (now - at) / push["lasts_s"]))
-            for at, force_n in zip(push["at_s"], push["force_n"], strict=True)
-            if at <= now < at + push["lasts_s"]
+            force_n * float(np.sin(np.pi * (now - at) / push.lasts_s))
+            for at, force_n in zip(push.at_s, push.force_n, strict=True)
+            if at <= now < at + push.lasts_s
         ]
         return float(sum(forces))
 
     def _catch_weight(self) -> None:
         """A weight lands on the object and stays: inelastic."""
         assert self._drop is not None
-        weight_kg = float(self._drop["mass_g"]) * 1e-3
+        weight_kg = self._drop.mass_g * 1e-3
         share = weight_kg / (self._mass_kg + weight_kg)
         speed = self._gel.twist[self._down]
-        self._gel.twist[self._down] = speed + share * (float(self._drop["speed_m_s"]) - speed)
+        self._gel.twist[self._down] = speed + share * (self._drop.speed_m_s - speed)
         self._mass_kg += weight_kg
         self._gel.inertia[:2] = self._mass_kg
 
@@ -383,7 +400,7 @@ class GraspSimulation:
         if self._kind == "lift":
             gone = fallen and self._table_m - self._fallen_m() > GONE_M and self.finger.force_n <= 0.0
         self._lost_for = self._lost_for + 1 if gone else 0
-        return bool(self._lost_for > self._time.get("after_lost_s", 0.15) / STEP_S)
+        return bool(self._lost_for > self._time.after_lost_s / STEP_S)
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""

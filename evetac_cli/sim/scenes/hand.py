@@ -9,10 +9,10 @@ motion and inertia agree to the bit. A vibration that began or ended at once wou
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
+
+from evetac_cli.sim.setup.scene import HandJerk, HandSettings
 
 CONTROLLER_HZ = 125.0
 FADE_S = 0.05
@@ -21,26 +21,23 @@ FADE_S = 0.05
 class Hand:
     """Speed of a hand along gravity, positive upwards, slice by slice."""
 
-    def __init__(
-        self, scene: Mapping[str, Any], rises_at_s: float, slice_s: float, phases: np.random.Generator
-    ) -> None:
-        """Read the scene's table `[hand]`; without one the hand is still. phases: draws those of a vibration."""
-        named = scene.get("hand", {})
+    def __init__(self, settings: HandSettings, rises_at_s: float, slice_s: float, phases: np.random.Generator) -> None:
+        """phases: draws those of a vibration."""
         self._rises_at_s, self._slice_s = rises_at_s, slice_s
-        self._height_m = float(named.get("height_mm", 0.0)) * 1e-3
-        self._fastest_m_s = float(named.get("speed_mm_s", 1.0)) * 1e-3
-        self._profile = named.get("profile", "trapezoid")
-        self._starts_for_s = self._fastest_m_s / (float(named.get("acceleration_mm_s2", 1.0)) * 1e-3)
+        self._height_m = settings.height_mm * 1e-3
+        self._fastest_m_s = settings.speed_mm_s * 1e-3
+        self._profile = settings.profile
+        self._starts_for_s = self._fastest_m_s / (settings.acceleration_mm_s2 * 1e-3)
         if self._profile == "s-curve":
             self._starts_for_s *= 0.5 * math.pi  # so that the largest acceleration is the one that is named
-        self._jerk = named.get("jerk")
-        self._vibration = named.get("vibration")
+        self._jerk = settings.jerk
+        self._vibration = settings.vibration
         self._turning = self._swing_m_s = self._phase_rad = np.zeros(0)
         if self._vibration is not None:
-            self._turning = 2 * np.pi * np.array(self._vibration["frequency_hz"], dtype=np.float64)
-            self._swing_m_s = np.array(self._vibration["acceleration_m_s2"], dtype=np.float64) / self._turning
+            self._turning = 2 * np.pi * np.array(self._vibration.frequency_hz, dtype=np.float64)
+            self._swing_m_s = np.array(self._vibration.acceleration_m_s2, dtype=np.float64) / self._turning
             self._phase_rad = phases.uniform(0.0, 2 * np.pi, len(self._turning))
-        self._never_moves = named.keys() <= {"profile"}
+        self._never_moves = settings.is_still
         self.speed_m_s = 0.0
 
     def accelerate(self, slice_number: int) -> float:
@@ -70,7 +67,7 @@ class Hand:
     def _vibrates_m_s(self, now_s: float) -> float:
         """What the vibration adds to the speed: of an acceleration A sin(w t + p), -A/w cos(w t + p)."""
         fades = now_s
-        if self._vibration is not None and self._vibration.get("only_moving", False):
+        if self._vibration is not None and self._vibration.only_moving:
             since_s = now_s - self._rises_at_s
             fades = min(since_s, self._height_m / self._fastest_m_s + self._starts_for_s - since_s)
         if fades <= 0.0:
@@ -79,9 +76,9 @@ class Hand:
         return -strength * float((self._swing_m_s * np.cos(self._turning * now_s + self._phase_rad)).sum())
 
 
-def jerk_m_s(jerk: Mapping[str, Any], now_s: float) -> float:
+def jerk_m_s(jerk: HandJerk, now_s: float) -> float:
     """What a jerk adds to the upward speed of the hand at a time: half a sine wave."""
-    since_s, lasts_s = now_s - float(jerk["at_s"]), float(jerk["lasts_s"])
+    since_s, lasts_s = now_s - jerk.at_s, jerk.lasts_s
     if not 0.0 < since_s < lasts_s:
         return 0.0
-    return float(jerk["speed_mm_s"]) * 1e-3 * math.sin(math.pi * since_s / lasts_s)
+    return jerk.speed_mm_s * 1e-3 * math.sin(math.pi * since_s / lasts_s)

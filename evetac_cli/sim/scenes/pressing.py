@@ -7,7 +7,6 @@ over the whole gel in lines, lifted off between them, so that every dot is moved
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
@@ -26,13 +24,16 @@ from evetac_cli.sim.scenes.shared import (
     DotPath,
     GelSlices,
     SolverTruth,
+    built_of_gel,
     friction_factor,
     friction_of,
     material,
     pad,
 )
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
-from evetac_cli.sim.solver import from_scene
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
+from evetac_cli.sim.setup.scene import Face, FaceMotion
 
 Floats = NDArray[np.float64]
 LONGEST_S = 24 * 3600.0  # as for any recording
@@ -60,40 +61,41 @@ class Pressing:
     """A trial of pressing: `step` makes a slice, `truth` returns what only a simulation knows of it."""
 
     follows = False  # whether what is pressed is where the face is, or stays while the face shears it
+    _face: Face
 
     def __init__(
         self,
-        plan: Mapping[str, Any],
+        plan: Plan,
         mechanics: np.random.Generator,
         optics_rng: np.random.Generator,
         outline: Outline | None = None,
         outline_at_px: Floats | None = None,
     ) -> None:
-        """Build what a plan names: scene, sensor_row. The camera sees the face's outline, if there is one."""
-        self._scene = plan["scene"]
-        sensor_row = sampling.sensor_with_gel(self._scene, plan["sensor_row"])
-        solver = from_scene(self._scene)
+        """Build what a plan names. The camera sees the face's outline, if there is one."""
+        assert plan.touched is not None
+        self._scene = plan.scene
+        sensor = sensor_with_gel(self._scene, plan.sensor)
+        solver = self._scene.solver
         self.gel_camera = GelCamera(
-            sensor_row,
-            cut=self._scene["gel"]["cut"],
+            sensor,
+            scene=self._scene,
             texture=None,
             rng=optics_rng,
-            readout=plan["readout"],
+            readout=plan.readout,
             outline=outline,
             outline_at_px=outline_at_px,
-            scene=self._scene,
         )
-        self.sampled = sampling.sample_trial(self._scene, plan["object_row"], mechanics, sensor_row)
-        nodes = pad(self._scene, sensor_row)
-        self._material = material(sensor_row)
-        self._stiffness_n_m3 = float(sensor_row["normal_modulus_pa"]) / self._material.height_m
-        varies = friction_factor(sensor_row, nodes)
+        self.sampled = sample_trial(self._scene, plan.touched, sensor, mechanics)
+        nodes = pad(solver, sensor, cut=self._scene.gel.cut)
+        self._material = material(sensor)
+        self._stiffness_n_m3 = sensor.normal_modulus_pa / self._material.height_m
+        varies = friction_factor(sensor, nodes)
         # a driven face: its mass is of no account
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1, friction_factor=varies)
         sampled = self.sampled
         self._gel_slices = GelSlices(self._gel, solver)
         self._friction = friction_of(sampled)
-        self._changing_friction = ChangingFriction(self._scene, self._friction)
+        self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
         self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
         self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
@@ -109,62 +111,63 @@ class Pressing:
         self._shear_n = (0.0, 0.0)
         self.slices = 0
         self.finished = False
+        exists = built_of_gel(varies, self._material, self._scene)
+        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
-        motion = self._scene["motion"]
-        self._face = self._scene["face"]
-        self.follows = motion["kind"] == "strokes"
-        if motion["kind"] == "waypoints":
+        motion, face = self._scene.motion, self._scene.face
+        assert motion is not None and face is not None
+        self._face = face
+        self.follows = motion.kind == "strokes"
+        if motion.kind == "waypoints":
             return self._plan_waypoints(motion, rng)
-        return np.zeros(2), self._plan_strokes(motion)
+        return np.zeros(2), self._plan_strokes(motion, (face.radius_mm or 0.0) * 1e-3)
 
-    def _plan_waypoints(self, motion: Mapping[str, Any], rng: np.random.Generator) -> tuple[Floats, Timeline]:
+    def _plan_waypoints(self, motion: FaceMotion, rng: np.random.Generator) -> tuple[Floats, Timeline]:
         """Press on with an offset, then shear to random places that need at most the scene's shear force."""
-        offset_m = rng.uniform(-1.0, 1.0, 2) * motion["offset_mm"] * 1e-3
+        offset_m = rng.uniform(-1.0, 1.0, 2) * motion.offset_mm * 1e-3
         area = self._weights(offset_m).sum() * self._gel.cell_area_m2
-        reach_m = motion["shear_n"] / (self._material.shear_modulus_pa * area / self._material.height_m)
-        entries = [(0.0, np.zeros(2), 0.0), (self._scene["time"]["rest_s"], np.zeros(2), 0.0)]
-        entries.append((entries[-1][0] + motion["press_s"], np.zeros(2), motion["normal_n"]))
-        for _ in range(motion["count"]):
+        reach_m = motion.shear_n / (self._material.shear_modulus_pa * area / self._material.height_m)
+        entries = [(0.0, np.zeros(2), 0.0), (self._scene.time.rest_s, np.zeros(2), 0.0)]
+        entries.append((entries[-1][0] + motion.press_s, np.zeros(2), motion.normal_n))
+        for _ in range(motion.count):
             angle, radius = rng.uniform(0, 2 * np.pi), reach_m * np.sqrt(rng.uniform())
             place = radius * np.array([np.cos(angle), np.sin(angle)])
-            arrives = entries[-1][0] + rng.uniform(*motion["move_s"])
-            entries += [(arrives, place, motion["normal_n"]), (arrives + motion["pause_s"], place, motion["normal_n"])]
+            arrives = entries[-1][0] + rng.uniform(*motion.move_s)
+            entries += [(arrives, place, motion.normal_n), (arrives + motion.pause_s, place, motion.normal_n)]
         return offset_m, timeline(entries)
 
-    def _plan_strokes(self, motion: Mapping[str, Any]) -> Timeline:
-        """Lines along x, there and back, then along y, over the whole pad, never over its edge."""
-        inset = self._face.get("radius_mm", 0.0) * 1e-3
+    def _plan_strokes(self, motion: FaceMotion, inset: float) -> Timeline:
+        """Lines along x, there and back, then along y, over the whole pad, `inset` m within its edge."""
         low, high = self._gel.node_xy_m.min(axis=(0, 1)) + inset, self._gel.node_xy_m.max(axis=(0, 1)) - inset
-        entries = [(0.0, low, 0.0), (self._scene["time"]["rest_s"], low, 0.0)]
+        entries = [(0.0, low, 0.0), (self._scene.time.rest_s, low, 0.0)]
         for along in (0, 1):
-            lines = np.linspace(low[1 - along], high[1 - along], motion["lines"])
+            lines = np.linspace(low[1 - along], high[1 - along], motion.lines)
             for number, line in enumerate(lines):
                 ends = (low[along], high[along]) if number % 2 == 0 else (high[along], low[along])
                 first, last = (np.array([end, line])[:: 1 if along == 0 else -1] for end in ends)
-                start = entries[-1][0] + motion["approach_s"]
-                pressed = start + motion["press_s"]
-                done = pressed + np.linalg.norm(last - first) / (motion["speed_mm_s"] * 1e-3)
-                entries += [(start, first, 0.0), (pressed, first, motion["normal_n"]), (done, last, motion["normal_n"])]
-                entries.append((done + motion["press_s"], last, 0.0))
+                start = entries[-1][0] + motion.approach_s
+                pressed = start + motion.press_s
+                done = pressed + float(np.linalg.norm(last - first)) / (motion.speed_mm_s * 1e-3)
+                entries += [(start, first, 0.0), (pressed, first, motion.normal_n), (done, last, motion.normal_n)]
+                entries.append((done + motion.press_s, last, 0.0))
         return timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:
         """Share of each node's cell that the face covers, (rows, columns); soft over one cell."""
         from_centre = self._gel.node_xy_m - centre_m
         pitch_m = np.sqrt(self._gel.cell_area_m2)
-        if "radius_mm" in self._face:
-            inside_m = self._face["radius_mm"] * 1e-3 - np.linalg.norm(from_centre, axis=2)
+        if self._face.radius_mm is not None:
+            inside_m = self._face.radius_mm * 1e-3 - np.linalg.norm(from_centre, axis=2)
         else:
-            inside_m = (np.array(self._face["size_mm"]) * 0.5e-3 - np.abs(from_centre)).min(axis=2)
+            inside_m = (np.array(self._face.size_mm) * 0.5e-3 - np.abs(from_centre)).min(axis=2)
         weights: Floats = np.clip(inside_m / pitch_m + 0.5, 0.0, 1.0)
         return weights
 
     @property
     def slices_in_all(self) -> int:
         """How many slices the trial has."""
-        time = self._scene["time"]
-        longest_s = float(self.timeline.time_s[-1]) + float(time.get("after_s", time["rest_s"]))
+        longest_s = float(self.timeline.time_s[-1]) + self._scene.time.after_motion_s
         return math.ceil(longest_s / STEP_S - 1e-6)
 
     def step(self) -> Events:
@@ -196,8 +199,7 @@ class Pressing:
             self._slip.follow(self._gel, self._shares, self._force_n)
         events = self._look(still)
         self.slices += 1
-        time = self._scene["time"]
-        self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + time.get("after_s", time["rest_s"])
+        self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + self._scene.time.after_motion_s
         return events
 
     def _place(self, centre_m: Floats) -> None:

@@ -5,7 +5,6 @@ scissors), and the outline moves with it. Apart from that it is a scene of press
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,8 +14,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
-from evetac_cli.sim.sampling import SampledTrial
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sampling import SampledTrial
 
 Floats = NDArray[np.float64]
 
@@ -43,14 +43,14 @@ class Rubbing(Pressing):
 
     follows = True
 
-    def __init__(
-        self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
-    ) -> None:
-        """Build what a plan names: scene, sensor_row."""
-        rub = plan["scene"]["rub"]
-        object_name = str(mechanics.choice(rub["objects"]))
-        contrast, blur_px = (float(mechanics.uniform(*rub[key])) for key in ("edge_log_contrast", "edge_blur_px"))
-        self._normal_n = float(mechanics.uniform(*rub["normal_n"]))
+    def __init__(self, plan: Plan, mechanics: np.random.Generator, optics_rng: np.random.Generator) -> None:
+        """Build what a plan names."""
+        rub = plan.scene.rub
+        assert rub is not None
+        self._rub = rub
+        object_name = str(mechanics.choice(rub.objects))
+        contrast, blur_px = (float(mechanics.uniform(*ends)) for ends in (rub.edge_log_contrast, rub.edge_blur_px))
+        self._normal_n = float(mechanics.uniform(*rub.normal_n))
         self._size_px, self._thick_px = np.array(SIZES_PX[object_name]), THICK_PX[object_name]
         outline = None  # edges without contrast are not seen, and not drawn
         if contrast > 0.0:
@@ -67,30 +67,30 @@ class Rubbing(Pressing):
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
         """Touch, shear there and back, ease off, rub in random directions with pauses between, lift off."""
-        rub = self._scene["rub"]
+        rub = self._rub
         mm_per_px = self.gel_camera.mm_per_px
         place = np.zeros(2)
-        entries = [(0.0, place, 0.0), (self._scene["time"]["rest_s"], place, 0.0)]
+        entries = [(0.0, place, 0.0), (self._scene.time.rest_s, place, 0.0)]
 
         def go(to_px: Floats, takes_s: float, force_n: float) -> None:
             entries.append((entries[-1][0] + takes_s, to_px * mm_per_px * 1e-3, force_n))
 
-        go(place, rub["touch_s"], self._normal_n)
+        go(place, rub.touch_s, self._normal_n)
         angle = rng.uniform(0.0, 2 * np.pi)
-        aside = rub["shear_px"] * np.array([np.cos(angle), np.sin(angle)])
+        aside = rub.shear_px * np.array([np.cos(angle), np.sin(angle)])
         for to_px, share in ((aside, 0.25), (-aside, 0.5), (place, 0.25)):
-            go(to_px, share * rub["shear_s"], self._normal_n)
-        rub_n = float(rng.uniform(*rub["rub_n"]))
-        go(place, rub["pause_s"], rub_n)
-        for _ in range(int(rng.integers(rub["count"][0], rub["count"][1] + 1))):
-            length_px = float(rng.uniform(*rub["length_mm"])) / mm_per_px
-            peak_px_s = float(rng.uniform(*rub["speed_mm_s"])) / mm_per_px
+            go(to_px, share * rub.shear_s, self._normal_n)
+        rub_n = float(rng.uniform(*rub.rub_n))
+        go(place, rub.pause_s, rub_n)
+        for _ in range(int(rng.integers(rub.count[0], rub.count[1] + 1))):
+            length_px = float(rng.uniform(*rub.length_mm)) / mm_per_px
+            peak_px_s = float(rng.uniform(*rub.speed_mm_s)) / mm_per_px
             place = place + length_px * _direction(
-                self._starts_px + place, length_px, rub["length_mm"][1] / mm_per_px, rng
+                self._starts_px + place, length_px, rub.length_mm[1] / mm_per_px, rng
             )
             go(place, 0.5 * np.pi * length_px / peak_px_s, rub_n)
-            go(place, rub["pause_s"], rub_n)
-        go(place, rub["lift_s"], 0.0)
+            go(place, rub.pause_s, rub_n)
+        go(place, rub.lift_s, 0.0)
         return self._starts_px * mm_per_px * 1e-3, timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:

@@ -5,15 +5,15 @@ its own, and so its own indentation, contact and shear; the camera looks at the 
 where one finger carries more than the other, which would shift pressure along each pad.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import friction_factor
+from evetac_cli.sim.setup.scene import SecondFingerSettings
+from evetac_cli.sim.setup.sensor import Sensor
 
 Floats = NDArray[np.float64]
 
@@ -21,11 +21,11 @@ Floats = NDArray[np.float64]
 class SecondFinger:
     """Friction and stiffness of the second pad, and how it is pressed."""
 
-    def __init__(self, named: Mapping[str, Any], sensor_row: Mapping[str, Any], node_xy_m: Floats) -> None:
-        """Read a scene's gripper.second_finger; where friction varies over the gel, it does otherwise over this one."""
-        self.stiffness_factor = float(named.get("stiffness_factor", 1.0))
-        varies = friction_factor(sensor_row, node_xy_m, finger=1)
-        even = np.full(node_xy_m.shape[:2], float(named.get("friction_factor", 1.0)))
+    def __init__(self, settings: SecondFingerSettings, sensor: Sensor, node_xy_m: Floats) -> None:
+        """Where friction varies over the gel of the sensor, it does otherwise over this one."""
+        self.stiffness_factor = settings.stiffness_factor
+        varies = friction_factor(sensor, node_xy_m, finger=1)
+        even = np.full(node_xy_m.shape[:2], settings.friction_factor)
         self.friction_factor: Floats = even if varies is None else even * varies
 
     def pad(self, first: gel.GelState) -> gel.GelState:

@@ -1,7 +1,7 @@
 """What scenes share: the pad of gel nodes, the gel of a sensor, its friction, and how finely slices are simulated."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +13,10 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.friction import varied
-from evetac_cli.sim.sampling import SampledTrial
-from evetac_cli.sim.solver import Solver, from_scene
+from evetac_cli.sim.setup.sampling import SampledTrial
+from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.solver import Solver
 
 STEP_S = 1e-3
 Floats = NDArray[np.float64]
@@ -31,32 +33,32 @@ WEAKEST_N = 1e-22
 SMALLEST_M = 1e-21
 
 
-def pad(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
+def pad(solver: Solver, sensor: Sensor, *, cut: bool) -> NDArray[np.float64]:
     """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
-    columns, rows = from_scene(scene).nodes(PAD_M)
-    mm_per_px = float(sensor_row["mm_per_px"])
-    cut_m = (sensor_row["window_px"][0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
-    end_m = cut_m if scene["gel"]["cut"] else FRAME_PX[0] / 2 * mm_per_px * 1e-3
+    columns, rows = solver.nodes(PAD_M)
+    mm_per_px = sensor.mm_per_px
+    cut_m = (sensor.window_px[0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
+    end_m = cut_m if cut else FRAME_PX[0] / 2 * mm_per_px * 1e-3
     more = (end_m - cut_m) / PAD_M[0]
     return contact.pad_nodes(
         round(columns * (1 + more)), rows, (cut_m - PAD_M[0], end_m), (-PAD_M[1] / 2, PAD_M[1] / 2)
     )
 
 
-def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
-    """The gel of a sensor: `GelMaterial` but for its shear modulus, and creep and loss_tangent if the row names them.
+def material(sensor: Sensor) -> gel.GelMaterial:
+    """The gel of a sensor: `GelMaterial` but for its shear modulus, and creep and loss tangent if it has them.
 
     The loss tangent of spring, dashpot tau and Maxwell arms (shares g, times t) at w is
     (w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2)); it is met by the choice of tau. ValueError where
     the arms alone lose more.
     """
-    creep = sensor_row.get("creep", {})
+    creep, tangent = sensor.creep, sensor.loss_tangent
     usual = gel.GelMaterial(
-        shear_modulus_pa=float(sensor_row["shear_modulus_pa"]),
-        creep_share=tuple(map(float, creep.get("share", ()))),
-        creep_time_s=tuple(map(float, creep.get("time_s", ()))),
+        shear_modulus_pa=sensor.shear_modulus_pa,
+        creep_share=() if creep is None else creep.share,
+        creep_time_s=() if creep is None else creep.time_s,
     )
-    if "loss_tangent" not in sensor_row:
+    if tangent is None:
         return usual
     omega = 2 * np.pi * LOSS_AT_HZ
     stored, lost_in_arms = 1.0, 0.0
@@ -64,9 +66,9 @@ def material(sensor_row: Mapping[str, Any]) -> gel.GelMaterial:
         turn = omega * time_s
         stored += share * turn**2 / (1 + turn**2)
         lost_in_arms += share * turn / (1 + turn**2)
-    viscous_time_s = (float(sensor_row["loss_tangent"]) * stored - lost_in_arms) / omega
+    viscous_time_s = (tangent * stored - lost_in_arms) / omega
     if viscous_time_s < 0.0:
-        least, tangent = lost_in_arms / stored, sensor_row["loss_tangent"]
+        least = lost_in_arms / stored
         raise ValueError(
             f"loss_tangent of the sensor must be at least {least:.3g}, as the arms of its gel lose, found {tangent}"
         )
@@ -80,19 +82,31 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     )
 
 
-def friction_factor(sensor_row: Mapping[str, Any], node_xy_m: Floats, finger: int = 0) -> Floats | None:
+def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Floats | None:
     """Factor on the friction of each node of a sensor's gel, where its row names friction.patch_spread and patch_mm.
 
     It belongs to the gel: the sensor's own seed draws it, and it is the same in all trials and scenes; that of the
     second finger (1) is another one.
     """
-    friction = sensor_row.get("friction", {})
-    if ("patch_spread" in friction) != ("patch_mm" in friction):
+    spread, patch_mm = sensor.friction.patch_spread, sensor.friction.patch_mm
+    if (spread is None) != (patch_mm is None):
         raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be named together")
-    if not friction.get("patch_spread"):
+    if not spread or patch_mm is None:
         return None
-    rng = np.random.default_rng([sensor_row["seed"], FRICTION_SEED, finger])
-    return varied(node_xy_m, float(friction["patch_spread"]), float(friction["patch_mm"]) * 1e-3, rng)
+    rng = np.random.default_rng([sensor.seed, FRICTION_SEED, finger])
+    return varied(node_xy_m, spread, patch_mm * 1e-3, rng)
+
+
+def built_of_gel(varies: Floats | None, layer: gel.GelMaterial, scene: Scene) -> dict[str, bool]:
+    """Which parts exist of what all scenes may have (see sim/parts.py); varies: of the friction of its nodes."""
+    return {
+        "gel and friction": True,
+        "friction that varies over the gel": varies is not None,
+        "slow creep": len(layer.creep_share) > 0,
+        "what touches": True,
+        "change of friction": scene.friction_change is not None,
+        "other stiffness of the gel": scene.gel.stiffness_factor != 1.0,
+    }
 
 
 class GelSlices:

@@ -20,7 +20,6 @@ another phase: at 498 Hz the subharmonic won in most seeds that were tried, wher
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -31,9 +30,10 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
-from evetac_cli.sim.sampling import sensor_with_gel
-from evetac_cli.sim.scenes.shared import material
+from evetac_cli.sim.scenes.shared import built_of_gel, material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sampling import sensor_with_gel
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the surface
 FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one
@@ -146,46 +146,37 @@ class Motion(NamedTuple):
 class Vibration:
     """A trial with one tone: `step` makes a slice, `truth` returns what only a simulation knows of it."""
 
-    def __init__(
-        self, plan: Mapping[str, Any], mechanics: np.random.Generator, optics_rng: np.random.Generator
-    ) -> None:
-        """Build what a plan names: scene, sensor_row, tone_hz."""
-        scene = plan["scene"]
-        sensor_row = sensor_with_gel(scene, plan["sensor_row"])
-        self._time, tone = scene["time"], scene["tone"]
-        self.gel_camera = GelCamera(
-            sensor_row,
-            cut=scene["gel"]["cut"],
-            texture=None,
-            rng=optics_rng,
-            readout=plan["readout"],
-            scene=scene,
-        )
-        layer = material(sensor_row)
-        radius_m = tone["radius_mm"] * 1e-3
-        offset_m = mechanics.uniform(-1.0, 1.0, 2) * tone["offset_mm"] * 1e-3
-        share = float(mechanics.uniform(*tone["tangential_share"]))
+    def __init__(self, plan: Plan, mechanics: np.random.Generator, optics_rng: np.random.Generator) -> None:
+        """Build what a plan names."""
+        scene, tone = plan.scene, plan.scene.tone
+        assert tone is not None and plan.tone_hz is not None
+        sensor = sensor_with_gel(scene, plan.sensor)
+        self._time = scene.time
+        self.gel_camera = GelCamera(sensor, scene=scene, texture=None, rng=optics_rng, readout=plan.readout)
+        layer = material(sensor)
+        radius_m = tone.radius_mm * 1e-3
+        offset_m = mechanics.uniform(-1.0, 1.0, 2) * tone.offset_mm * 1e-3
+        share = float(mechanics.uniform(*tone.tangential_share))
         direction_rad, phase_rad = mechanics.uniform(0.0, 2 * np.pi, 2)
-        factor = float(mechanics.uniform(*tone["amplitude_factor"]))
+        factor = float(mechanics.uniform(*tone.amplitude_factor))
 
-        self._hz = float(plan["tone_hz"])
+        self._hz = plan.tone_hz
         self._along = share * resonance(ORDERS * self._hz, layer)
         self._shift, follows = pressed_by_disc(self.gel_camera.rest_m, offset_m, radius_m, layer.height_m)
         direction = np.array([np.cos(direction_rad), np.sin(direction_rad)])
         self._sideways = follows[:, None] * direction
-        amplitude_m = factor * _table(tone, "dot_motion_px", self._hz) * self.gel_camera.mm_per_px * 1e-3
+        amplitude_m = factor * tone.at(tone.dot_motion_px, self._hz) * self.gel_camera.mm_per_px * 1e-3
         self._amplitude_m = amplitude_m / self._motion_per_metre()
         # A rigid disc on the layer: what the tone's share along the surface pulls, and how deep the press goes.
         area_m2 = math.pi * radius_m**2
         self._shear_n_m = layer.shear_modulus_pa * area_m2 / layer.height_m * direction
-        self._depth_m_n = layer.height_m / (float(sensor_row["normal_modulus_pa"]) * area_m2)
-        self._press_n, self._press_s = float(tone["normal_n"]), float(tone["press_s"])
+        self._depth_m_n = layer.height_m / (sensor.normal_modulus_pa * area_m2)
+        self._press_n, self._press_s = tone.normal_n, tone.press_s
 
-        hold_s = tuple(tone["drift_s"])
-        low, high = (_table(tone, f"second_harmonic_{end}", self._hz) for end in ("least", "most"))
-        self._second_harmonic = Drift.sample(low, high, hold_s, self._time["tone_s"], mechanics)
-        most = _table(tone, "modulation_most", self._hz)
-        self._modulation = Drift.sample(0.0, most, hold_s, self._time["tone_s"], mechanics)
+        low, high = (tone.at(ends, self._hz) for ends in (tone.second_harmonic_least, tone.second_harmonic_most))
+        self._second_harmonic = Drift.sample(low, high, tone.drift_s, self._time.tone_s, mechanics)
+        most = tone.at(tone.modulation_most, self._hz)
+        self._modulation = Drift.sample(0.0, most, tone.drift_s, self._time.tone_s, mechanics)
         self.sampled = SampledTone(
             tone_hz=self._hz,
             amplitude_um=self._amplitude_m * 1e6,
@@ -197,8 +188,10 @@ class Vibration:
         self._pieces = PIECES * math.ceil(PIECES_A_PERIOD * self._hz * 1e-3 / PIECES)
         self._now = Motion(*(np.zeros(()) for _ in Motion._fields))
         self.slices = 0
-        self.slices_in_all = round(1000 * (self._time["tone_at_s"] + self._time["tone_s"] + self._time["after_s"]))
+        self.slices_in_all = round(1000 * (self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s))
         self.finished = False
+        exists = {**built_of_gel(None, layer, scene), "gel and friction": False}
+        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _motion_per_metre(self) -> float:
         """Root mean square over the dots of how far the tone alone moves them, per metre of the surface's amplitude."""
@@ -227,10 +220,10 @@ class Vibration:
 
     def _motion(self, time_s: Floats) -> Motion:
         """What the speaker does at some times."""
-        pressed = np.clip((time_s - self._time["rest_s"]) / self._press_s, 0.0, 1.0)
+        pressed = np.clip((time_s - self._time.rest_s) / self._press_s, 0.0, 1.0)
         force_n = self._press_n * (0.5 - 0.5 * np.cos(np.pi * pressed))
-        since_s = time_s - self._time["tone_at_s"]
-        sounding = np.clip(np.minimum(since_s, self._time["tone_s"] - since_s) / FADE_S, 0.0, 1.0)
+        since_s = time_s - self._time.tone_at_s
+        sounding = np.clip(np.minimum(since_s, self._time.tone_s - since_s) / FADE_S, 0.0, 1.0)
         amplitude_m = self._amplitude_m * (0.5 - 0.5 * np.cos(np.pi * sounding))
         h2, m = (
             np.where(sounding > 0.0, drift.at(since_s), 0.0) for drift in (self._second_harmonic, self._modulation)
@@ -259,8 +252,3 @@ class Vibration:
             "truth/tone_second_harmonic": self._now.second_harmonic,
             "truth/tone_modulation": self._now.modulation,
         }
-
-
-def _table(tone: Mapping[str, Any], key: str, frequency_hz: float) -> float:
-    """A column of the scene's table over frequency, linear between its rows and constant beyond them."""
-    return float(np.interp(frequency_hz, tone["at_hz"], tone[key]))

@@ -23,9 +23,10 @@ from evetac_cli.kernels.force.gel_forces import Floats, Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.parameter import recipe_of
+from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report
 from evetac_cli.stages.force import adapt_gel, gel_model, readings
-from evetac_cli.stages.force.gel_model import Gel, GelModel
+from evetac_cli.stages.force.gel_model import Gel, GelModel, KnownGel
 from evetac_cli.stages.force.train_gel import known_sensor
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
@@ -33,8 +34,6 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
 METHOD = 2
-KNOWN_KEYS = ("mm_per_px", *gel_model.MODULI.values())
-Known = Mapping[str, Any]  # keys of a sensor's row
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,9 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
         return rows, _summary(trials, rows, range_n, params)
 
     parents = [*headers, *own_headers, model_header]
-    recipe = recipe_of(params) | ({"identified": identified} if identified else {})
+    recipe = recipe_of(params) | (
+        {"identified": {name: known.named() for name, known in identified.items()}} if identified else {}
+    )
     outcome = report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
     if not trials:
         return outcome
@@ -93,20 +94,20 @@ def _headers(
     """Headers of the files and of those to adapt on, and the latter by sensor; InputError where they do not fit."""
     headers, own_headers, names = [], [], []
     by_sensor: dict[str, list[Path]] = {}
-    true: dict[str, tuple[Path, list[float]]] = {}
+    true: dict[str, tuple[Path, KnownGel]] = {}
     for path in files:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
-            row = known_sensor(recording)
+            sensor = known_sensor(recording)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
-            of_gel = [float(row[key]) for key in KNOWN_KEYS]
+            of_gel = KnownGel(sensor.shear_modulus_pa, sensor.normal_modulus_pa, sensor.mm_per_px)
             first, other = true.setdefault(names[-1], (path, of_gel))
             if other != of_gel:
                 raise InputError(
                     f"two sensors of the name {names[-1]}, with different gels",
                     where=str(path),
-                    expected=f"{', '.join(KNOWN_KEYS)} of {other}, as in {first}",
-                    found=str(of_gel),
+                    expected=f"{other.named()}, as in {first}",
+                    found=f"{of_gel.named()}",
                 )
             check_disjoint([model], [tracks.header], "evaluated on", [path])
     for path in own:
@@ -126,16 +127,15 @@ def _headers(
     return headers, own_headers, by_sensor
 
 
-def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, Known]:
+def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, KnownGel]:
     """What a sensor's file in the folder tells of its gel, of each sensor that has one; InputError if none has."""
-    known: dict[str, Known] = {}
+    known: dict[str, KnownGel] = {}
     for path in files:
         with StageFile(path, "tracks") as tracks:
             name = str(tracks.read("sensor/name"))
         file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
         if file.exists():
-            named = gel_model.known_of(str(file))
-            known[name] = {key: named[key] for key in (*KNOWN_KEYS, "creep") if key in named}
+            known[name] = gel_model.known_of(str(file))
     if not known:
         expected = "files such as 7.sensor.toml for randomized:7"
         raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)
@@ -144,20 +144,19 @@ def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, Known]:
 
 def _gels(
     name: str,
-    row: Mapping[str, Any],
+    sensor: Sensor,
     model: GelModel,
     own: list[Path],
-    identified: Known | None,
+    identified: KnownGel | None,
     params: EvaluateForce,
 ) -> dict[str, Gel]:
     """What is taken as known of a sensor's gel -> the model's weights."""
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
-    known = {key: float(row[key]) for key in KNOWN_KEYS}
-    for key in gel_model.MODULI.values():
-        known[key] *= float(np.exp(params.stiffness_error * moduli.standard_normal()))
+    shear_off, normal_off = np.exp(params.stiffness_error * moduli.standard_normal(2)).tolist()
+    known = KnownGel(sensor.shear_modulus_pa * shear_off, sensor.normal_modulus_pa * normal_off, sensor.mm_per_px)
     gels = {
-        "unknown": gel_model.gel_of(model, {}, params.stiffness_error),
+        "unknown": gel_model.gel_of(model, KnownGel(), params.stiffness_error),
         "known": gel_model.gel_of(model, known, params.stiffness_error),
     }
     if identified is not None:
@@ -175,14 +174,14 @@ def _predict(
     model: GelModel,
     gels: dict[str, dict[str, Gel]],
     by_sensor: Mapping[str, list[Path]],
-    identified: Mapping[str, Known],
+    identified: Mapping[str, KnownGel],
     params: EvaluateForce,
 ) -> Trial:
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         name = str(tracks.read("sensor/name"))
         if name not in gels:
-            row, own = known_sensor(recording), by_sensor.get(name, [])
-            gels[name] = _gels(name, row, model, own, identified.get(name), params)
+            sensor, own = known_sensor(recording), by_sensor.get(name, [])
+            gels[name] = _gels(name, sensor, model, own, identified.get(name), params)
         predicted = {}
         for known, gel in gels[name].items():
             estimated = gel_model.predict(model, gel, tracks)

@@ -22,6 +22,7 @@ from evetac_cli.params.evaluation import EvaluateGrasp
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import table
 from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
@@ -98,24 +99,25 @@ def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
 def trial_row(path: Path, header: Header) -> dict[str, Any]:
     """Setting and outcome of one grasp."""
     planned = header["parameters"]
+    plan = read_plan(planned, str(path))
     with StageFile(path, "recording") as recording:
         rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
-    seconds = planned["scene"]["time"]["touch_s"] + planned["lift_s"] + planned["balance_s"]
-    figures = grasp_outcome.outcome(rows, planned["sensor_row"]["mm_per_px"], round(1000 * seconds))
-    return {"setting": describe_setting(planned), "object": planned["object"], "file": path.name, **figures}
+    seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
+    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(1000 * seconds))
+    return {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, **figures}
 
 
-def describe_setting(planned: dict[str, Any]) -> str:
+def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
     """The setting of a grasp in words: its controller, and all that differs from the usual; not object and trial."""
     words = [planned["controller"]]
     chosen = {name: planned.get(name, usual) for name, usual in USUAL.items()}
     if chosen["gain"] != 1.0:
         words.append(f"gain {chosen['gain']:g}")
-    if planned["scene"]["name"] != "lift":
-        words.append(planned["scene"]["name"])
-    if planned["sensor"] != "evetac":
-        words.append(planned["sensor"])
-    if not planned["scene"]["gel"]["cut"]:
+    if plan.scene.name != "lift":
+        words.append(plan.scene.name)
+    if plan.sensor_name != "evetac":
+        words.append(plan.sensor_name)
+    if not plan.scene.gel.cut:
         words.append("closed gel")
     if chosen["latency_ms"]:
         words.append(f"{chosen['latency_ms']} ms late")

@@ -28,7 +28,7 @@ from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.kernels.realism import figures
 from evetac_cli.params.evaluation import EvaluateRealism
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.evaluate import Rows, picture, report, report_job, told_apart
 from evetac_cli.stages.identify import pressed
 from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
@@ -194,7 +194,7 @@ def _side(recording: Recording) -> Side:
     moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
     whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
     motion = _phase(recording, moving) if whole else None
-    log_contrast = float(scene.sensor_row("evetac")["log_contrast"])
+    log_contrast = one_sensor("evetac").log_contrast
     noise_hz = 0.0 if rest is None else _at_rest(rest, recording.frame_px)[0]["ordinary_hz"]
     press = None
     if motion is not None:

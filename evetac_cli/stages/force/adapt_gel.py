@@ -74,7 +74,7 @@ def run(job: Job, params: TrainForce, *, force: bool) -> Outcome:
         "method": "gel, adapted",
         "noise_n": params.noise_n,
         "stiffness_error": params.stiffness_error,
-        "known": {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known},
+        "known": known.named(),
         "readings": sources,
     }
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=(*headers, model_header))

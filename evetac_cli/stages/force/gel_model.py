@@ -1,6 +1,6 @@
 """Force models for any sensor: their files, what a sensor's file tells of its gel, and what they predict."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +13,9 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field
 from evetac_cli.kernels.force.gel_forces import Errors, Forces, GelNetwork, Scale, Stiffness
 from evetac_cli.kernels.force.models import Layer
-from evetac_cli.sim import scene, sensor_file
+from evetac_cli.sim.setup import sensor_file
+from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, one_sensor
+from evetac_cli.sim.setup.sensor import GelCreep, Sensor
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import read_toml
 
@@ -33,6 +35,22 @@ BLOCK_SLICES = 5000
 LENGTHS_IN_SHEAR, LENGTHS_IN_NORMAL = 3, 2  # powers of mm_per_px in force over modulus
 CONTACT = 0.5  # probability from which there is contact
 MODULI = {"shear": "shear_modulus_pa", "normal": "normal_modulus_pa"}
+
+
+class KnownGel(NamedTuple):
+    """What `--sensor` says of a gel; None where it does not. Arms of a gel that does not creep are empty."""
+
+    shear_modulus_pa: float | None = None
+    normal_modulus_pa: float | None = None
+    mm_per_px: float | None = None
+    creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time in s of its arms
+
+    def named(self) -> dict[str, Any]:
+        """As it enters a recipe."""
+        named = {name: value for name, value in self._asdict().items() if value is not None}
+        if self.creep is not None:
+            named["creep"] = dict(zip(("share", "time_s"), map(list, self.creep), strict=True))
+        return named
 
 
 class Prior(NamedTuple):
@@ -71,20 +89,20 @@ class Predicted(NamedTuple):
     contact: Floats
 
 
-def prior_of(rows: Sequence[Mapping[str, Any]]) -> Prior:
+def prior_of(sensors: Sequence[Sensor]) -> Prior:
     """Medians and spreads of the gels of many sensors."""
 
-    def logs(key: str) -> tuple[float, float]:
-        values = np.log([float(row[key]) for row in rows])
-        return float(np.exp(np.median(values))), float(values.std())
+    def logs(values: Iterable[float]) -> tuple[float, float]:
+        logarithms = np.log(list(values))
+        return float(np.exp(np.median(logarithms))), float(logarithms.std())
 
-    shear_pa, shear_sd = logs(MODULI["shear"])
-    normal_pa, normal_sd = logs(MODULI["normal"])
-    mm_per_px, mm_sd = logs("mm_per_px")
-    creeps = [row.get("creep", {}) for row in rows]
+    shear_pa, shear_sd = logs(sensor.shear_modulus_pa for sensor in sensors)
+    normal_pa, normal_sd = logs(sensor.normal_modulus_pa for sensor in sensors)
+    mm_per_px, mm_sd = logs(sensor.mm_per_px for sensor in sensors)
+    creeps = [sensor.creep for sensor in sensors]
     arms = gel_forces.CREEP_ARMS
-    share = np.array([_padded(creep.get("share", []), arms, 0.0) for creep in creeps])
-    time_s = np.array([_padded(creep.get("time_s", []), arms, np.nan) for creep in creeps])
+    share = np.array([_padded(() if creep is None else creep.share, arms, 0.0) for creep in creeps])
+    time_s = np.array([_padded(() if creep is None else creep.time_s, arms, np.nan) for creep in creeps])
     if np.isfinite(time_s).all(axis=1).any():
         times = np.exp(np.nanmean(np.log(time_s), axis=0))
     else:
@@ -97,58 +115,62 @@ def _padded(values: Sequence[float], size: int, by: float) -> list[float]:
     return [*map(float, values), *[by] * size][:size]
 
 
-def gel_of(model: GelModel, known: Mapping[str, Any], stiffness_error: float) -> Gel:
-    """The weights for a sensor of which `known` keys of its row are told; an adapted model has its own.
+def gel_of(model: GelModel, known: KnownGel, stiffness_error: float) -> Gel:
+    """The weights for a sensor of which so much is known; an adapted model has its own.
 
     stiffness_error: sd of the logarithm of moduli that are known. A scale that is not known makes forces less sure.
     """
     if model.adapted is not None:
         return model.adapted
     expected = model.prior.stiffness
-    mm_log_sd = 0.0 if "mm_per_px" in known else model.prior.mm_log_sd
+    mm_per_px, mm_log_sd = model.prior.mm_per_px, model.prior.mm_log_sd
+    if known.mm_per_px is not None:
+        mm_per_px, mm_log_sd = known.mm_per_px, 0.0
 
-    def modulus(which: str, median_mpa: float, log_sd: float, lengths: int) -> tuple[float, float]:
-        key = MODULI[which]
-        mpa, sd = (float(known[key]) * 1e-6, stiffness_error) if key in known else (median_mpa, log_sd)
+    def modulus(known_pa: float | None, median_mpa: float, log_sd: float, lengths: int) -> tuple[float, float]:
+        mpa, sd = (median_mpa, log_sd) if known_pa is None else (known_pa * 1e-6, stiffness_error)
         return mpa, float(np.hypot(sd, lengths * mm_log_sd))
 
-    creep = known.get("creep")
     arms = gel_forces.CREEP_ARMS
     slow = (expected.creep_share, expected.creep_sd, expected.creep_time_s)
-    if creep is not None:
-        times = np.array(_padded(creep["time_s"], arms, 1.0))
-        slow = (np.array(_padded(creep["share"], arms, 0.0)), np.zeros(arms), times)
+    if known.creep is not None:
+        share, time_s = known.creep
+        slow = (np.array(_padded(share, arms, 0.0)), np.zeros(arms), np.array(_padded(time_s, arms, 1.0)))
     stiffness = Stiffness(
-        *modulus("shear", expected.shear_mpa, expected.shear_log_sd, LENGTHS_IN_SHEAR),
-        *modulus("normal", expected.normal_mpa, expected.normal_log_sd, LENGTHS_IN_NORMAL),
+        *modulus(known.shear_modulus_pa, expected.shear_mpa, expected.shear_log_sd, LENGTHS_IN_SHEAR),
+        *modulus(known.normal_modulus_pa, expected.normal_mpa, expected.normal_log_sd, LENGTHS_IN_NORMAL),
         *slow,
     )
-    return Gel(
-        gel_forces.scale_of(stiffness), float(known.get("mm_per_px", model.prior.mm_per_px)), slow[2], model.errors
-    )
+    return Gel(gel_forces.scale_of(stiffness), mm_per_px, slow[2], model.errors)
 
 
-def known_of(sensor: str | None) -> dict[str, Any]:
+def known_of(sensor: str | None) -> KnownGel:
     """What `--sensor` tells of a gel: of a file only the keys that it names itself, of a named sensor all."""
     if sensor is None:
-        return {}
-    if sensor == scene.FOR_EACH_TRIAL:
+        return KnownGel()
+    if sensor == FOR_EACH_TRIAL:
         expected = "one sensor, as in evetac or randomized:7, or its file"
         raise InputError("not one sensor but many", where="--sensor", expected=expected, found=sensor)
     if not sensor.endswith(sensor_file.SUFFIX):
-        return {"creep": {"share": [], "time_s": []}, **scene.sensor_row(sensor)}  # it creeps if its row says so
-    _, row = sensor_file.read(Path(sensor), scene.sensor_row)
-    named = read_toml(Path(sensor))
-    return {key: value for key, value in row.items() if key in named}
+        return _known(one_sensor(sensor), KnownGel._fields)
+    _, own = sensor_file.read(Path(sensor), one_sensor)
+    return _known(own, read_toml(Path(sensor)))
 
 
-def check_scale(tracks: StageFile, known: Mapping[str, Any]) -> None:
+def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
+    """What a sensor says of its gel, of the keys that are named; it creeps if it says so."""
+    arms = sensor.creep or GelCreep(share=(), time_s=())
+    told = KnownGel(sensor.shear_modulus_pa, sensor.normal_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s))
+    return KnownGel(**{name: value for name, value in told._asdict().items() if name in named})
+
+
+def check_scale(tracks: StageFile, known: KnownGel) -> None:
     """InputError for tracks of another frame than an Evetac's, unless it is known how large a pixel is on the gel.
 
     Displacements in mm would be wrong by the ratio of the scales, and forces by its square.
     """
     width, height = (int(size) for size in tracks.read("sensor/frame_px"))
-    if (width, height) == FRAME_PX or "mm_per_px" in known:
+    if (width, height) == FRAME_PX or known.mm_per_px is not None:
         return
     raise InputError(
         "the scale of this frame, in mm per pixel on the gel, is not known",

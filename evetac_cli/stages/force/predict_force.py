@@ -59,8 +59,8 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
         raise InputError(
             "an adapted model has the stiffness of its sensor", where="--sensor", found=f"{params.sensor}, {model_path}"
         )
-    given = {key: known[key] for key in (*gel_model.MODULI.values(), "mm_per_px", "creep") if key in known}
-    chosen = {**recipe_of(params), "known": given} if known else {}
+    given = known.named()
+    chosen = {} if params.sensor is None else {**recipe_of(params), "known": given}
     with StageFile(path, "tracks") as tracks:
         name = str(tracks.read("sensor/name"))
         if model.adapted is not None and len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
@@ -90,8 +90,8 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
         simulated=recipe.simulated,
         slices=len(contact),
         **{
-            f"{which}_modulus": "adapted" if model.adapted is not None else "known" if key in given else "unknown"
-            for which, key in gel_model.MODULI.items()
+            f"{which}_modulus": "adapted" if model.adapted is not None else "known" if modulus in given else "unknown"
+            for which, modulus in gel_model.MODULI.items()
         },
         contact_s=float(contact.sum() / 1000),
         **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),

@@ -6,8 +6,7 @@ moves with the object, the rest follows; in some contacts the shear is shared ou
 off by what a tracker errs, and the displacement field is read from them as from a recording's.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,14 @@ from scipy.sparse.linalg import spsolve
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.force.dot_field import lattice_field
 from evetac_cli.kernels.identify import held_gel
-from evetac_cli.sim import sampling
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import pad
+from evetac_cli.sim.setup.sampling import sample_sensor
+from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
+from evetac_cli.sim.setup.solver import Solver
 
 Floats = NDArray[np.float64]
 
@@ -42,38 +43,38 @@ LEAST_NODES = 4
 
 
 class Contacts(NamedTuple):
-    """Fields on the lattice (n, places, 2) in mm, forces over moduli (n, 3) in mm2, and the sensors' rows."""
+    """Fields on the lattice (n, places, 2) in mm, forces over moduli (n, 3) in mm2, and the sensors."""
 
     field_mm: Floats
     over_modulus_mm2: Floats
-    sensor_rows: list[dict[str, Any]]
+    sensors: list[Sensor]
 
 
 def sample(
-    ranges: Mapping[str, Any],
+    ranges: SensorRanges,
     count: int,
     rng: np.random.Generator,
     progress: Progress = silent,
 ) -> Contacts:
     """So many contacts of sensors from a row of ranges, SHEARS samples each."""
-    fields, forces, rows = [], [], []
+    fields, forces, sensors = [], [], []
     for number, own in enumerate(rng.spawn(count)):
-        row = sampling.sample_sensor(ranges, own)
-        field_mm, over_modulus = one_contact(row, own)
+        sensor = sample_sensor(ranges, own)
+        field_mm, over_modulus = one_contact(sensor, own)
         fields.append(field_mm)
         forces.append(over_modulus)
-        rows.append(row)
+        sensors.append(sensor)
         if number % 100 == 99 or number == count - 1:
             progress(number + 1, count)
-    return Contacts(np.concatenate(fields), np.concatenate(forces), rows)
+    return Contacts(np.concatenate(fields), np.concatenate(forces), sensors)
 
 
-def one_contact(row: Mapping[str, Any], rng: np.random.Generator) -> tuple[Floats, Floats]:
+def one_contact(sensor: Sensor, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Fields and forces over moduli of one contact of a sensor."""
     cut = bool(rng.random() < CUT_SHARE)
-    nodes = pad({"gel": {"cut": cut}}, row)
+    nodes = pad(Solver(), sensor, cut=cut)
     area_m2 = contact.cell_area(nodes)
-    stiffness = float(row["normal_modulus_pa"]) / HEIGHT_M * area_m2
+    stiffness = sensor.normal_modulus_pa / HEIGHT_M * area_m2
     depth_m = _depth(nodes, stiffness, rng)
     while (depth_m > 0).sum() < LEAST_NODES:  # beside the pad
         depth_m = _depth(nodes, stiffness, rng)
@@ -83,21 +84,21 @@ def one_contact(row: Mapping[str, Any], rng: np.random.Generator) -> tuple[Float
     # shear force over modulus, for each m that the object moves, in m
     answer_m = share.sum() * area_m2 / HEIGHT_M
     size_m2 = rng.uniform(0.0, FRICTION, SHEARS) * rng.random(SHEARS) ** 0.3
-    size_m2 *= normal_n / float(row["shear_modulus_pa"])
+    size_m2 *= normal_n / sensor.shear_modulus_pa
     size_m2[0] = 0.0
     angle = rng.uniform(0.0, 2 * np.pi, SHEARS)
     moved_m = np.minimum(size_m2 / answer_m, FARTHEST_M)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
-    grid_px = dot_grid(row, cut).reshape(-1, 2)
-    mm_per_px = float(row["mm_per_px"])
-    middle_px = np.array(row["frame_px"]) / 2
+    grid_px = dot_grid(sensor, cut).reshape(-1, 2)
+    mm_per_px = sensor.mm_per_px
+    middle_px = np.array(sensor.frame_px) / 2
     rest_m = (grid_px - middle_px) * mm_per_px * 1e-3
     at_dots = gel.interpolation(nodes, rest_m)
     depth_at_dots = gel.field_at(depth_m[..., None], *at_dots)[:, 0]
     share_at_dots = gel.field_at(share[..., None], *at_dots)[:, 0]
     spread_m = dilation(rest_m, nodes, depth_m, depth_at_dots, HEIGHT_M)
     shift_m = spread_m + moved_m[:, None] * share_at_dots[None, :, None]
-    lens = Lens.of_sensor(row)
+    lens = Lens.of_sensor(sensor)
     dots_px = grid_px + shift_m * (1e3 / mm_per_px)
     if lens is not None:
         dots_px, grid_px = lens.seen(dots_px), lens.seen(grid_px)
@@ -107,7 +108,7 @@ def one_contact(row: Mapping[str, Any], rng: np.random.Generator) -> tuple[Float
     moved_mm = moved_mm + rng.normal(0.0, error_mm, moved_mm.shape)
     tracked = np.ones(moved_mm.shape[:2], np.bool_)
     field_mm = lattice_field(moved_mm, (grid_px - middle_px) * mm_per_px, tracked)
-    normal_mm2 = np.full(SHEARS, 1e6 * normal_n / float(row["normal_modulus_pa"]))
+    normal_mm2 = np.full(SHEARS, 1e6 * normal_n / sensor.normal_modulus_pa)
     return field_mm, np.column_stack([1e6 * answer_m * moved_m, normal_mm2])
 
 

@@ -16,7 +16,8 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import Errors
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.params.learning import TrainForce
-from evetac_cli.resources import table
+from evetac_cli.sim.setup.plan import read_plan, sensor_ranges
+from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import GelModel
 from evetac_cli.stages.related_files import recording_with_truth
@@ -42,7 +43,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress) -> Out
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
             headers.append(tracks.header)
             known_sensor(recording)
-    ranges = table("sensors")[RANGES]
+    ranges = sensor_ranges()
     parameters = {"method": "gel", "contacts": params.contacts, "epochs": params.epochs, "sensor_ranges": ranges}
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=tuple(headers))
     if up_to_date(job.output, recipe, force=force):
@@ -54,7 +55,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress) -> Out
     sampling, training = np.random.default_rng(params.seed).spawn(2)
     contacts = static_contacts.sample(ranges, params.contacts, sampling, progress)
     trained = gel_training.train(contacts.field_mm, contacts.over_modulus_mm2, training, params.epochs, progress)
-    prior = gel_model.prior_of(contacts.sensor_rows)
+    prior = gel_model.prior_of(contacts.sensors)
     unmeasured = GelModel(trained.network, Errors(0.0, 0.0, 0.0, 0.0), np.zeros(3), prior, None)
     model = measured(unmeasured, job.inputs)
     arrays: dict[str, Any] = {"sensor": "events", "sensor_name": RANGES, **gel_model.arrays_of(model)}
@@ -69,12 +70,12 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress) -> Out
     )
 
 
-def known_sensor(recording: Recording) -> dict[str, Any]:
-    """The row of the sensor that was simulated; InputError where the recording does not say."""
-    row: dict[str, Any] | None = recording.header["parameters"].get("sensor_row")
-    if row is None:
+def known_sensor(recording: Recording) -> Sensor:
+    """The sensor that was simulated; InputError where the recording does not say."""
+    parameters = recording.header["parameters"]
+    if "sensor_row" not in parameters:
         raise InputError("the recording does not say what its sensor was like", where=str(recording.path))
-    return row
+    return read_plan(parameters, str(recording.path)).sensor
 
 
 def measured(model: GelModel, paths: tuple[Path, ...]) -> GelModel:
@@ -82,12 +83,12 @@ def measured(model: GelModel, paths: tuple[Path, ...]) -> GelModel:
     shear, normal, signs, touches = [], [], [], []
     for path in paths:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
-            row = known_sensor(recording)
-            estimated, sign = gel_model.over_modulus(model, tracks, float(row["mm_per_px"]))
+            sensor = known_sensor(recording)
+            estimated, sign = gel_model.over_modulus(model, tracks, sensor.mm_per_px)
             normal_n = recording.read("truth/normal_force_n").astype(float)
             shear_n = recording.read("truth/shear_force_n").astype(float)
-        moduli_mpa = (1e-6 * float(row[key]) for key in gel_model.MODULI.values())
-        true_shear, true_normal = shear_n / next(moduli_mpa), normal_n / next(moduli_mpa)
+        true_shear = shear_n / (1e-6 * sensor.shear_modulus_pa)
+        true_normal = normal_n / (1e-6 * sensor.normal_modulus_pa)
         at = np.arange(0, len(estimated), readings.EVERY)
         at = at[np.isfinite(estimated[at]).all(axis=1)]
         pressed = at[normal_n[at] >= CONTACT_N]

@@ -50,7 +50,8 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
 
         return real_time.jobs(camera, gripper, params, out)
     trials = simulated_trials(("lift",), params, out)
-    make_timing(params)  # refuses a rate that cannot be kept
+    for trial in trials[:1]:
+        make_timing(params, trial.plan)  # refuses a rate that cannot be kept
     return trials
 
 

@@ -56,7 +56,7 @@ def jobs(
     camera: NamedCamera, gripper: NamedGripper, params: Grasp, out: Path | None
 ) -> Sequence[DeviceTrial | ReplayTrial]:
     """One recording for every trial; InputError for what cannot be done, or must not without --arm."""
-    timing = setup.make_timing(params)
+    timing = setup.make_timing(params, None)
     if timing.latency_ms and not gripper.is_stepped:
         raise InputError("latency is added in simulation alone", where="--latency-ms", found=str(timing.latency_ms))
     if timing.every_ms > 1000 / SLOWEST_HZ:
@@ -100,7 +100,7 @@ def check(trial: DeviceTrial, params: Grasp, *, force: bool) -> None:
     """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
     again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
     session.refuse_taken(trial, again=again, hint=hint, force=force)
-    session.check_room(trial, EVENTS_S, setup.make_timing(params).end_ms * 1e-3, "a shorter --balance-s")
+    session.check_room(trial, EVENTS_S, setup.make_timing(params, trial.plan).end_ms * 1e-3, "a shorter --balance-s")
     model_path = setup.model_path_for(params)
     setup.model_headers(model_path)
     if trial.plan is not None and params.calibration is None:
@@ -129,7 +129,7 @@ def dry_run(trials: Sequence[DeviceTrial | ReplayTrial], params: Grasp, *, force
     parts = [
         ("camera", str(camera), detector),
         ("gripper", gripper, f"{params.control_hz:g} Hz, {params.controller}, {current}"),
-        ("end", f"after {setup.make_timing(params).end_ms * 1e-3:g} s", FALLS),
+        ("end", f"after {setup.make_timing(params, first.plan).end_ms * 1e-3:g} s", FALLS),
         ("watchdog", f"{params.watchdog_ms} ms", "of silence, and torque is off"),
     ]
     return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
@@ -139,7 +139,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
     """Grasp once, in real time, and record everything."""
     check(trial, params, force=force)
     (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
-    timing = setup.make_timing(params)
+    timing = setup.make_timing(params, trial.plan)
     if gripper.is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:
@@ -212,7 +212,7 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         }
         if world is not None:
             datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
-        grasp_outcome, saved = _finish(writer, recipe, recorded, datasets, world)
+        grasp_outcome, saved = _finish(writer, trial, recipe, recorded, datasets, world)
     return _result(trial, recipe, recorded, datasets, grasp_outcome, saved)
 
 
@@ -261,6 +261,7 @@ def _recipe(
 
 def _finish(
     writer: RecordingWriter,
+    trial: DeviceTrial,
     recipe: Recipe,
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],
@@ -275,9 +276,9 @@ def _finish(
         return {}, None
     late = dict(datasets)
     grasp_outcome = None
-    if world is not None and (truth := recorded.truth_arrays()):
+    if world is not None and trial.plan is not None and (truth := recorded.truth_arrays()):
         late |= {**truth, "truth/sampled_parameters": world.sampled}
-        grasp_outcome = recorded.outcome(recipe.parameters["sensor_row"]["mm_per_px"])
+        grasp_outcome = recorded.outcome(trial.plan.sensor.mm_per_px)
     if grasp_outcome is not None:
         late["control/outcome"] = json.dumps(grasp_outcome)
     saved = session.finish(writer, recipe, late, ended=recorded.ended)

@@ -64,7 +64,7 @@ class RecordedGripper:
 def check(trial: ReplayTrial, params: Grasp, *, force: bool) -> None:
     """InputError for what a run would refuse; only files are read."""
     with open_recording(trial.inputs[0]) as recording:
-        timing = setup.make_timing(params, recording.header["parameters"])
+        timing = setup.recorded_timing(params, recording)
         control = Control(setup.make_law(params), params.control_hz)
         if not up_to_date(trial.output, _recipe(trial, params, recording, timing, control), force=force):
             _refuse_unknown_dots(params, recording)
@@ -96,7 +96,7 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
     """Detect slip and decide on a recording, and write events and decisions."""
     model_path, control = setup.model_path_for(params), Control(setup.make_law(params), params.control_hz)
     with open_recording(trial.inputs[0]) as recording:
-        timing = setup.make_timing(params, recording.header["parameters"])
+        timing = setup.recorded_timing(params, recording)
         recipe = _recipe(trial, params, recording, timing, control)
         if up_to_date(trial.output, recipe, force=force):
             return outcome(trial, made=False, simulated=recipe.simulated)

@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.plan import Plan, plans, read_plan
 from evetac_cli.stages import live_view
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
@@ -24,6 +24,7 @@ from evetac_cli.stages.slip_detectors import check_graph, require_useful
 from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial, Trial
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
+from evetac_cli.store.read import Recording
 
 
 def make_law(params: Grasp) -> Any:
@@ -42,17 +43,24 @@ def model_path_for(params: Grasp) -> Path | None:
     return resources.model_file(params.model)
 
 
-def make_timing(params: Grasp, recorded: Mapping[str, Any] | None = None) -> Timing:
-    """When the phases end, and how the controller is timed.
+def make_timing(params: Grasp, plan: Plan | None) -> Timing:
+    """When the phases end, and how the controller is timed; without a plan, the scene of the flags says the first."""
+    if plan is None:
+        first, *_ = plans(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
+        plan = first.of_trial()
+    return _timing(params, plan.scene.time.touch_s, params.lift_s, params.balance_s)
 
-    recorded: parameters of a recording; if it is a grasp, its phases are taken, else those of the scene and the
-    durations that the flags name.
-    """
-    if recorded is not None and {"scene", "lift_s", "balance_s"} <= set(recorded):
-        seconds = recorded["scene"]["time"]["touch_s"], recorded["lift_s"], recorded["balance_s"]
-    else:
-        planned = scene.plan(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
-        seconds = planned[0]["scene"]["time"]["touch_s"], params.lift_s, params.balance_s
+
+def recorded_timing(params: Grasp, recording: Recording) -> Timing:
+    """The timing for a recording that is replayed: its own phases, if it is a grasp, else those of the flags."""
+    parameters = recording.header["parameters"]
+    if not {"scene", "lift_s", "balance_s"} <= set(parameters):
+        return make_timing(params, None)
+    touch_s = read_plan(parameters, str(recording.path)).scene.time.touch_s
+    return _timing(params, touch_s, parameters["lift_s"], parameters["balance_s"])
+
+
+def _timing(params: Grasp, *seconds: float) -> Timing:
     touch_ms, lift_ms, balance_ms = (round(SLICES_S * each) for each in seconds)
     return Timing(touch_ms, lift_ms, balance_ms, params.control_hz, params.latency_ms)
 
@@ -94,7 +102,7 @@ def grasp_parameters(trial: Trial, params: Grasp, control: Control) -> dict[str,
     """The parameters of a grasp's recipe."""
     tracking = {"preset": params.tracker, "constants": asdict(tracker.PRESETS[params.tracker])}
     return {
-        **(trial.plan or {}),
+        **({} if trial.plan is None else trial.plan.parameters()),
         "trial": trial.number,
         "controller": params.controller,
         "gain": params.gain,

@@ -46,17 +46,17 @@ def run(trial: SimulatedTrial, params: Grasp, *, force: bool, progress: Progress
     recipe = make_recipe(trial, params)
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
-    buffer, timing = TrialBuffer(), make_timing(params)
+    buffer, timing = TrialBuffer(), make_timing(params, trial.plan)
     with view_of(trial, params) as view:
         devices, slipping = play(trial, buffer.append, params=params, progress=progress, view=view)
     arrays = buffer.arrays()
-    figures = grasp_outcome.outcome(arrays, trial.plan["sensor_row"]["mm_per_px"], timing.end_ms)
+    figures = grasp_outcome.outcome(arrays, trial.plan.sensor.mm_per_px, timing.end_ms)
     arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
     write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
     slices = len(buffer.events)
     solver = SolverFigures()
     solver.add(arrays)
-    figures |= solver.figures(trial.plan["scene"]["solver"])
+    figures |= solver.figures(trial.plan.scene.solver)
     return outcome(trial, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)
 
 
@@ -77,7 +77,7 @@ def play(
     model_path, control, timing = (
         model_path_for(params),
         Control(make_law(params), params.control_hz),
-        make_timing(params),
+        make_timing(params, trial.plan),
     )
     devices = rig(trial.plan, trial.seeds(), lift_s=params.lift_s, balance_s=params.balance_s)
     try:

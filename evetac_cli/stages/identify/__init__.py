@@ -5,7 +5,7 @@ that shows most dots moved, gripper and gel from those with rows of a gripper. W
 of the sensor that `--like` names.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.params.recording import Identify
-from evetac_cli.sim import scene, sensor_file
+from evetac_cli.sim.setup import plan, sensor_file
+from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text
 from evetac_cli.store.disk import taking_the_place_of
@@ -31,10 +32,10 @@ METHOD = 3
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
     """One sensor from all recordings: `<first recording's name>.sensor.toml`."""
-    if params.like.endswith(sensor_file.SUFFIX) or params.like == scene.FOR_EACH_TRIAL:
+    if params.like.endswith(sensor_file.SUFFIX) or params.like == plan.FOR_EACH_TRIAL:
         expected = "a named sensor, as in evetac or randomized:7"
         raise InputError("not the name of one sensor", where="--like", expected=expected, found=params.like)
-    scene.sensor_row(params.like)
+    plan.one_sensor(params.like)
     sensor_file.check_name(params.name, "--name")
     if out is not None and out.suffix in (".h5", ".json"):
         raise InputError("a sensor is TOML", where="--out", expected="a name that ends in .toml", found=str(out))
@@ -48,9 +49,8 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=_headers(job.inputs))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
-    like = scene.sensor_row(params.like)
-    log_contrast = float(like["log_contrast"])
-    mm_per_px = float(like["mm_per_px"]) if params.pixel_mm is None else params.pixel_mm
+    like = plan.one_sensor(params.like)
+    mm_per_px = like.mm_per_px if params.pixel_mm is None else params.pixel_mm
     printed_xy = _printed(like)
     rests, grips, others = [], [], []
     steps = 2 * len(job.inputs)
@@ -69,7 +69,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     for number, (path, press_rng) in enumerate(others):
         with open_recording(path) as recording:
             try:
-                presses.append(pressed.find(recording, log_contrast, printed_xy, noise_hz, press_rng))
+                presses.append(pressed.find(recording, like.log_contrast, printed_xy, noise_hz, press_rng))
             except ValueError as error:
                 no_press[recording.event_count] = f"{path.name}: {error}"
         progress(len(job.inputs) + number + 1, steps)
@@ -90,7 +90,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
         try:
-            sensor_file.read(temporary, scene.sensor_row)  # what record would refuse is not written
+            sensor_file.read(temporary, plan.one_sensor)  # what record would refuse is not written
         except InputError as error:
             raise InputError(
                 f"what is estimated is no sensor that can be simulated: {error.message}",
@@ -144,9 +144,9 @@ def _unused(paths: Sequence[Path], rows: Sequence[Row]) -> list[str]:
     return [path.name for path in paths if f", {path.name}, " not in sources]
 
 
-def _printed(sensor_row: Mapping[str, Any]) -> NDArray[np.float64]:
+def _printed(sensor: Sensor) -> NDArray[np.float64]:
     """The dots (rows, columns, 2) as they were printed: as evenly as the sensor's columns and rows say."""
-    columns, rows = (np.array(sensor_row[key], np.float64) for key in ("dot_columns_px", "dot_rows_px"))
+    columns, rows = (np.array(lines, np.float64) for lines in (sensor.dot_columns_px, sensor.dot_rows_px))
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 

@@ -15,6 +15,7 @@ from scipy import stats
 
 from evetac_cli.kernels.identify.estimates import LEVEL, Estimate
 from evetac_cli.sim import gripper
+from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify.drive import DriveFit
 from evetac_cli.stages.identify.gripped import Floats, Gripped, Weight, merged
 from evetac_cli.stages.identify.sensor_text import Entry, Row
@@ -54,11 +55,11 @@ class Known(NamedTuple):
     scale_given: bool
 
 
-def rows(grips: Sequence[Gripped], known: Known, like: Mapping[str, Any]) -> tuple[list[Row], dict[str, Entry]]:
-    """Rows and keys of gripper, gel and friction; `like` is the row of the sensor that has what is not told."""
+def rows(grips: Sequence[Gripped], known: Known, like: Sensor) -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of gripper, gel and friction; `like` is the sensor that has what is not told."""
     tells, known_parts = merged(grips)
     source = {part: one.source for part, one in tells.items()}
-    usual = gripper.make_drive(like)
+    usual = gripper.make_drive(like.gripper)
     scale_n_ma = known.force_per_current_n_ma or usual.force_per_current_n_ma
     listed: list[Row] = []
     keys: dict[str, Any] = {}

@@ -15,6 +15,8 @@ from evetac_cli.kernels.identify.estimates import Estimate
 from evetac_cli.kernels.identify.polarity import Polarity
 from evetac_cli.kernels.identify.rim import RimProfile, Runs
 from evetac_cli.kernels.identify.stroke_events import StrokeEvents
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import calibrate, calibrated_gel
 from evetac_cli.stages.identify.sensor_text import Entry, Row
 from evetac_cli.store.read import Recording
@@ -187,8 +189,8 @@ def _lens(
         return None
 
 
-def rows(press: Press | None, like: Mapping[str, Any], why_none: str = "") -> tuple[list[Row], dict[str, Entry]]:
-    """Rows and keys of dots, optics, lens and thresholds; `like` is the row of the sensor that has what is not told.
+def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Row], dict[str, Entry]]:
+    """Rows and keys of dots, optics, lens and thresholds; `like` is the sensor that has what is not told.
 
     The rims were read with its log_contrast. why_none: where there is no press, which recording shows none, and why.
     """
@@ -219,17 +221,18 @@ def rows(press: Press | None, like: Mapping[str, Any], why_none: str = "") -> tu
         Row(name, unit, one, otherwise if one is None else source)
         for (name, unit), (one, otherwise) in zip(UNITS.items(), estimates, strict=True)
     ]
-    entries = _entries(press, float(like["log_contrast"]), half_px if whole else None)
+    entries = _entries(press, like.log_contrast, half_px if whole else None)
     return [*listed, *never], entries | _without(like, entries)
 
 
-def _without(like: Mapping[str, Any], estimated: Mapping[str, Entry]) -> dict[str, Entry]:
+def _without(like: Sensor, estimated: Mapping[str, Entry]) -> dict[str, Entry]:
     """Keys that `like` names and the press does not show to be there: as on a sensor without them."""
     none: dict[str, Any] = {"threshold_off": estimated["threshold"].value}
     none |= {"dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
     if "dot_xy_px" in estimated:  # as seen: a lens would move them once more
         none["distortion"] = np.zeros(2)
-    names = [name for name in none if name in like and name not in estimated]
+    named = as_table(like)
+    names = [name for name in none if name in named and name not in estimated]
     return {name: Entry(none[name], None, "not surely there in the press") for name in names}
 
 

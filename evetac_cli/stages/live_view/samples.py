@@ -208,8 +208,8 @@ class _ForceModel:
 
     def __init__(self, sensor: Mapping[str, Any], tracking: tracker.TrackerState) -> None:
         self._model = _force_model()
-        modulus = gel_model.MODULI["shear"]
-        known = {modulus: float(sensor[f"sensor/{modulus}"])} if f"sensor/{modulus}" in sensor else {}
+        modulus = sensor.get("sensor/shear_modulus_pa")
+        known = gel_model.KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
         self._gel = gel_model.gel_of(self._model, known, PredictForce().stiffness_error)
         self._tracking = tracking
         self._rest_mm = (tracking.rest_xy_px - np.asarray(sensor["sensor/frame_px"]) / 2) * self._gel.mm_per_px

@@ -230,7 +230,7 @@ def _begin(
     drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
     recipe = session.make_recipe(
         METHOD,
-        {**(trial.plan or {}), **trajectory, "trial": trial.number},
+        {**({} if trial.plan is None else trial.plan.parameters()), **trajectory, "trial": trial.number},
         rig.setup,
         sensor,
         {

@@ -8,9 +8,9 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.params.recording import Record
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.scene import GripperCurrent
 from evetac_cli.stages import session
-from evetac_cli.stages.record.current_course import CurrentCourse
 from evetac_cli.stages.record.current_ramp import Hold
 from evetac_cli.stages.trials import DeviceTrial
 from evetac_cli.store.calibration import read_calibration
@@ -63,14 +63,14 @@ def make_hold(trial: DeviceTrial, params: Record, sampled_ma: float) -> Hold:
     return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma)
 
 
-def asked_course(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
+def asked_course(trial: DeviceTrial, params: Record) -> GripperCurrent | None:
     """The current that the gripper follows: that of --current-of, else of the scene, if it names one.
 
     InputError if the scene of --current-of names none, or for an option that then has no effect.
     """
     if params.current_of is not None:
         named = f"--current-of {params.current_of}"
-        course = CurrentCourse.read(scene.load(params.current_of))
+        course = scene_file.load(params.current_of).gripper.current
         if course is None:
             raise InputError(
                 "this scene names no current for the gripper",
@@ -80,7 +80,7 @@ def asked_course(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
             )
     else:
         named = f"--scene {params.scene}"
-        course = None if trial.plan is None else CurrentCourse.read(trial.plan["scene"])
+        course = None if trial.plan is None else trial.plan.scene.gripper.current
     for item in fields(params) if course is not None else ():
         if item.name in INSTEAD and getattr(params, item.name) != item.default:
             expected = "one of the two: the gripper follows the scene's current from the first command to the last"
@@ -114,7 +114,7 @@ def _seconds(trial: DeviceTrial, params: Record) -> float:
     return SECONDS if course is None else course.ends_s
 
 
-def _followed(trial: DeviceTrial, params: Record) -> CurrentCourse | None:
+def _followed(trial: DeviceTrial, params: Record) -> GripperCurrent | None:
     """The current that the gripper follows, if it is moved at all."""
     return asked_course(trial, params) if trial.gripper.is_moved else None
 
@@ -133,7 +133,7 @@ def _ramp_words(trial: DeviceTrial, params: Record) -> str:
     """What the gripper does, in words."""
     course = asked_course(trial, params)
     if course is not None:
-        highest, lowest = max(course.current_ma), min(course.current_ma)
+        highest, lowest = max(course.ma), min(course.ma)
         return f"follows a current of {lowest:g} to {highest:g} mA for {course.ends_s:g} s"
     asked_ma = asked_holding_ma(trial, params)
     holding = f"{asked_ma} mA" if asked_ma is not None else "the current of its scene"

@@ -1,6 +1,6 @@
 """What a gripper does in a recording from devices: it closes until contact, holds, and lets the current fall.
 
-Or it follows the current that a scene names (current_course.py).
+Or it follows the current that a scene names (gripper.current).
 
 The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
 answers late does not hold up the camera. Whoever fetches its rows records, and shows by that that it is alive: where it
@@ -26,7 +26,7 @@ from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSet
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.stages.record.current_course import CurrentCourse
+from evetac_cli.sim.setup.scene import GripperCurrent
 from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS, TimeSample
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
@@ -57,7 +57,7 @@ class Hold:
     holding_ma: float
     hold_s: float
     lowest_ma: float  # the recording ends where the target falls below
-    course: CurrentCourse | None = None
+    course: GripperCurrent | None = None
 
 
 @dataclass

@@ -5,7 +5,7 @@ out (paper, "Experimental Setup and Data Collection Procedure").
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,8 +15,8 @@ from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.params.recording import Record
+from evetac_cli.sim.setup.scene import GripperCurrent, Scene
 from evetac_cli.stages.live_view import LiveView, shown_in_real_time
-from evetac_cli.stages.record.current_course import CurrentCourse
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.stages.record.preview import view_of
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
@@ -32,7 +32,9 @@ CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: on
 
 def make_recipe(trial: SimulatedTrial) -> Recipe:
     """What determines the recording of a trial."""
-    return Recipe(OUTPUT, METHOD, {**trial.plan, "trial": trial.number}, seed=trial.seed, simulated_source=True)
+    return Recipe(
+        OUTPUT, METHOD, {**trial.plan.parameters(), "trial": trial.number}, seed=trial.seed, simulated_source=True
+    )
 
 
 def run(trial: SimulatedTrial, params: Record, *, force: bool, progress: Progress) -> Outcome:
@@ -47,7 +49,7 @@ def run(trial: SimulatedTrial, params: Record, *, force: bool, progress: Progres
 
 def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progress: Progress) -> Outcome:
     devices, slices = play(trial)
-    expected = _expected_slices(devices, GripperSchedule.read(trial.plan["scene"]))
+    expected = _expected_slices(devices, GripperSchedule.of_scene(trial.plan.scene))
     known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     if view is not None:
         view.begin(devices.camera.sensor)
@@ -67,7 +69,7 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
             writer.finish(recipe)
     finally:
         devices.close()
-    figures = solver.figures(trial.plan["scene"]["solver"])
+    figures = solver.figures(trial.plan.scene.solver)
     return outcome(trial, made=True, simulated=True, slices=written, events=event_count, **figures)
 
 
@@ -81,7 +83,7 @@ def play(trial: SimulatedTrial) -> tuple[Rig, Iterator[tuple[Events, dict[str, A
     seeds = trial.seeds()
     ramp = np.random.default_rng(seeds.spawn(1)[0])
     devices = rig(trial.plan, seeds)
-    return devices, _slices(devices, GripperSchedule.read(trial.plan["scene"]), ramp)
+    return devices, _slices(devices, GripperSchedule.of_scene(trial.plan.scene), ramp)
 
 
 def play_through(trial: SimulatedTrial, append: Callable[[Events, dict[str, Any]], None]) -> None:
@@ -104,17 +106,16 @@ class GripperSchedule:
     close_ms: int
     grip_ms: int
     ramp_ms: int
-    course: CurrentCourse | None = None
+    course: GripperCurrent | None = None
 
     @classmethod
-    def read(cls, scene: Mapping[str, Any]) -> "GripperSchedule":
+    def of_scene(cls, scene: Scene) -> "GripperSchedule":
         """As the scene says; in a ramp scene the object is held from the start."""
-        if scene["kind"] == "ramp":
-            time = scene["time"]
-            return cls(0, 0, round(1000 * (time["rest_s"] + time["load_s"] + time["hold_s"])))
-        named = scene.get("gripper", {})
-        close_ms, grip_ms, ramp_ms = (round(1000 * named.get(name, 0.0)) for name in ("close_s", "grip_s", "ramp_s"))
-        return cls(close_ms, grip_ms, ramp_ms, CurrentCourse.read(scene))
+        time, gripper = scene.time, scene.gripper
+        if scene.kind == "ramp":
+            return cls(0, 0, round(1000 * (time.rest_s + time.load_s + time.hold_s)))
+        close_ms, grip_ms, ramp_ms = (round(1000 * at_s) for at_s in (gripper.close_s, gripper.grip_s, gripper.ramp_s))
+        return cls(close_ms, grip_ms, ramp_ms, gripper.current)
 
 
 def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:

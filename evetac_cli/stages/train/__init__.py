@@ -36,7 +36,7 @@ from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
 from evetac_cli.params.learning import Train
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import model_file
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import USELESS_HINT, predict, read_trajectory, read_weights, why_useless
@@ -149,7 +149,7 @@ def _with_objects(files: list[Path], params: Train) -> list[Path]:
     """The files of the objects that `--object` names, or all; InputError if none is of these objects."""
     if not params.objects or not files:
         return files
-    wanted = {str(number) for number in scene.numbers(params.objects)}
+    wanted = {str(number) for number in numbers(params.objects)}
     chosen = [file for file in files if object_name(_header(file)) in wanted]
     if not chosen:
         raise InputError("no features are of these objects", where="--object", found=params.objects)

@@ -32,7 +32,7 @@ from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns
-from evetac_cli.sim.camera.noise import HotPixels, HotPixelTable, add_noise, hot_rates
+from evetac_cli.sim.camera.noise import HotPixels, add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
@@ -49,6 +49,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
 )
 from evetac_cli.sim.camera.scanning.readout import Readout
 from evetac_cli.sim.camera.scanning.window import scan_window
+from evetac_cli.sim.setup.sensor import HotPixelTable
 
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
 LOWEST_THRESHOLD = 0.25
@@ -108,6 +109,12 @@ class CameraModel:
         check_range("leak_hz", self.leak_hz, 0.0, 10.0)
         check_range("refractory_us", self.refractory_us, 0.0, 1e6)
         check_whole("max_events", self.max_events, 1, 100_000_000)
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether anything makes events that nothing in the picture makes."""
+        table = self.hot_pixel_table
+        return self.noise_rate_hz > 0.0 or self.hot_pixels > 0 or (table is not None and len(table.x_px) > 0)
 
 
 @dataclass

@@ -15,8 +15,7 @@ that grows as the light fades. Where a rim and the light both pass a threshold i
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     gel_pixels,
     window_pixels,
 )
+from evetac_cli.sim.setup.scene import LightSettings
 
 # More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
 ROUNDING = 1e-5
@@ -322,14 +322,13 @@ def _forget_lists(row: int, outer: float, candidates: CandidatePixels) -> None:
             list_box[dot] = np.nan
 
 
-def of_scene(scene: Mapping[str, Any]) -> LightChange | None:
-    """How the light of a scene changes, from its table `light`; None where it is steady."""
-    if "light" not in scene:
+def of_scene(settings: LightSettings | None) -> LightChange | None:
+    """How the light of a scene changes; None where it is steady."""
+    if settings is None:
         return None
-    flicker, step = scene["light"].get("flicker", {}), scene["light"].get("step", {})
-    return LightChange(
-        frequency_hz=float(flicker.get("frequency_hz", 100.0)),
-        depth=float(flicker.get("depth", 0.0)),
-        step_at_s=float(step.get("at_s", 0.0)),
-        step_factor=float(step.get("factor", 1.0)),
-    )
+    change, flicker, step = LightChange(), settings.flicker, settings.step
+    if flicker is not None:
+        change = replace(change, frequency_hz=flicker.frequency_hz, depth=flicker.depth)
+    if step is not None:
+        change = replace(change, step_at_s=step.at_s, step_factor=step.factor)
+    return change

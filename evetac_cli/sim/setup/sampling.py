@@ -11,19 +11,19 @@ moved in it or renamed leaves all other values as they were.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.sim.object_file import seed_of
+from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
+from evetac_cli.sim.setup.scene import Scene, Texture
+from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
+from evetac_cli.sim.setup.tables import build
 
 OBJECT_SEED = 15485863  # with the object's number: what one object has in all trials
-FLOOR_MM = (250.0, 250.0)
-MEMORY_UM = 20.0  # as gel.MEMORY_M, which is not imported here: it loads numba, and a plan does not need it
-GRIPPER_FAULTS = ("backlash_ticks", "encoder_noise_ticks", "command_delay_ms", "command_jitter_ms")
 DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
 
 
@@ -51,11 +51,7 @@ class SampledTrial:
 
 
 def sample_trial(
-    scene: Mapping[str, Any],
-    object_params: Mapping[str, Any],
-    rng: np.random.Generator,
-    sensor_row: Mapping[str, Any] | None = None,
-    called: int | str | None = None,
+    scene: Scene, touched: TouchedObject, sensor: Sensor, rng: np.random.Generator, called: int | str | None = None
 ) -> SampledTrial:
     """Sample a trial's parameters, always in the same order, so that a key of one scene does not shift another's.
 
@@ -63,68 +59,83 @@ def sample_trial(
     which its trials spread; else the share is sampled for each trial from the whole range. An object may name its own.
     """
     placement = rng.spawn(1)[0]  # a stream of its own, so that these keys shift no others
+    varied, texture, own_friction = scene.randomise, scene.texture or Texture(), sensor.friction
 
-    def between(group: str, key: str, default: tuple[float, float]) -> float:
-        named = scene.get(group, {}).get(key, default)
-        low, high = named if isinstance(named, Sequence) else (named, named)
-        return float(rng.uniform(low, high))
+    def drawn(ends: tuple[float, float]) -> float:
+        return float(rng.uniform(*ends))
 
-    factor = float((sensor_row or {}).get("static_friction_factor", 1.0))
-    static = factor * float(object_params["static_friction"]) * between("randomise", "static_friction", (1, 1))
-    tilt_deg = between("randomise", "tilt_deg", (0, 0))
-    if "tilt_deg" in object_params:  # the shape itself is slanted, so a finger's misalignment hardly matters
-        tilt_deg = float(rng.uniform(*object_params["tilt_deg"]))
-    mass_g = float(scene.get("object", {}).get("mass_g", object_params["mass_g"]))
-    mass_kg = mass_g * 1e-3 * between("randomise", "mass", (1, 1))
-    kinetic_share = between("randomise", "kinetic_share", (1, 1))
-    varied = scene["randomise"]
-    off_share = placement.uniform(-1, 1) * varied.get("kinetic_share_spread", 0.0)
-    if "kinetic_share_spread" in varied and called is not None:
-        own = np.random.default_rng([OBJECT_SEED, seed_of(called)]).uniform(*varied["kinetic_share"])
+    static = sensor.static_friction_factor * touched.static_friction * drawn(varied.static_friction)
+    tilt_deg = drawn(varied.tilt_deg)
+    if touched.tilt_deg is not None:  # the shape itself is slanted, so a finger's misalignment hardly matters
+        tilt_deg = drawn(touched.tilt_deg)
+    mass_g = touched.mass_g if scene.object is None else scene.object.mass_g
+    mass_kg = mass_g * 1e-3 * drawn(varied.mass)
+    kinetic_share = drawn(varied.kinetic_share)
+    spread = varied.kinetic_share_spread
+    off_share = placement.uniform(-1, 1) * (spread or 0.0)
+    if spread is not None and called is not None:
+        own = np.random.default_rng([OBJECT_SEED, seed_of(called)]).uniform(*varied.kinetic_share)
         kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
-    own_friction = (sensor_row or {}).get("friction", {})  # of a sensor's gel, in place of what the scene samples
-    kinetic_share = float(own_friction.get("kinetic_share", object_params.get("kinetic_share", kinetic_share)))
-    stribeck_mm_s = between("randomise", "stribeck_mm_s", (10, 10))
-    memory_um = own_friction.get("memory_um", varied.get("memory_um", MEMORY_UM))
-    touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.get("touch_mm", 0.0)
-    lever_m = float(placement.normal()) * varied.get("lever_mm", 0.0) * 1e-3
-    if object_params.get("shape") != "flat":
+    # the sensor's gel comes first, then the object, then what the scene samples
+    kinetic_share = _first(own_friction.kinetic_share, touched.kinetic_share, kinetic_share)
+    stribeck_mm_s = drawn(varied.stribeck_mm_s)
+    touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.touch_mm
+    lever_m = float(placement.normal()) * varied.lever_mm * 1e-3
+    if touched.shape != "flat":
         lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
-    lever_m += float(object_params.get("lever_mm", 0.0)) * 1e-3
+    lever_m += touched.lever_mm * 1e-3
     return SampledTrial(
         mass_kg=mass_kg,
         static_friction=static,
         kinetic_friction=static * kinetic_share,
-        stribeck_m_s=float(own_friction.get("stribeck_mm_s", stribeck_mm_s)) * 1e-3,
-        friction_memory_m=float(memory_um) * 1e-6,
+        stribeck_m_s=_first(own_friction.stribeck_mm_s, stribeck_mm_s) * 1e-3,
+        friction_memory_m=_first(own_friction.memory_um, varied.memory_um) * 1e-6,
         tilt_rad=float(np.deg2rad(tilt_deg)),
-        gear_friction_factor=between("gripper", "friction_factor", (1, 1)),
-        start_factor=between("gripper", "start_factor", (2, 2)),
-        texture_log_sd=between("texture", "log_sd", (0.06, 0.06)),
-        texture_half_correlation_px=between("texture", "half_correlation_px", (12, 12)),
+        gear_friction_factor=drawn(scene.gripper.friction_factor),
+        start_factor=drawn(scene.gripper.start_factor),
+        texture_log_sd=drawn(texture.log_sd),
+        texture_half_correlation_px=drawn(texture.half_correlation_px),
         touch_m=(float(touch_m[0]), float(touch_m[1])),
         lever_m=lever_m,
-        floor_m=float(placement.uniform(*scene.get("floor", {}).get("below_mm", FLOOR_MM))) * 1e-3,
+        floor_m=float(placement.uniform(*scene.floor.below_mm)) * 1e-3,
     )
 
 
-def sensor_with_gel(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> Mapping[str, Any]:
+def _first(*values: float | None) -> float:
+    """The first value that is named."""
+    return next(value for value in values if value is not None)
+
+
+def sensor_with_gel(scene: Scene, sensor: Sensor) -> Sensor:
     """A sensor with its gel as much stiffer, in shear and under pressure, as the scene says (gel.stiffness_factor)."""
-    factor = float(scene["gel"].get("stiffness_factor", 1.0))
+    factor = scene.gel.stiffness_factor
     if factor == 1.0:
-        return sensor_row
-    moduli = ("shear_modulus_pa", "normal_modulus_pa")
-    return {**sensor_row, **{name: float(sensor_row[name]) * factor for name in moduli}}
+        return sensor
+    return replace(
+        sensor,
+        shear_modulus_pa=sensor.shear_modulus_pa * factor,
+        normal_modulus_pa=sensor.normal_modulus_pa * factor,
+    )
 
 
-def gripper_faults(scene: Mapping[str, Any], sensor_row: Mapping[str, Any]) -> dict[str, float]:
-    """What a gripper does wrong, 0 where nothing is named: as the scene says, else as the sensor's own gripper does."""
-    in_scene, own = scene.get("gripper", {}), sensor_row.get("gripper", {})
-    return {key: float(in_scene.get(key, own.get(key, 0.0))) for key in GRIPPER_FAULTS}
+class GripperFaults(NamedTuple):
+    """What a gripper does wrong, 0 where nothing is named."""
+
+    backlash_ticks: float = 0.0
+    encoder_noise_ticks: float = 0.0
+    command_delay_ms: float = 0.0
+    command_jitter_ms: float = 0.0
 
 
-def sample_sensor(ranges: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """A row as of a named sensor, from the row of ranges; InputError on a range that is none or has no own stream.
+def gripper_faults(scene: Scene, sensor: Sensor) -> GripperFaults:
+    """What the gripper of a trial does wrong: as the scene says, else as the sensor's own gripper does."""
+    return GripperFaults(
+        *(_first(getattr(scene.gripper, name), getattr(sensor.gripper, name)) for name in GripperFaults._fields)
+    )
+
+
+def sample_sensor(ranges: SensorRanges, rng: np.random.Generator) -> Sensor:
+    """A sensor from the row of ranges; InputError on a range that is none or has no stream of its own.
 
     `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots, and `threshold_off_factor` is that of OFF
     over that of ON; they do not appear in the result.
@@ -136,7 +147,7 @@ def sample_sensor(ranges: Mapping[str, Any], rng: np.random.Generator) -> dict[s
         row[lines] = [line + shift_px for line in row[lines]]
     if "threshold_off_factor" in row:
         row["threshold_off"] = row["threshold"] * row.pop("threshold_off_factor")
-    return row
+    return build(Sensor, row)
 
 
 def _is_range(entry: Any) -> bool:

@@ -6,32 +6,46 @@ A scene's table `[solver]` and the flags of `record` and `grasp` choose; what ea
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from evetac_cli.sim.setup.tables import number, whole
 
 HALVINGS = 3  # of a slice at the default tolerance, at most: 1/8 ms
 MOST_HALVINGS = 7
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Solver:
-    """The settings of the simulation.
+    """How finely the scene is simulated; what each setting costs and gives is measured by `evaluate cost`.
 
-    tolerance_um: largest estimated error of the displacement in one step of the mechanics; from 1 ms steps are halved
-    until it holds, HALVINGS times at most, and once more for each halving of the tolerance, or until nodes let go one
-    after the other (see sim.gel.adaptive), MOST_HALVINGS times at most. step_ms: a fixed step
-    instead, whatever its error; 1 ms divided by a whole number. theta: 0.5 to 1, see sim.gel. node_pitch_mm: distance
-    of the gel's nodes. camera_substeps: straight pieces of a dot's path within a slice. scans_per_ms: of the scanned
-    readout. residual: of the balance of forces in a step, as a share of all forces.
+    From 1 ms steps are halved until the tolerance holds, HALVINGS times at most, and once more for each halving of the
+    tolerance, or until nodes let go one after the other (see sim.gel.adaptive), MOST_HALVINGS times at most.
     """
 
-    tolerance_um: float = 0.2
-    step_ms: float | None = None
-    theta: float = 0.51
-    node_pitch_mm: float = 0.833
-    camera_substeps: int = 1
-    scans_per_ms: int = 5
-    residual: float = 1e-6
+    tolerance_um: float = number(
+        "largest estimated error of the displacement in one mechanical step; steps are halved from 1 ms until it holds",
+        0.001,
+        1000,
+        default=0.2,
+    )
+    step_ms: float | None = number(
+        "fixed mechanical step instead, whatever its error; 1 divided by a whole number", 1e-4, 1, default=None
+    )
+    theta: float = number(
+        "of the time step: 1 is implicit Euler, 0.5 the trapezoidal rule, which rings after stick events",
+        0.5,
+        1,
+        default=0.51,
+    )
+    node_pitch_mm: float = number("distance of the gel's nodes", 0.05, 5, default=0.833)
+    camera_substeps: int = whole("straight pieces of a dot's path within a slice", 1, 100, default=1)
+    scans_per_ms: int = whole("scans of the simulated readout per ms; the DVXplorer has 5", 1, 100, default=5)
+    residual: float = number("of the balance of forces in a step, as a share of all forces", 1e-12, 0.01, default=1e-6)
+
+    RULES: ClassVar[Mapping[str, Any]] = {"not": {"required": ["tolerance_um", "step_ms"]}}
+    WRITTEN_WHOLE: ClassVar = True
+    ALONE: ClassVar = ("step_ms", "tolerance_um")
 
     def __post_init__(self) -> None:
         for name in ("tolerance_um", "node_pitch_mm", "residual"):
@@ -68,25 +82,16 @@ class Solver:
         return columns, rows
 
 
-def from_scene(scene: Mapping[str, Any]) -> Solver:
-    """The settings that a scene names, and the defaults of the others; ValueError where one is out of range."""
-    return Solver(**scene.get("solver", {}))
-
-
-def resolve(scene: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """All settings of a scene, with those that are given in their place, as its table `[solver]`.
+def with_given(solver: Solver, given: Mapping[str, Any]) -> Solver:
+    """A scene's settings with those that are given in their place.
 
     A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance; ValueError where
-    both are given.
+    both are given, or one is out of range.
     """
     if {"tolerance_um", "step_ms"} <= set(given):
         raise ValueError("a tolerance or a fixed step (tolerance_um, step_ms), not both")
-    named = dict(scene.get("solver", {}))
     if "step_ms" in given:
-        named.pop("tolerance_um", None)
+        solver = replace(solver, tolerance_um=Solver.tolerance_um)
     if "tolerance_um" in given:
-        named.pop("step_ms", None)
-    settings = Solver(**{**named, **given})
-    answer = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
-    answer.pop("tolerance_um" if settings.step_ms is not None else "step_ms")
-    return answer
+        solver = replace(solver, step_ms=None)
+    return replace(solver, **given)

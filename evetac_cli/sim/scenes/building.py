@@ -1,0 +1,27 @@
+"""The simulation of a plan, by the kind of its scene."""
+
+import numpy as np
+
+from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.scenes.rubbing import Rubbing
+from evetac_cli.sim.scenes.vibrating import Vibration
+from evetac_cli.sim.setup.plan import Plan
+
+# Kinds of scene without a gripper.
+DRIVEN: dict[str, type[Pressing] | type[Vibration]] = {"press": Pressing, "rub": Rubbing, "tone": Vibration}
+
+Simulation = GraspSimulation | Pressing | Vibration
+
+
+def simulation_of(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Simulation:
+    """Build what a plan names; mechanics and optics draw from random streams of their own.
+
+    durations: lift_s and balance_s of a scene in which an object is lifted. ValueError where values of the scene do not
+    go together.
+    """
+    mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
+    driven = DRIVEN.get(plan.scene.kind)
+    if driven is not None:
+        return driven(plan, mechanics, optics)
+    return GraspSimulation(plan, mechanics, optics, **durations)

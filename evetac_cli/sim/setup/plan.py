@@ -1,0 +1,257 @@
+"""The plan of a trial: scene, sensor and object, resolved; what is simulated, and what its recipe says of it.
+
+A scene names the parts that exist and the ranges from which a trial's parameters are sampled. Objects are rows of the
+paper's table or files, sensors rows of sensors.toml or files.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.errors import InputError, SceneError
+from evetac_cli.resources import table
+from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
+from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
+from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
+from evetac_cli.sim.setup.solver import with_given
+from evetac_cli.sim.setup.tables import as_table, build, check
+
+READOUTS = ("dvxplorer", "ideal")
+FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
+SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
+NUMBERED_SEED = 1299709  # with the number of a sensor
+LOWEST_TONE_HZ = 1.0
+HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
+
+Called = int | str | None  # an object, by its number or name; None where a scene has none
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one trial is made from.
+
+    sensor_ranges: those that the sensor was sampled from, if it was sampled for this trial. tone_hz: what the speaker
+    plays, in scenes of kind tone.
+    """
+
+    scene: Scene
+    sensor_name: str
+    sensor: Sensor
+    readout: str
+    called: Called = None
+    touched: TouchedObject | None = None
+    tone_hz: float | None = None
+    sensor_ranges: SensorRanges | None = None
+
+    def parameters(self) -> dict[str, Any]:
+        """The plan as it enters a recipe, so that a changed table is another recipe."""
+        named: dict[str, Any] = {
+            "scene": as_table(self.scene),
+            "sensor": self.sensor_name,
+            "sensor_row": as_table(self.sensor),
+            "readout": self.readout,
+            "object": self.called,
+        }
+        if self.touched is not None:
+            named["object_row"] = as_table(self.touched)
+        if self.tone_hz is not None:
+            named["tone_hz"] = self.tone_hz
+        if self.sensor_ranges is not None:
+            named["sensor_ranges"] = dict(self.sensor_ranges)
+        return named
+
+
+def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
+    """The plan of a recording, from the parameters of its header; InputError where they hold none."""
+    missing = [key for key in ("scene", "sensor", "sensor_row", "readout") if key not in parameters]
+    if missing:
+        raise InputError("the header holds no plan of a simulated trial", where=where, expected=missing[0])
+    for type_, key in ((Scene, "scene"), (Sensor, "sensor_row"), (TouchedObject, "object_row")):
+        if key in parameters:
+            check(type_, parameters[key], f"{where}: header, {key}")
+    row = parameters.get("object_row")
+    return Plan(
+        build(Scene, parameters["scene"]),
+        str(parameters["sensor"]),
+        build(Sensor, parameters["sensor_row"]),
+        str(parameters["readout"]),
+        parameters.get("object"),
+        None if row is None else build(TouchedObject, row),
+        parameters.get("tone_hz"),
+        parameters.get("sensor_ranges"),
+    )
+
+
+@dataclass(frozen=True)
+class Plans:
+    """The plans of all trials with one object or tone; `sensor` is one, or the ranges from which each trial samples."""
+
+    scene: Scene
+    sensor_name: str
+    sensor: Sensor | SensorRanges
+    readout: str
+    called: Called = None
+    touched: TouchedObject | None = None
+    tone_hz: float | None = None
+
+    def of_trial(self, seeds: Sequence[int] = ()) -> Plan:
+        """The plan of the trial with these seeds, which matter only where each trial has a sensor of its own."""
+        sensor, ranges = self.sensor, None
+        if not isinstance(sensor, Sensor):
+            ranges = sensor
+            sensor = sampling.sample_sensor(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
+        return Plan(self.scene, self.sensor_name, sensor, self.readout, self.called, self.touched, self.tone_hz, ranges)
+
+
+def plans(
+    scene_name: str,
+    objects: str,
+    sensor: str,
+    kinds: tuple[str, ...],
+    gel: str | None = None,
+    readout: str = READOUTS[0],
+    tones: str | None = None,
+    solver: Mapping[str, Any] = MappingProxyType({}),
+    *,
+    texture: str | None = None,
+) -> list[Plans]:
+    """What trials are made from, one an object or tone (one in all where the scene has neither).
+
+    `gel` cut or closed, `texture` on or off and settings of the `solver` override the scene's, and `tones` (as in
+    200,300) picks from them. InputError where they do not fit the scene, or it is of none of these kinds.
+    """
+    scene = scene_file.load(scene_name)
+    try:
+        scene = replace(scene, solver=with_given(scene.solver, solver))
+    except ValueError as error:
+        raise SceneError(f"[solver]: {error}", where=scene_name) from error
+    if gel is not None:
+        scene = replace(scene, gel=replace(scene.gel, cut=gel == "cut"))
+    if texture is not None:
+        scene = replace(scene, texture=_shown(scene, texture == "on", scene_name))
+    if scene.kind not in kinds:
+        raise SceneError(
+            "this scene is for another command",
+            where=scene_name,
+            expected=f"kind {' or '.join(kinds)}",
+            found=f"kind {scene.kind}",
+            hint="lift scenes are grasped, all others are recorded",
+        )
+    named = (*named_sensor(sensor), readout)
+    if not scene.is_gripped and object_file.SUFFIX in objects:
+        expected = "a scene in which an object is held, as slip or lift"
+        raise InputError("this scene holds no object", where="--object", expected=expected, found=scene_name)
+    if scene.tone is not None:
+        picked = scene.tone.frequency_hz if tones is None else tones_hz(tones)
+        # A recording is that of its tone, whatever others the scene names.
+        alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
+        return [Plans(one, *named, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
+    if tones is not None:
+        raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
+    driven = scene.face or scene.rub
+    if driven is not None:
+        return [Plans(scene, *named, touched=TouchedObject(shape="flat", static_friction=driven.static_friction))]
+    return [Plans(scene, *named, called, touched) for called, touched in named_objects(objects).items()]
+
+
+def plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
+    """The plan of one trial, with the first of the objects or tones, of a scene of any kind."""
+    kinds = more.pop("kinds", tuple(KINDS))
+    return plans(scene_name, objects, sensor, kinds, **more)[0].of_trial()
+
+
+def _shown(scene: Scene, shown: bool, scene_name: str) -> Texture:
+    """The texture of a scene, shown in the window or not; InputError where there is none to show."""
+    if scene.texture is None or (shown and not scene.gel.cut):
+        lacking = (
+            f"{scene_name}, which names no texture" if scene.texture is None else "a closed gel, which has no window"
+        )
+        expected = "a scene with a texture and a cut gel"
+        raise InputError("nothing to show", where="--texture", expected=expected, found=lacking)
+    return replace(scene.texture, show=shown)
+
+
+def named_objects(text: str) -> dict[int | str, TouchedObject]:
+    """Objects from `8`, `1-3,10` or `can.toml,8`, by what recordings call each; InputError for others."""
+    listed: dict[int | str, TouchedObject] = {}
+    for part in text.split(","):
+        if not part.strip().endswith(object_file.SUFFIX):
+            listed |= {number: object_file.of_table(number) for number in numbers(part)}
+            continue
+        called, touched = object_file.read(Path(part.strip()))
+        if called in listed:
+            expected = "a `name` of its own in each file"
+            raise InputError("two objects of one name", where=part.strip(), expected=expected, found=called)
+        listed[called] = touched
+    return listed
+
+
+def named_sensor(name_or_path: str) -> tuple[str, Sensor | SensorRanges]:
+    """What recordings call a sensor, and the sensor, of a named one or of a TOML file; InputError for anything else.
+
+    Of `randomized`, which is no one sensor, its ranges.
+    """
+    if name_or_path.endswith(sensor_file.SUFFIX):
+        return sensor_file.read(Path(name_or_path), one_sensor)
+    return name_or_path, sensor_ranges() if name_or_path == FOR_EACH_TRIAL else one_sensor(name_or_path)
+
+
+def sensor_ranges() -> SensorRanges:
+    """The ranges from which sensors are sampled."""
+    ranges: SensorRanges = table("sensors")[FOR_EACH_TRIAL]
+    return ranges
+
+
+def one_sensor(name: str) -> Sensor:
+    """A sensor by its name, `randomized:7` sampled by its number; InputError if there is no such sensor."""
+    rows = table("sensors")
+    number = re.fullmatch(f"{FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
+    if number is not None:
+        rng = np.random.default_rng([NUMBERED_SEED, int(number[1])])
+        return sampling.sample_sensor(sensor_ranges(), rng)
+    if name not in rows or name == FOR_EACH_TRIAL:
+        near = get_close_matches(name, rows, n=1)
+        raise InputError(
+            "no such sensor",
+            where="--sensor",
+            expected=", ".join(rows) + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
+            found=name,
+            hint=f"did you mean {near[0]}?" if near and ":" not in name else "",
+        )
+    return build(Sensor, rows[name])
+
+
+def numbers(text: str) -> list[int]:
+    """Object numbers from `8` or `1-3,10`, in their order, each once; InputError if it is anything else."""
+    listed: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch("([0-9]{1,2})(?:-([0-9]{1,2}))?", part.strip())
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if first > last:
+            expected = "as in 8, 1-3,10 or can.toml"
+            raise InputError("not a list of objects", where="--object", expected=expected, found=text[:60])
+        listed += range(first, last + 1)
+    return list(dict.fromkeys(listed))
+
+
+def tones_hz(text: str) -> list[float]:
+    """Frequencies from `200` or `200,300`, in their order, each once; InputError if it is anything else."""
+    listed: list[float] = []
+    for part in text.split(","):
+        try:
+            tone = float(part)
+        except ValueError:
+            tone = math.nan
+        if not LOWEST_TONE_HZ <= tone <= HIGHEST_TONE_HZ:
+            expected = f"{LOWEST_TONE_HZ:g} to {HIGHEST_TONE_HZ:g} Hz, as in 200 or 200,300"
+            raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
+        listed.append(tone)
+    return list(dict.fromkeys(listed))

@@ -1,0 +1,397 @@
+"""Tables of TOML as frozen types: each field states its range, its unit and its meaning once.
+
+From the fields of a type follow the JSON schema of its table (`schema_of`), the check of a table in words (`check`),
+the object (`build`), and the table again as it enters a recipe (`as_table`).
+
+Why so: a recipe holds what differs from the defaults, so that a part that is added to the types leaves the recipes of
+all scenes without it as they are. Where numbers change because a default does, METHOD of the stage is raised. Numbers
+are what the type says, so 341 and 341.0 are one recipe.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, field, fields
+from difflib import get_close_matches
+from typing import Any, NamedTuple, TypeVar
+
+from evetac_cli.errors import InputError
+
+T = TypeVar("T")
+Rules = dict[str, Any]  # of JSON schema
+
+REQUIRED = MISSING  # the default of what has to be named
+JSON_SCHEMA = "https://json-schema.org/draft/2020-12/schema"
+TYPES = {
+    "number": "a number",
+    "integer": "a whole number",
+    "string": "a text",
+    "array": "a list",
+    "object": "a table",
+    "boolean": "true or false",
+}
+
+
+class About(NamedTuple):
+    """What is known of a field beside its type.
+
+    rules: of JSON schema. table: the type of a table within. needed_in, only_in: kinds of scene (of motion, in its
+    table) that cannot do without it, and that alone can have it. order: "pair" (the lower end first), "rising" or
+    "strictly rising".
+    """
+
+    rules: Rules
+    table: type[Any] | None = None
+    needed_in: tuple[str, ...] = ()
+    only_in: tuple[str, ...] = ()
+    order: str = ""
+
+
+def number(
+    meaning: str, least: float | None, most: float, *, above: float | None = None, default: Any = MISSING, **kinds: Any
+) -> Any:
+    """A number from `least`, or more than `above`, to `most`."""
+    return _declared(About({"description": meaning, **_range(least, most, above)}, **kinds), default)
+
+
+def whole(meaning: str, least: int, most: int, *, default: Any = MISSING, **kinds: Any) -> Any:
+    """A whole number."""
+    rules = {"description": meaning, "type": "integer", "minimum": least, "maximum": most}
+    return _declared(About(rules, **kinds), default)
+
+
+def flag(meaning: str, *, default: Any = MISSING, **kinds: Any) -> Any:
+    """True or false."""
+    return _declared(About({"description": meaning, "type": "boolean"}, **kinds), default)
+
+
+def one_of(meaning: str, names: Sequence[str], *, default: Any = MISSING, **kinds: Any) -> Any:
+    """One of some names."""
+    return _declared(About({"description": meaning, "enum": list(names)}, **kinds), default)
+
+
+def words(meaning: str, most: int, *, pattern: str = "", default: Any = MISSING) -> Any:
+    """A text of so many letters at most."""
+    rules: Rules = {"description": meaning, "type": "string", "maxLength": most}
+    return _declared(About({**rules, "pattern": pattern} if pattern else rules), default)
+
+
+def constant(meaning: str, value: Any) -> Any:
+    """What has one value, which has to be named all the same."""
+    return _declared(About({"description": meaning, "const": value}), MISSING)
+
+
+def between(
+    meaning: str,
+    least: float | None,
+    most: float,
+    *,
+    above: float | None = None,
+    or_one: bool = False,
+    default: Any = MISSING,
+    **kinds: Any,
+) -> Any:
+    """A range [low, high] within which something is drawn; or_one: a number alone stands for both ends."""
+    ends = _range(least, most, above)
+    pair = {"type": "array", "items": ends, "minItems": 2, "maxItems": 2}
+    rules = {"description": meaning, **({"anyOf": [ends, pair]} if or_one else pair)}
+    return _declared(About(rules, order="pair", **kinds), default)
+
+
+def numbers(
+    meaning: str,
+    least: float | None,
+    most: float,
+    count: int | tuple[int, int],
+    *,
+    above: float | None = None,
+    order: str = "",
+    unique: bool = False,
+    default: Any = MISSING,
+    **kinds: Any,
+) -> Any:
+    """A list of numbers, of so many entries, or of fewest to most."""
+    return _declared(About(_list(meaning, _range(least, most, above), count, unique), order=order, **kinds), default)
+
+
+def wholes(
+    meaning: str, least: int, most: int, count: int | tuple[int, int], *, order: str = "", default: Any = MISSING
+) -> Any:
+    """A list of whole numbers."""
+    items = {"type": "integer", "minimum": least, "maximum": most}
+    return _declared(About(_list(meaning, items, count), order=order), default)
+
+
+def lists(meaning: str, items: Rules, count: tuple[int, int], *, unique: bool = False, default: Any = MISSING) -> Any:
+    """A list of what the rules say."""
+    return _declared(About(_list(meaning, items, count, unique)), default)
+
+
+def table(type_: type[Any], *, default: Any = None, **kinds: Any) -> Any:
+    """A table within; without a default, none."""
+    return _declared(About(rules_of(type_), type_, **kinds), default)
+
+
+def pairs(low: float, high: float) -> Rules:
+    """The rules of [x, y]."""
+    return {"type": "array", "items": _range(low, high, None), "minItems": 2, "maxItems": 2}
+
+
+def _declared(about: About, default: Any) -> Any:
+    metadata = {"about": about}
+    return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
+
+
+def _range(least: float | None, most: float, above: float | None) -> Rules:
+    return {"type": "number", **({"minimum": least} if above is None else {"exclusiveMinimum": above}), "maximum": most}
+
+
+def _list(meaning: str, items: Rules, count: int | tuple[int, int], unique: bool = False) -> Rules:
+    fewest, most = (count, count) if isinstance(count, int) else count
+    rules = {"description": meaning, "type": "array", "items": items, "minItems": fewest, "maxItems": most}
+    return {**rules, "uniqueItems": True} if unique else rules
+
+
+def about(item: Field[Any]) -> About:
+    """What is known of a field."""
+    known: About = item.metadata["about"]
+    return known
+
+
+def rules_of(type_: type[Any]) -> Rules:
+    """The rules of JSON schema for the table of a type; its docstring says what the table is."""
+    meaning = (type_.__doc__ or "").split("\n\n")[0].replace("\n    ", " ").rstrip(".")
+    return {
+        "description": meaning[:1].lower() + meaning[1:],
+        "type": "object",
+        "required": [item.name for item in fields(type_) if item.default is MISSING],
+        "additionalProperties": False,
+        "properties": {item.name: about(item).rules for item in fields(type_)},
+        **getattr(type_, "RULES", {}),
+    }
+
+
+def schema_of(type_: type[Any], title: str) -> Rules:
+    """The JSON schema of a file that holds the table of a type."""
+    rules = {key: value for key, value in rules_of(type_).items() if key != "description"}
+    return {"$schema": JSON_SCHEMA, "title": title, **rules}
+
+
+def build(type_: type[T], named: Mapping[str, Any]) -> T:
+    """An object from its table, which is not checked: numbers and lists become what the type says."""
+    known = {item.name: about(item) for item in fields(type_)}  # type: ignore[arg-type]
+    return type_(**{name: _value(known[name], value) for name, value in named.items()})
+
+
+def _value(known: About, value: Any) -> Any:
+    if known.table is not None:
+        return build(known.table, value)
+    if known.order == "pair" and not isinstance(value, Sequence):
+        return (float(value), float(value))
+    return _typed(value, known.rules.get("anyOf", [known.rules])[-1])
+
+
+def _typed(value: Any, rules: Mapping[str, Any]) -> Any:
+    if isinstance(value, list | tuple):
+        return tuple(_typed(item, rules.get("items", {})) for item in value)
+    return float(value) if rules.get("type") == "number" else value
+
+
+def as_table(one: Any) -> dict[str, Any]:
+    """The table of an object: what is not the default, or all of it where its type is WRITTEN_WHOLE.
+
+    Of the fields that its type has ALONE, the first that is not None is written, and the others are not.
+    """
+    is_whole, alone = getattr(one, "WRITTEN_WHOLE", False), getattr(one, "ALONE", ())
+    first = next((name for name in alone if getattr(one, name) is not None), "")
+    named = ((item, getattr(one, item.name)) for item in fields(one) if item.name not in alone or item.name == first)
+    return {
+        item.name: as_table(value) if about(item).table is not None else _plain(value)
+        for item, value in named
+        if value is not None and (is_whole or value != item.default)
+    }
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def check(
+    type_: type[Any],
+    named: Mapping[str, Any],
+    where: str,
+    *,
+    whole: bool = True,
+    needed: tuple[str, ...] = (),
+    if_missing: str = "",
+    error: type[InputError] = InputError,
+) -> None:
+    """Refuse, in words, a table from which no object of a type can be built.
+
+    whole: every key without a default must be there, and those in `needed`; if_missing: what to try where one is not.
+    """
+    rules = rules_of(type_)
+    required = [*rules["required"], *needed] if whole else []
+    try:
+        check_rules(named, where, {**rules, "required": required}, if_missing)
+        for place, known, value in _entries(type_, named, ""):
+            _check_order(place, known, value, where)
+        for place, columns, lengths in _columns(type_, named, ""):
+            _check_lengths(place, columns, lengths, where)
+        _check_kinds(type_, named, where)
+    except InputError as refused:
+        raise error(
+            refused.message, where=refused.where, expected=refused.expected, found=refused.found, hint=refused.hint
+        ) from None
+
+
+def _entries(type_: type[Any], named: Mapping[str, Any], place: str) -> Iterator[tuple[str, About, Any]]:
+    """Each value that a table names, those of tables within too, with its place."""
+    for item in fields(type_):
+        if item.name not in named:
+            continue
+        known, here = about(item), f"{place}{item.name}"
+        yield here, known, named[item.name]
+        if known.table is not None:
+            yield from _entries(known.table, named[item.name], f"{here}.")
+
+
+def _columns(
+    type_: type[Any], named: Mapping[str, Any], place: str
+) -> Iterator[tuple[str, tuple[str, ...], dict[str, int]]]:
+    """Lists that must be of one length, by their names, with the place of their table."""
+    columns = getattr(type_, "COLUMNS", ())
+    yield place, columns, {name: len(named[name]) for name in columns if name in named}
+    for item in fields(type_):
+        inner = about(item).table
+        if inner is not None and item.name in named:
+            yield from _columns(inner, named[item.name], f"{place}{item.name}.")
+
+
+def _check_order(place: str, known: About, value: Any, where: str) -> None:
+    if not known.order or not isinstance(value, list):
+        return
+    steps = list(zip(value, value[1:], strict=False))
+    if known.order == "pair" and value[0] > value[1]:
+        raise InputError(f"{place}: the lower end comes first", where=where, found=str(value))
+    if known.order == "rising" and any(after < before for before, after in steps):
+        raise InputError(f"{place}: expected rising values", where=where, found=str(value))
+    if known.order == "strictly rising" and any(after <= before for before, after in steps):
+        raise InputError(f"{place}: expected rising values, none twice", where=where, found=str(value))
+
+
+def _check_lengths(place: str, columns: tuple[str, ...], lengths: Mapping[str, int], where: str) -> None:
+    if len(set(lengths.values())) <= 1:
+        return
+    first = next(name for name in columns if name in lengths)
+    other = next(name for name in columns if lengths.get(name, lengths[first]) != lengths[first])
+    raise InputError(
+        f"{place}{other}: lists of different lengths",
+        where=where,
+        expected=f"one value for each of the {lengths[first]} in {first}",
+        found=", ".join(f"{length} in {name}" for name, length in lengths.items()),
+    )
+
+
+def _check_kinds(type_: type[Any], named: Mapping[str, Any], where: str) -> None:
+    """What the kind of a scene or a motion is made of is there, and nothing that it cannot have."""
+    asked = list(_asked(type_, named, "", ""))
+    needed = {place: kind for place, kind, known, _ in asked if kind in known.needed_in}
+    for place, kind, known, is_named in asked:
+        if place in needed and not is_named:
+            expected = ", ".join(needed)
+            raise InputError(f"{place} is missing", where=where, expected=expected, found=f"kind {kind}")
+        if is_named and known.only_in and kind not in known.only_in:
+            expected = f"kind {', '.join(known.only_in)}"
+            message = f"{place} is for another kind of scene"
+            raise InputError(message, where=where, expected=expected, found=f"kind {kind}")
+
+
+def _asked(
+    type_: type[Any], named: Mapping[str, Any] | None, place: str, kind: str
+) -> Iterator[tuple[str, str, About, bool]]:
+    """All fields, of tables that are not there too: place, kind that counts there, what is known, whether named."""
+    kind = (named or {}).get("kind", kind)
+    for item in fields(type_):
+        known, here = about(item), f"{place}{item.name}"
+        is_named = named is not None and item.name in named
+        yield here, kind, known, is_named
+        if known.table is not None:
+            inner = named[item.name] if named is not None and is_named else None
+            yield from _asked(known.table, inner, f"{here}.", kind)
+
+
+def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], if_missing: str = "") -> None:
+    """InputError in words for what a schema does not allow; if_missing: what to try where a key is missing."""
+    import jsonschema
+
+    errors = list(jsonschema.Draft202012Validator(rules).iter_errors(named))
+    misspelt = [error for error in errors if error.validator == "additionalProperties"]  # also why another is missing
+    error = (misspelt or sorted(errors, key=lambda error: list(map(str, error.absolute_path))) or [None])[0]
+    if error is None:
+        return
+    if error.validator == "anyOf":  # a number, or a range: what is wrong with the one that was meant
+        meant = 1 if isinstance(error.instance, list) else 0
+        error = next(one for one in error.context if one.schema_path[0] == meant)
+    place = ".".join(str(step) for step in error.absolute_path)
+    given, schema = str(error.instance), error.schema
+    if error.validator == "additionalProperties":
+        known = list(schema["properties"])
+        unknown = next(key for key in error.instance if key not in known)
+        near = get_close_matches(unknown, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
+        raise InputError(f"unknown key {f'{place}.' if place else ''}{unknown}", where=where, hint=hint)
+    if error.validator == "required":
+        missing = [key for key in error.validator_value if key not in error.instance]
+        raise InputError(
+            f"keys are missing{f' in {place}' if place else ''}",
+            where=where,
+            expected=", ".join(missing),
+            found="none of them",
+            hint=if_missing if not place else "",
+        )
+    if error.validator == "type":
+        kind = TYPES[error.validator_value]
+        raise InputError(f"{place}: expected {kind}", where=where, expected=_meaning(schema), found=given)
+    if error.validator in ("minItems", "maxItems"):
+        low, high = schema["minItems"], schema["maxItems"]
+        count = f"{low}" if low == high else f"{low} to {high:,}"
+        raise InputError(
+            f"{place}: a list of another length",
+            where=where,
+            expected=f"{count} entries{_of_what(schema)}",
+            found=f"{len(error.instance):,} entries",
+        )
+    if error.validator in ("minimum", "maximum", "exclusiveMinimum"):
+        above = "exclusiveMinimum" in schema
+        low = schema["exclusiveMinimum" if above else "minimum"]
+        expected = f"{'more than ' if above else ''}{low:g} to {schema['maximum']:g}{_of_what(schema)}"
+        raise InputError(f"{place}: out of range", where=where, expected=expected, found=given)
+    if error.validator == "enum":
+        names = error.validator_value
+        near = get_close_matches(given, names, n=1)
+        hint = f"did you mean {near[0]}?" if near else ""
+        raise InputError(f"{place}: unknown value", where=where, expected=", ".join(names), found=given, hint=hint)
+    expected = str(schema.get("const", schema.get("pattern", ""))) or _alternatives(schema)
+    raise InputError(
+        f"{place or 'the table'}: not a possible value", where=where, expected=expected + _of_what(schema), found=given
+    )
+
+
+def _alternatives(schema: Mapping[str, Any]) -> str:
+    """What a schema of several wants, in words, as far as it has any."""
+    if schema.get("uniqueItems"):
+        return "each entry once"
+    if "minProperties" in schema:
+        return f"at least {schema['minProperties']} of {', '.join(schema['properties'])}"
+    if "oneOf" in schema:
+        return "either " + " or ".join(", ".join(one["required"]) for one in schema["oneOf"])
+    if "not" in schema:
+        return "one of " + " and ".join(schema["not"]["required"])
+    return ""
+
+
+def _meaning(rules: Mapping[str, Any]) -> str:
+    return str(rules.get("description", ""))
+
+
+def _of_what(rules: Mapping[str, Any]) -> str:
+    return f" ({rules['description']})" if "description" in rules else ""
