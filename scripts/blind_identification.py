@@ -35,9 +35,13 @@ from reproduce import commit
 
 from evetac_cli.console import print_table
 from evetac_cli.resources import SCENES
-from evetac_cli.sim import gripper, scene
+from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.gripper import Drive
+from evetac_cli.sim.setup import sensor_file
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.evaluate import told_apart
 from evetac_cli.store.read import open_recording
 
@@ -58,41 +62,52 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A row of identify's table: its prior range, and the truth as a sensor's row has it."""
+    """A row of identify's table: its prior range, and the truth of a sensor."""
 
     name: str
     low: float
     high: float
-    truth: Callable[[Mapping[str, Any]], float]
+    truth: Callable[[Sensor], float]
     part: str = "camera"
 
 
-def _key(*path: str) -> Callable[[Mapping[str, Any]], float]:
-    def of(row: Mapping[str, Any]) -> float:
-        value: Any = row
-        for key in path:
-            value = value[key]
-        return float(value)
-
-    return of
+def _of_drive(value: Callable[[Drive], float]) -> Callable[[Sensor], float]:
+    return lambda sensor: value(gripper.make_drive(sensor.gripper))
 
 
-def _of_drive(value: Callable[[Any], float]) -> Callable[[Mapping[str, Any]], float]:
-    return lambda row: value(gripper.make_drive(row))
+def _bending(sensor: Sensor) -> float:
+    """How many ticks the fingers bend per mA."""
+    stiffness_n_m = sensor.gripper.finger_stiffness_n_m
+    assert stiffness_n_m is not None
+    force_n_ma = gripper.make_drive(sensor.gripper).force_per_current_n_ma
+    return force_n_ma / stiffness_n_m / gripper.metres_per_tick(OPEN_M)
+
+
+def _held(sensor: Sensor) -> float:
+    """Static friction of the held object times the force per current."""
+    force_n_ma = gripper.make_drive(sensor.gripper).force_per_current_n_ma
+    return OBJECT_FRICTION * sensor.static_friction_factor * force_n_ma
 
 
 PLACES = "error of a dot's place, 95 %"
 PARAMETERS = (
-    Parameter("noise_hz", 0.015, 0.11, _key("noise_hz")),
-    Parameter(PLACES, 0.0, 12.0, lambda row: 0.0),  # of dots that are shifted by up to 6 px either way; see `places`
-    Parameter("dot_radius_px", 12.5, 17.5, _key("dot_radius_px")),
-    Parameter("dot_radius_spread", 0.0, 0.06, _key("dot_radius_spread")),
-    Parameter("dot_contrast_spread", 0.0, 0.15, _key("dot_contrast_spread")),
-    Parameter("edge_sigma_px", 0.8, 1.8, _key("edge_sigma_px")),
-    Parameter("distortion", -0.05, 0.02, lambda row: float(row["distortion"][0])),
-    Parameter("log_contrast / threshold", 1.3 / 0.35, 1.75 / 0.12, lambda row: row["log_contrast"] / row["threshold"]),
-    Parameter("threshold_off / threshold", 0.8, 1.25, lambda row: row["threshold_off"] / row["threshold"]),
-    Parameter("mismatch", 0.02, 0.08, _key("mismatch")),
+    Parameter("noise_hz", 0.015, 0.11, lambda sensor: sensor.noise_hz),
+    Parameter(PLACES, 0.0, 12.0, lambda sensor: 0.0),  # of dots that are shifted by up to 6 px either way; see `places`
+    Parameter("dot_radius_px", 12.5, 17.5, lambda sensor: sensor.dot_radius_px),
+    Parameter("dot_radius_spread", 0.0, 0.06, lambda sensor: sensor.dot_radius_spread),
+    Parameter("dot_contrast_spread", 0.0, 0.15, lambda sensor: sensor.dot_contrast_spread),
+    Parameter("edge_sigma_px", 0.8, 1.8, lambda sensor: sensor.edge_sigma_px),
+    Parameter("distortion", -0.05, 0.02, lambda sensor: sensor.distortion[0]),
+    Parameter(
+        "log_contrast / threshold", 1.3 / 0.35, 1.75 / 0.12, lambda sensor: sensor.log_contrast / sensor.threshold
+    ),
+    Parameter(
+        "threshold_off / threshold",
+        0.8,
+        1.25,
+        lambda sensor: (sensor.threshold_off or sensor.threshold) / sensor.threshold,
+    ),
+    Parameter("mismatch", 0.02, 0.08, lambda sensor: sensor.mismatch),
     Parameter(
         "gripper: gear friction", 4.79, 25.65, _of_drive(lambda d: d.friction_n / d.force_per_current_n_ma), "gripper"
     ),
@@ -108,30 +123,28 @@ PARAMETERS = (
         "gripper: bending of the fingers",
         0.972,
         2.025,
-        lambda row: (
-            gripper.make_drive(row).force_per_current_n_ma
-            / row["gripper"]["finger_stiffness_n_m"]
-            / gripper.metres_per_tick(OPEN_M)
-        ),
+        _bending,
         "gripper",
     ),
-    Parameter("gripper.backlash_ticks", 0.0, 3.0, _key("gripper", "backlash_ticks"), "gripper"),
-    Parameter("gripper.encoder_noise_ticks", 0.0, 0.7, _key("gripper", "encoder_noise_ticks"), "gripper"),
-    Parameter("gripper.command_delay_ms", 1.0, 8.0, _key("gripper", "command_delay_ms"), "gripper"),
-    Parameter("gripper.command_jitter_ms", 0.0, 4.0, _key("gripper", "command_jitter_ms"), "gripper"),
+    Parameter("gripper.backlash_ticks", 0.0, 3.0, lambda sensor: sensor.gripper.backlash_ticks, "gripper"),
+    Parameter("gripper.encoder_noise_ticks", 0.0, 0.7, lambda sensor: sensor.gripper.encoder_noise_ticks, "gripper"),
+    Parameter("gripper.command_delay_ms", 1.0, 8.0, lambda sensor: sensor.gripper.command_delay_ms, "gripper"),
+    Parameter("gripper.command_jitter_ms", 0.0, 4.0, lambda sensor: sensor.gripper.command_jitter_ms, "gripper"),
     Parameter("gripper: servo gain", 3.6, 10.0, _of_drive(lambda d: d.gain_ma_tick), "gripper"),
-    Parameter("shear_modulus_pa", 70e3, 300e3, _key("shear_modulus_pa"), "gel"),
-    Parameter("creep.share, both arms", 0.0, 0.2, lambda row: float(sum(row["creep"]["share"])), "gel"),
+    Parameter("shear_modulus_pa", 70e3, 300e3, lambda sensor: sensor.shear_modulus_pa, "gel"),
+    Parameter(
+        "creep.share, both arms", 0.0, 0.2, lambda sensor: sum(sensor.creep.share) if sensor.creep else 0.0, "gel"
+    ),
     Parameter(
         "static friction x force per current",
         0.216,
         0.54,
-        lambda row: OBJECT_FRICTION * row["static_friction_factor"] * gripper.make_drive(row).force_per_current_n_ma,
+        _held,
         "friction",
     ),
-    Parameter("bandwidth_hz", 300.0, 3000.0, _key("bandwidth_hz")),
-    Parameter("normal_modulus_pa", 0.5e6, 2.0e6, _key("normal_modulus_pa"), "gel"),
-    Parameter("loss_tangent", 0.06, 0.24, _key("loss_tangent"), "gel"),
+    Parameter("bandwidth_hz", 300.0, 3000.0, lambda sensor: sensor.bandwidth_hz),
+    Parameter("normal_modulus_pa", 0.5e6, 2.0e6, lambda sensor: sensor.normal_modulus_pa, "gel"),
+    Parameter("loss_tangent", 0.06, 0.24, lambda sensor: sensor.loss_tangent or 0.0, "gel"),
     Parameter("gripper.force_per_current_n_ma", 0.3, 0.5, _of_drive(lambda d: d.force_per_current_n_ma), "gripper"),
 )
 
@@ -176,13 +189,13 @@ def features(paths: list[Path]) -> NDArray[np.float64]:
     return np.concatenate(parts)
 
 
-def places(row: Mapping[str, Any], sensor_file: Path) -> NDArray[np.float64] | None:
+def places(sensor: Sensor, file: Path) -> NDArray[np.float64] | None:
     """How far dots of the identified sensor are from where the true one's are seen, in px; None without them."""
-    _, twin = scene.named_sensor(str(sensor_file))
-    if "dot_xy_px" not in twin:
+    _, twin = sensor_file.read(file, one_sensor)
+    if not twin.dot_xy_px:
         return None
     seen = []
-    for one in (twin, row):
+    for one in (twin, sensor):
         lens = Lens.of_sensor(one)
         dots = dot_grid(one, cut=False)
         seen.append(dots if lens is None else lens.seen(dots))
@@ -196,7 +209,7 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
     started = time.perf_counter()
     sensor, folder = f"randomized:{number}", work / str(number)
     folder.mkdir(exist_ok=True)
-    row = scene.sensor_row(sensor)
+    true = one_sensor(sensor)
     first = recordings(work, folder, sensor, number, "first")
     known: list[object] = []
     grips: list[Path] = []
@@ -208,10 +221,10 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         grips.append(folder / "grasp.recording.h5")
         moves = ("--controller", "fixed:6", "--lift-s", 2, "--balance-s", 0)
         evetac("grasp", *moves, "--sensor", sensor, "--seed", number, "--force", "-o", grips[-1])
-        known = ["--object-mass-g", OBJECT_G, "--pixel-mm", round(row["mm_per_px"], 4)]
+        known = ["--object-mass-g", OBJECT_G, "--pixel-mm", round(true.mm_per_px, 4)]
     twin = folder / "twin.sensor.toml"
     answer = evetac("identify", *first, *grips, *known, "--name", f"twin-{number}", "--force", "-o", twin)
-    off_px = places(row, twin)
+    off_px = places(true, twin)
     windows = {
         "first": features(first),
         "second": features(recordings(work, folder, sensor, number + SECOND_SEED, "second")),
@@ -227,7 +240,7 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "number": number,
         "camera_only": camera_only,
         "rows": answer["rows"],
-        "truth": {one.name: one.truth(row) for one in PARAMETERS},
+        "truth": {one.name: one.truth(true) for one in PARAMETERS},
         "places_off_px": None if off_px is None else np.abs(off_px).ravel().tolist(),
         "seconds": time.perf_counter() - started,
     }

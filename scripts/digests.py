@@ -2,14 +2,14 @@
 
     python scripts/digests.py NOW.json                              # 211 files, some 8 minutes on two cores
     python scripts/digests.py NOW.json --against scripts/digests.json
+    python scripts/digests.py NOW.json --against scripts/digests.json --other-recipes   # arrays alone
 
 Two trials of every scene, every sensor, tracker preset, label method and training preset, the demo, force, RGB, the
 ideal readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a
 kernel and would go on with an edited callee of another file. A file's digest is over dtype, shape and bytes of its
-numeric arrays by name; texts and ONNX graphs hold names, and are left out. With --against, each file that is missing,
-new or different is printed, and the exit status is 1. Digests hold for one type of machine.
-
-scripts/digests.json was made by commit 027d068: recordings by method 5, grasps by method 7, labels by method 5.
+numeric arrays by name; texts and ONNX graphs hold names, and are left out. Beside it stands the file's recipe id. With
+--against, each file that is missing, new or different is printed, and the exit status is 1. Digests hold for one type
+of machine.
 """
 
 import argparse
@@ -94,8 +94,8 @@ def _stages() -> Iterator[str]:
     yield "evaluate tracking a.tracks.h5 --out trk.report.h5"
 
 
-def digest(path: Path) -> str:
-    """SHA-256 over the numeric datasets of a file, by name."""
+def digest(path: Path) -> dict[str, str]:
+    """SHA-256 over the numeric datasets of a file, by name, and its recipe id."""
     arrays: dict[str, bytes] = {}
 
     def add(name: str, item: object) -> None:
@@ -106,10 +106,11 @@ def digest(path: Path) -> str:
 
     with h5py.File(path) as file:
         file.visititems(add)
+        recipe = json.loads(file.attrs["header"])["id"]
     whole = hashlib.sha256()
     for name in sorted(arrays):
         whole.update(f"{name} {hashlib.sha256(arrays[name]).hexdigest()}\n".encode())
-    return whole.hexdigest()[:20]
+    return {"arrays": whole.hexdigest()[:20], "recipe": recipe[:20]}
 
 
 def make(folder: Path, only: list[str]) -> None:
@@ -150,8 +151,9 @@ def make(folder: Path, only: list[str]) -> None:
 def main() -> int:
     """Make the files, write their digests, and compare them if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path, help="JSON file: path of a file -> its digest")
+    parser.add_argument("out", type=Path, help="JSON file: path of a file -> its digest and recipe id")
     parser.add_argument("--against", type=Path, help="kept digests to compare with")
+    parser.add_argument("--other-recipes", action="store_true", help="recipe ids may be others")
     parser.add_argument("--only", nargs="+", default=[], help="cases to run, default: all")
     parser.add_argument("--folder", type=Path, help="where the files go; default: a new temporary folder")
     chosen = parser.parse_args()
@@ -165,10 +167,15 @@ def main() -> int:
     kept = json.loads(chosen.against.read_text(encoding="utf-8"))
     if chosen.only:
         kept = {path: value for path, value in kept.items() if path.split("/")[0] in chosen.only}
-    wrong = [path for path in sorted(kept.keys() | now.keys()) if kept.get(path) != now.get(path)]
-    for path in wrong:
-        print(f"{path}: {'different' if path in kept and path in now else 'new' if path in now else 'missing'}")
-    print(f"{len(kept)} kept, {len(kept.keys() & now.keys()) - len(set(wrong) & kept.keys() & now.keys())} equal")
+    both = sorted(kept.keys() & now.keys())
+    wrong = [f"{path}: missing" for path in sorted(kept.keys() - now.keys())]
+    wrong += [f"{path}: new" for path in sorted(now.keys() - kept.keys())]
+    for what in ("arrays", "recipe"):
+        other = [path for path in both if kept[path][what] != now[path][what]]
+        print(f"{what}: {len(both) - len(other)} of {len(both)} equal")
+        if what == "arrays" or not chosen.other_recipes:
+            wrong += [f"{path}: {what} different" for path in other]
+    print(*wrong, sep="\n")
     return bool(wrong)
 
 

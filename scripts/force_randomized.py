@@ -18,7 +18,7 @@ from typing import Any
 
 from evetac_cli.params.learning import Track
 from evetac_cli.params.recording import Record
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.stages import record, track
 
 FLAT: dict[str, Any] = {}  # that of the scene, 30 mm x 30 mm
@@ -42,7 +42,7 @@ OBJECTS = 20
 def scene_text(face: dict[str, Any], normal_n: float, shear_n: float, waypoints: int) -> str:
     """The scene `shear` with another face, other forces and fewer waypoints."""
     motion = {"normal_n": normal_n, "shear_n": shear_n, "count": waypoints, "offset_mm": 5.0 if face else 10.0}
-    return scene.changed("shear", {"name": "shear-short", "face": face, "motion": motion})
+    return changed("shear", {"name": "shear-short", "face": face, "motion": motion})
 
 
 def make(scene_name: str, sensor: int, seed: int, objects: str, output: Path) -> None:

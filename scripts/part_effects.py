@@ -41,7 +41,7 @@ from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, chain_of, package_model, prediction, timed
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.stages import grasp, label, record
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.stages.grasp import simulated as simulated_grasp
@@ -141,7 +141,7 @@ FIGURES = {
 
 def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tuple[SimulatedTrial, Any]:
     """The trial with a part, from files of a scene and a sensor, and the parameters of its stage."""
-    files = {"scene": scene.changed(kind, part.scene), "sensor": as_toml({"like": "evetac", **part.sensor})}
+    files = {"scene": changed(kind, part.scene), "sensor": as_toml({"like": "evetac", **part.sensor})}
     for name, text in files.items():
         (folder / f"{name}.toml").write_text(text)
     chosen: Row = {name: str(folder / f"{name}.toml") for name in files} | {"objects": str(object_), "seed": seed}

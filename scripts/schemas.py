@@ -1,6 +1,6 @@
 """Write the public schemas of what is simulated from the types that say it: scene, sensor and object.
 
-    python scripts/schemas.py            # into schemas/
+python scripts/schemas.py            # into schemas/
 """
 
 import json

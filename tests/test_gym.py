@@ -17,7 +17,6 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.kernels.grip.control import Control, FixedGrip
 from evetac_cli.resources import SCENES
-from evetac_cli.sim import scene
 from evetac_cli.stages.grasp.loop import Timing, grasp_slices
 from evetac_cli.text_files import as_toml
 
@@ -63,7 +62,7 @@ def test_an_episode_is_a_grasp(quick_touch: str) -> None:
     drawn, _ = gymnasium.utils.seeding.np_random(5)
     drawn.choice([8])
     seeds = [int(part) for part in drawn.integers(2**31, size=4)]
-    devices = rig(scene.for_trial(env._plans[8], seeds), np.random.SeedSequence(seeds), lift_s=0.6, balance_s=0.1)
+    devices = rig(env._plans[8].of_trial(seeds), np.random.SeedSequence(seeds), lift_s=0.6, balance_s=0.1)
     slices = grasp_slices(devices, None, Control(FixedGrip(20), 50.0), Timing(600, 600, 100, 50.0))
     for _ in range(600):
         next(slices)

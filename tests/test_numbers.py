@@ -3,7 +3,7 @@
 import json
 import math
 import typing
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,10 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import SCENES
-from evetac_cli.sim import scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.setup import scene_file, sensor_file
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.text_files import as_toml, parse_json, parse_toml
 from tests import small_files
@@ -123,35 +125,34 @@ def test_what_a_flag_may_be_can_be_computed_with(
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
 
 
-def of_scene(tmp_path: Path, text: str) -> Any:
+def of_scene(tmp_path: Path, text: str) -> Scene:
     (tmp_path / "own.toml").write_text(text)
-    return scene.load(str(tmp_path / "own.toml"))
+    return scene_file.load(str(tmp_path / "own.toml"))
 
 
 @pytest.mark.parametrize("value", ["-0.0", "-0e0", "-0.0e-5"])
 def test_no_zero_of_a_scene_or_sensor_has_a_sign(value: str, tmp_path: Path) -> None:
     """Assert that 0 is 0, wherever it stands: in a scene, in a sensor, and what is made from it."""
     text = (SCENES / "slip.toml").read_text()
-    table = of_scene(tmp_path, text)
+    table = parse_toml(text)
     numbers = [(group, key) for group, row in table.items() if isinstance(row, dict) for key, v in row.items()
                if isinstance(v, float)]  # fmt: skip
     assert len(numbers) > 5
     for group, key in numbers:
         changed = {**table, group: {**table[group], key: 12345.0}}
         try:
-            assert is_plain(of_scene(tmp_path, as_toml(changed).replace("12345.0", value)))
+            assert is_plain(asdict(of_scene(tmp_path, as_toml(changed).replace("12345.0", value))))
         except SceneError:
             continue  # 0 is too small for it
-    row = scene.sensor_row("evetac")
     kept = 0
-    for key in [key for key, entry in row.items() if isinstance(entry, float)]:
+    for key in [key for key, entry in asdict(one_sensor("evetac")).items() if isinstance(entry, float)]:
         (tmp_path / "own.sensor.toml").write_text(f'like = "evetac"\n{key} = {value}\n')
         try:
-            _, own = sensor_file.read(tmp_path / "own.sensor.toml", scene.sensor_row)
+            _, own = sensor_file.read(tmp_path / "own.sensor.toml", one_sensor)
         except InputError:
             continue
         kept += 1
-        assert is_plain(own)
+        assert is_plain(asdict(own))
         dot_grid(own, cut=False)
     assert kept > 3
 
@@ -161,7 +162,7 @@ def test_what_is_no_number_is_named_with_its_key(value: str, tmp_path: Path) -> 
     """Assert that a scene and a sensor with anything else in place of a number are refused, and where it stands."""
     (tmp_path / "own.sensor.toml").write_text(f'like = "evetac"\ndot_jitter_px = {value}\n')
     with pytest.raises(InputError) as refused:
-        sensor_file.read(tmp_path / "own.sensor.toml", scene.sensor_row)
+        sensor_file.read(tmp_path / "own.sensor.toml", one_sensor)
     assert "dot_jitter_px" in str(refused.value) or "64 bits" in str(refused.value)
     text = (SCENES / "slip.toml").read_text()
     line = next(line for line in text.splitlines() if line.startswith("rest_s"))

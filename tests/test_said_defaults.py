@@ -20,9 +20,10 @@ from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, 
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import write_lerobot
-from evetac_cli.sim import scene
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.solver import Solver
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
+from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import train
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.record import SCENE_KINDS, capture_plan
@@ -156,8 +157,9 @@ def test_theta_is_one_number() -> None:
 def test_the_table_of_settings_in_the_docs() -> None:
     """Assert that every default in the table of docs/simulator.md is the code's."""
     rows = re.findall(r"^\| `(\w+)` \| [^|]*\| ([^|]+) \|", (ROOT / "docs" / "simulator.md").read_text(), re.MULTILINE)
-    said = {name: value for name, value in rows if name in Solver.__dataclass_fields__}
-    assert set(said) == set(Solver.__dataclass_fields__)
+    names = {item.name for item in dataclasses.fields(Solver)}
+    said = {name: value for name, value in rows if name in names}
+    assert set(said) == names
     for name, value in said.items():
         default = getattr(Solver, name)
         assert value.removeprefix("the scene's, or ") == (
@@ -168,7 +170,7 @@ def test_the_table_of_settings_in_the_docs() -> None:
 def test_the_names_in_help_are_those_there_are() -> None:
     """Assert that help lists every sensor that comes with the package, and every scene of the command's kinds."""
     for command, kinds in (("record", SCENE_KINDS), ("grasp", ("lift",))):
-        of_kind = {path.stem for path in resources.SCENES.glob("*.toml") if scene.load(path.stem)["kind"] in kinds}
+        of_kind = {path.stem for path in resources.SCENES.glob("*.toml") if scene_file.load(path.stem).kind in kinds}
         assert listed(EVERY[command, "scene"].metadata["help"], "or a TOML") == of_kind
         sensors = listed(EVERY[command, "sensor"].metadata["help"], "another for")
         assert sensors == set(resources.table("sensors"))
@@ -182,7 +184,7 @@ def listed(text: str, until: str) -> set[str]:
 @pytest.mark.parametrize(
     ("command", "name", "said"),
     [
-        ("record", "tones", f"1 to {scene.HIGHEST_TONE_HZ:g}"),
+        ("record", "tones", f"1 to {HIGHEST_TONE_HZ:g}"),
         (
             "record",
             "objects",

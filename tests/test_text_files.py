@@ -26,14 +26,14 @@ from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.params.learning import Label, Track
 from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.resources import PACKAGE
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup import scene_file
 from evetac_cli.stages import calibrate
 from evetac_cli.store.calibration import read_calibration
 
 FRAME_PX = (640, 480)
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "--config": ("a.toml", lambda path: config.resolve(Label, "label", {}, path)),
-    "--scene": ("a.toml", lambda path: scene.load(str(path))),
+    "--scene": ("a.toml", lambda path: scene_file.load(str(path))),
     "--calibration": ("a.json", read_calibration),
     "calibrate --import": ("a.pkl", read_pickle),
     "record --from": ("a.txt", lambda path: read_events(path, frame_px=FRAME_PX)),

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli.sim.setup.held import HandSettings
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import gripper_faults
-from evetac_cli.sim.setup.scene import HandSettings, Scene
+from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import Sensor
 
 MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}  # where it grips

@@ -20,7 +20,7 @@ from evetac_cli.kernels.tracking import frame_tracker
 from evetac_cli.params.learning import TrackRgb
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
-from evetac_cli.sim.object_file import seed_of
+from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.track import COLUMNS
 from evetac_cli.store.files import up_to_date, write_stage

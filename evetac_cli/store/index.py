@@ -290,7 +290,6 @@ def _figures(file: Any) -> dict[str, Any]:
     header = file.header
     recording: dict[str, Any] = recording_of(header, header["history"]) or {}
     parameters = recording.get("parameters", {})
-    scene = parameters.get("scene")
     seed = recording.get("seed") if recording else header["seed"]
     trial = _plain(parameters.get("trial"))
     return {
@@ -301,11 +300,18 @@ def _figures(file: Any) -> dict[str, Any]:
         "sensor": _plain(parameters.get("sensor")) or _sensor_name(file),
         "seed": _plain(seed),
         "trial": trial if isinstance(trial, int) else None,
-        "scene": _plain(scene.get("name")) if isinstance(scene, dict) else None,
+        "scene": _plain(scene_words(parameters, "name")),
         "outcome": _outcome(file),
         "slices": _slices(file),
         "simulated": header["simulated"],
     }
+
+
+def scene_words(parameters: dict[str, Any], key: str) -> str | None:
+    """What a recording's parameters say of its scene, its `name` or `summary`; None where they say nothing in words."""
+    named = parameters.get("scene")
+    words = named.get(key) if isinstance(named, dict) else None
+    return words if isinstance(words, str) else None
 
 
 def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:

@@ -8,12 +8,11 @@ from page_text import bounds, code, fenced, folded, prose, sentence, table, valu
 
 from evetac_cli.resources import SCENES, schemas
 from evetac_cli.resources import table as packaged
-from evetac_cli.sim import scene
-from evetac_cli.sim.parts import parts
+from evetac_cli.sim.parts import rows_of
+from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, Plan, plan
 from evetac_cli.text_files import read_toml
 
 Rules = Mapping[str, Any]
-ALL_KINDS = tuple(scene.NEEDED)
 EXAMPLE = "evetac"  # the sensor beside which others are shown
 
 
@@ -88,9 +87,9 @@ def scene_names() -> list[str]:
     return sorted(path.stem for path in SCENES.glob("*.toml"))
 
 
-def plan_of(name: str, sensor: str = EXAMPLE) -> dict[str, Any]:
+def plan_of(name: str, sensor: str = EXAMPLE) -> Plan:
     """What a packaged scene builds with a sensor."""
-    return scene.plan(name, "8", sensor, ALL_KINDS)[0]
+    return plan(name, sensor=sensor)
 
 
 def _scenes() -> str:
@@ -105,7 +104,7 @@ def _scenes() -> str:
         comment = " ".join(line.removeprefix("#").strip() for line in _head(text))
         named = read_toml(SCENES / f"{name}.toml")
         command = "grasp" if named["kind"] == "lift" else "record"
-        built = [row["part"] for row in parts(plan_of(name)) if row["built"]]
+        built = [row["part"] for row in rows_of(plan_of(name)) if row["built"]]
         said += [
             f"## {name}\n",
             sentence(prose(named["summary"])) + "\n",
@@ -136,7 +135,7 @@ def _sensors() -> str:
     ]
     for name, row in rows.items():
         said += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
-        if name == scene.FOR_EACH_TRIAL:
+        if name == FOR_EACH_TRIAL:
             said.append("What is sampled, each from its own random stream; all other values are those of `evetac`.\n")
             said.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
         elif name != EXAMPLE:
@@ -152,7 +151,7 @@ def _sensors() -> str:
             ("key", "meaning", "values", f"`{EXAMPLE}`"),
             [
                 (code(path), prose(rule.get("description", "")), _values(rule), value(_at(rows[EXAMPLE], path)))
-                for path, rule in _flat_rules(rules, rules)
+                for path, rule in _flat_rules(rules)
             ],
         ),
     ]
@@ -165,7 +164,7 @@ def _parts() -> str:
     why_not: dict[str, str] = {}
     order = []
     for name in scene_names():
-        for row in parts(plan_of(name)):
+        for row in rows_of(plan_of(name)):
             built.setdefault(row["part"], [])
             if row["part"] not in order:
                 order.append(row["part"])
@@ -173,7 +172,7 @@ def _parts() -> str:
                 built[row["part"]].append(name)
             else:
                 why_not.setdefault(row["part"], row["left_out"])
-    realistic = {row["part"]: row["built"] for row in parts(plan_of("slip", "realistic")) if row["built"]}
+    realistic = {row["part"]: row["built"] for row in rows_of(plan_of("slip", "realistic")) if row["built"]}
     said = [
         "# Parts of a scene and a sensor\n",
         "What a simulation is built of. A part that nothing names is left out and costs nothing. What each does to"
@@ -204,7 +203,7 @@ def _parts() -> str:
 
 def _keys_page(owner: str, title: str, flag: str) -> str:
     rules = _rules(owner)
-    rows = [(code(path), prose(rule.get("description", "")), _values(rule)) for path, rule in _flat_rules(rules, rules)]
+    rows = [(code(path), prose(rule.get("description", "")), _values(rule)) for path, rule in _flat_rules(rules)]
     return "\n".join(
         (
             f"# {title}\n",
@@ -236,24 +235,17 @@ def _rules(owner: str) -> Rules:
     return rules
 
 
-def _resolved(rule: Rules, rules: Rules) -> Rules:
-    """A rule with what it refers to."""
-    if "$ref" not in rule:
-        return rule
-    return {**rules["$defs"][rule["$ref"].rpartition("/")[2]], **rule}
-
-
-def _flat_rules(rule: Rules, rules: Rules, path: str = "") -> Iterator[tuple[str, Rules]]:
+def _flat_rules(rule: Rules, path: str = "") -> Iterator[tuple[str, Rules]]:
     """Every key with its rule, those of tables after them with a dot between."""
-    for name, named in rule.get("properties", {}).items():
-        inner, here = _resolved(named, rules), f"{path}.{name}" if path else name
+    for name, inner in rule.get("properties", {}).items():
+        here = f"{path}.{name}" if path else name
         yield here, inner
-        yield from _flat_rules(inner, rules, here)
+        yield from _flat_rules(inner, here)
 
 
 def _rule(rules: Rules, path: str) -> Rules:
     """The rule of a key; KeyError if there is none."""
-    return dict(_flat_rules(rules, rules))[path]
+    return dict(_flat_rules(rules))[path]
 
 
 def _values(rule: Rules) -> str:

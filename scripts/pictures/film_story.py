@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect.view.trial_files import Trial
+from evetac_cli.sim.setup.plan import read_plan
 
 PICTURE_MS = 50  # of the film: 20 pictures a second
 BALANCE = 2  # control/phase
@@ -104,9 +105,10 @@ def read_story(trial: Trial) -> Story:
         values: NDArray[Any] = recording.read(path)[np.maximum(rows, 0)]
         return values
 
-    made = recording.header["parameters"]
-    object_params, mm_per_px = made["object_row"], float(made["sensor_row"]["mm_per_px"])
-    if made["scene"]["gel"].get("sideways") or "drop" in made["scene"]:
+    made = read_plan(recording.header["parameters"], str(recording.path))
+    touched, mm_per_px = made.touched, made.sensor.mm_per_px
+    assert touched is not None
+    if made.scene.gel.sideways or made.scene.drop is not None:
         raise InputError("the film shows lifts from the top, without a falling weight", where=str(recording.path))
     height = recording.read("truth/table_gap_mm")
     down_px = recording.read("truth/object_xy_px")[:, 0]
@@ -125,12 +127,12 @@ def read_story(trial: Trial) -> Story:
     heard_ms = recording.read("control/t_us")[recording.read("control/slip") > 0] // SLICE_US
     heard_ms = np.append(heard_ms[heard_ms >= plan[2].start_ms], catch.stuck_ms)
     return Story(
-        title=f"Catching object {made['object']} by feel: {object_params['material']}, {object_params['mass_g']:g} g",
+        title=f"Catching object {made.called} by feel: {touched.material}, {touched.mass_g:g} g",
         catch=catch,
         acts=plan,
         object_mm=(
-            float(object_params.get("grasped_width_mm", object_params["width_mm"])),
-            float(object_params["height_mm"]),
+            touched.held_mm,
+            touched.height_mm,
         ),
         mm_per_px=mm_per_px,
         window_px=recording.window_px,

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from evetac_cli.kernels.slip.features import event_image
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.stages.evaluate import picture
 from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.store.read import Recording, open_recording
@@ -90,7 +90,7 @@ def main() -> None:
     )
     chosen = parser.parse_args()
     if chosen.short_vibration:
-        chosen.short_vibration.write_text(scene.changed("vibration", {"time": {"tone_s": 3.0}}))
+        chosen.short_vibration.write_text(changed("vibration", {"time": {"tone_s": 3.0}}))
     with matplotlib.rc_context(picture.STYLE):
         for path in chosen.recordings:
             print(strip(path, chosen.out))

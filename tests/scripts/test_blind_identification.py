@@ -12,7 +12,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import blind_identification as blind
 
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.tables import as_table
 
 NAMES = [parameter.name for parameter in blind.PARAMETERS]
 
@@ -21,16 +23,16 @@ def test_truths_lie_in_their_prior_ranges() -> None:
     """Assert that what is compared can be had of a sensor's row, that names come once, and that ranges hold them."""
     assert len(set(NAMES)) == len(NAMES)
     for number in range(9000, 9050):
-        row = scene.sensor_row(f"randomized:{number}")
+        sensor = one_sensor(f"randomized:{number}")
         for parameter in blind.PARAMETERS:
-            assert parameter.low <= parameter.truth(row) <= parameter.high, (number, parameter.name)
+            assert parameter.low <= parameter.truth(sensor) <= parameter.high, (number, parameter.name)
 
 
 def test_scenes_are_as_packaged_but_for_what_is_changed(tmp_path: Path) -> None:
     """Assert that the scenes are read, with what is changed, and that a key which is not there is an error."""
     for name, values in (("rest", blind.REST), ("press", blind.PRESS), ("grip-steps", blind.GRIP)):
         (tmp_path / f"{name}.toml").write_text(blind.changed(name, values))
-        packaged, made = scene.load(name), scene.load(str(tmp_path / f"{name}.toml"))
+        packaged, made = (as_table(scene_file.load(file)) for file in (name, str(tmp_path / f"{name}.toml")))
         assert made != packaged
         flat = {key: value for group in made.values() if isinstance(group, dict) for key, value in group.items()}
         assert all(flat[key] == value for key, value in values.items())

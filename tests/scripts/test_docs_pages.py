@@ -15,7 +15,7 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.learning import Label, TrainForce
-from evetac_cli.sim.parts import parts
+from evetac_cli.sim.parts import rows_of
 from evetac_cli.store import schema
 from tests import small_files
 
@@ -101,10 +101,10 @@ def test_controllers_of_the_page_are_all_there_are() -> None:
 
 def test_every_part_has_a_section_and_keys(every: dict[str, str]) -> None:
     """Assert that parts of scenes and sensors have sections, whose keys are those of the schemas."""
-    names = {row["part"] for name in simulation_pages.scene_names() for row in parts(simulation_pages.plan_of(name))}
+    names = {row["part"] for name in simulation_pages.scene_names() for row in rows_of(simulation_pages.plan_of(name))}
     assert set(simulation_pages.PARTS) == names
     assert names - headings(every["parts.md"]) == set()
-    assert "| `leak_hz` | sensor | events a second that leak makes in every pixel | 0 to 10 |" in every["parts.md"]
+    assert "| `leak_hz` | sensor | events per second that leak makes in every pixel | 0 to 10 |" in every["parts.md"]
     assert "| `drop.mass_g` |" in every["scene-keys.md"]
     assert "| `creep.share` |" in every["sensors.md"]
 

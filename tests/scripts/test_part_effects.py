@@ -14,7 +14,7 @@ import results
 from part_effects import BY_NAME, NONE, PARTS, Part
 
 from evetac_cli.errors import InputError
-from evetac_cli.sim.parts import parts as parts_of
+from evetac_cli.sim.parts import rows_of
 
 Row = dict[str, Any]
 
@@ -35,8 +35,8 @@ def test_a_part_is_built(part: Part, tmp_path: Path) -> None:
             made, _ = part_effects.planned(part, kind, object_, 5, tmp_path)
             other, _ = part_effects.planned(BY_NAME[part.against], kind, object_, 5, tmp_path)
             assert made.plan != other.plan
-            assert (made.seed, made.number, made.plan["object"]) == (other.seed, other.number, other.plan["object"])
-            assert {row["part"] for row in parts_of(made.plan)} == {row["part"] for row in parts_of(other.plan)}
+            assert (made.seed, made.number, made.plan.called) == (other.seed, other.number, other.plan.called)
+            assert {row["part"] for row in rows_of(made.plan)} == {row["part"] for row in rows_of(other.plan)}
 
 
 def test_a_part_that_is_none(tmp_path: Path) -> None:

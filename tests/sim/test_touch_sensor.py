@@ -1,6 +1,7 @@
 """Touch for other simulators: the dots of a scene under its forces, balanced forces, and inputs of every kind."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.scene import plan
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.setup.plan import plan
 from evetac_cli.sim.touch_sensor import PUSHER_N_S_M, Touch, TouchSensor
 
 BOX = {"shape": "flat", "static_friction": 1.0}
@@ -37,11 +38,15 @@ def same_events(ones: tuple[Events, ...], others: tuple[Events, ...]) -> bool:
 
 def test_dots_are_those_of_the_shear_scene() -> None:
     """Assert that a face pressed and moved as in the scene moves the dots as there, within 1e-6 px, and as hard."""
-    built = plan("shear", "8", "evetac", ("press",), solver=COARSE)[0]
-    built["scene"]["motion"] |= {"count": 2, "move_s": [0.05, 0.1], "pause_s": 0.03, "press_s": 0.1, "offset_mm": 0.0}
-    built["scene"]["randomise"] |= {"static_friction": [1.0, 1.0]}
-    built["scene"]["time"] |= {"rest_s": 0.02}
-    trial = Pressing(built, rng(), rng(1))
+    shear = plan("shear", solver=COARSE)
+    scene = shear.scene
+    short = replace(
+        scene,
+        motion=replace(scene.motion, count=2, move_s=(0.05, 0.1), pause_s=0.03, press_s=0.1, offset_mm=0.0),
+        randomise=replace(scene.randomise, static_friction=(1.0, 1.0)),
+        time=replace(scene.time, rest_s=0.02),
+    )
+    trial = Pressing(replace(shear, scene=short), rng(), rng(1))
     box = {**BOX, "static_friction": trial.sampled.static_friction}
     sensor = TouchSensor(object=box, rng=rng(), gel="closed", solver=COARSE)
     off_px, force_n = [], []
@@ -60,15 +65,18 @@ def test_dots_are_those_of_the_shear_scene() -> None:
 
 def held() -> tuple[GraspSimulation, dict[str, Any]]:
     """Object 8 as it hangs in the gripper, and its contact as a sensor is told of it."""
-    built = plan("slip", "8", "evetac", ("ramp",), solver=COARSE)[0]
-    for key in ("touch_mm", "lever_mm"):
-        built["scene"]["randomise"].pop(key, None)
-    built["scene"]["time"] |= {"rest_s": 0.02, "load_s": 0.05, "hold_s": 1.0}
-    trial = GraspSimulation(built, rng(3), rng(4))
+    slip = plan("slip", solver=COARSE)
+    scene = slip.scene
+    middle = replace(
+        scene,
+        randomise=replace(scene.randomise, touch_mm=0.0, lever_mm=0.0),
+        time=replace(scene.time, rest_s=0.02, load_s=0.05, hold_s=1.0),
+    )
+    trial = GraspSimulation(replace(slip, scene=middle), rng(3), rng(4))
     sampled = trial.sampled
     contact = {
         "shape": "cylinder",
-        "width_mm": built["object_row"]["width_mm"],
+        "width_mm": slip.touched.width_mm,
         "static_friction": sampled.static_friction,
         "kinetic_share": sampled.kinetic_friction / sampled.static_friction,
         "tilt_deg": math.degrees(sampled.tilt_rad),

@@ -19,7 +19,7 @@ from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera import gel_camera
-from evetac_cli.sim.scene import sensor_row
+from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages import calibrate, featurize, record, track
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
@@ -45,7 +45,7 @@ def truth() -> Grid:
     """The grid of the real sensor; without it, that of the simulated one."""
     if REAL.exists():
         return read_calibration(REAL).dot_xy_px
-    return gel_camera.dot_grid(sensor_row("evetac"), cut=False)
+    return gel_camera.dot_grid(one_sensor("evetac"), cut=False)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory, truth: Grid) -> Path:
     (folder / "press.toml").write_text(as_toml(scene))
     chosen = Record(scene=str(folder / "press.toml"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gel_camera, "dot_grid", lambda sensor_row, cut: truth)
+        patch.setattr(gel_camera, "dot_grid", lambda sensor, cut: truth)
         (job,) = record.jobs([], chosen, folder / "press.recording.h5")
         record.run(job, chosen)
     return job.output
@@ -465,7 +465,7 @@ def test_the_file_of_a_sensor_is_imported(tmp_path: Path) -> None:
     assert (outcome.rows[0]["dots"], outcome.rows[0]["gel"]) == (56, "cut")
     result = read_calibration(job.output)
     assert result.sensitivity == pytest.approx(((1.5 / 0.25 + 1.5 / 0.3) / 2, 9e4))
-    straight = gel_camera.dot_grid(sensor_row("evetac"), cut=True)
+    straight = gel_camera.dot_grid(one_sensor("evetac"), cut=True)
     moved_px = np.linalg.norm(result.dot_xy_px - straight, axis=2)
     assert moved_px.max() > 1.0  # in a corner; a straight lens would leave all in place
     assert moved_px.min() < 0.1  # in the middle of the frame

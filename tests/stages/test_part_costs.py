@@ -15,6 +15,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
+from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.stages import grasp, part_costs, record
 from evetac_cli.stages.part_costs import BLOCK, Append, for_people, measure
 from evetac_cli.stages.record import simulated
@@ -37,10 +38,10 @@ class SlowedClock:
     def take(self, us: float) -> None:
         self.now_s += us * 1e-6
 
-    def _render(self, plan: dict[str, Any]) -> None:
-        shown = plan["scene"].get("texture", {"show": False}).get("show", True)
-        self.take(DOTS_US + WINDOW_US * shown)
-        self.take(NOISE_US * (plan["sensor_row"]["noise_hz"] > 0) + CUT_US * (plan["sensor_row"]["cut_contrast"] > 0))
+    def _render(self, plan: Plan) -> None:
+        texture, sensor = plan.scene.texture, plan.sensor
+        self.take(DOTS_US + WINDOW_US * (texture is not None and texture.show))
+        self.take(NOISE_US * (sensor.noise_hz > 0) + CUT_US * (sensor.cut_contrast > 0))
 
     def play(self, trial: SimulatedTrial, append: Append) -> None:
         self.runs += 1

@@ -12,7 +12,7 @@ from evetac_cli.params.inspection import Share
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.index import recording_of
+from evetac_cli.store.index import recording_of, scene_words
 from evetac_cli.store.provenance import Header
 from evetac_cli.text_files import parse_json
 
@@ -118,8 +118,7 @@ def _data(header: Header) -> Iterator[dict[str, Any]]:
     for number, file in enumerate(files):
         recording: Header = recording_of(file, history) or file
         made = recording["parameters"]
-        scene = made.get("scene")
-        name = scene.get("name") if isinstance(scene, dict) else made.get("source") and "imported"
+        name = scene_words(made, "name") or (made.get("source") and "imported")
         labels = next((history[id_] for id_ in file["parents"] if history.get(id_, {}).get("kind") == "labels"), None)
         labelled = str(labels["parameters"].get("method", "farneback")) if labels is not None else "none"
         key = (ROLES[number >= learned], str(name or "unknown"), str(made.get("sensor") or "unknown"), labelled)

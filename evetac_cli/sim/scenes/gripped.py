@@ -39,9 +39,9 @@ from evetac_cli.sim.scenes.shared import (
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import sampling
+from evetac_cli.sim.setup.held import HandSettings
 from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
 from evetac_cli.sim.setup.plan import Called, Plan
-from evetac_cli.sim.setup.scene import HandSettings
 from evetac_cli.sim.setup.sensor import Sensor
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles

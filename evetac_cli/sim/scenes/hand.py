@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from evetac_cli.sim.setup.scene import HandJerk, HandSettings
+from evetac_cli.sim.setup.held import HandJerk, HandSettings
 
 CONTROLLER_HZ = 125.0
 FADE_S = 0.05

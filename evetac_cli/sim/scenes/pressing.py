@@ -31,9 +31,9 @@ from evetac_cli.sim.scenes.shared import (
     pad,
 )
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
+from evetac_cli.sim.setup.driven import Face, FaceMotion
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
-from evetac_cli.sim.setup.scene import Face, FaceMotion
 
 Floats = NDArray[np.float64]
 LONGEST_S = 24 * 3600.0  # as for any recording

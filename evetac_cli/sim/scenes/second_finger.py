@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import friction_factor
-from evetac_cli.sim.setup.scene import SecondFingerSettings
+from evetac_cli.sim.setup.held import SecondFingerSettings
 from evetac_cli.sim.setup.sensor import Sensor
 
 Floats = NDArray[np.float64]

@@ -74,10 +74,13 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
     missing = [key for key in ("scene", "sensor", "sensor_row", "readout") if key not in parameters]
     if missing:
         raise InputError("the header holds no plan of a simulated trial", where=where, expected=missing[0])
-    for type_, key in ((Scene, "scene"), (Sensor, "sensor_row"), (TouchedObject, "object_row")):
-        if key in parameters:
-            check(type_, parameters[key], f"{where}: header, {key}")
     row = parameters.get("object_row")
+    if isinstance(row, dict):
+        row = {"shape": "flat", **row}  # as a face is, of which recordings may say its friction alone
+    for type_, key, table_ in ((Scene, "scene", parameters["scene"]), (Sensor, "sensor_row", parameters["sensor_row"])):
+        check(type_, table_, f"{where}: header, {key}")
+    if row is not None:
+        check(TouchedObject, row, f"{where}: header, object_row")
     return Plan(
         build(Scene, parameters["scene"]),
         str(parameters["sensor"]),

@@ -7,7 +7,9 @@ from typing import Any
 
 from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.setup.scene import GripperCurrent, Scene, Speaker
+from evetac_cli.sim.setup.driven import Speaker
+from evetac_cli.sim.setup.held import GripperCurrent
+from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.tables import as_table, build, check
 from evetac_cli.text_files import as_toml, read_toml
 

@@ -18,6 +18,7 @@ from evetac_cli.errors import InputError
 T = TypeVar("T")
 Rules = dict[str, Any]  # of JSON schema
 
+LONGEST_S = 3600.0
 REQUIRED = MISSING  # the default of what has to be named
 JSON_SCHEMA = "https://json-schema.org/draft/2020-12/schema"
 TYPES = {
@@ -130,6 +131,11 @@ def table(type_: type[Any], *, default: Any = None, **kinds: Any) -> Any:
     return _declared(About(rules_of(type_), type_, **kinds), default)
 
 
+def duration(meaning: str, **more: Any) -> Any:
+    """A time in s, of an hour at most."""
+    return number(meaning, 0, LONGEST_S, **more)
+
+
 def pairs(low: float, high: float) -> Rules:
     """The rules of [x, y]."""
     return {"type": "array", "items": _range(low, high, None), "minItems": 2, "maxItems": 2}
@@ -195,19 +201,33 @@ def _typed(value: Any, rules: Mapping[str, Any]) -> Any:
     return float(value) if rules.get("type") == "number" else value
 
 
-def as_table(one: Any) -> dict[str, Any]:
+def as_table(one: Any, kind: str = "") -> dict[str, Any]:
     """The table of an object: what is not the default, or all of it where its type is WRITTEN_WHOLE.
 
-    Of the fields that its type has ALONE, the first that is not None is written, and the others are not.
+    Of the fields that its type has ALONE, the first that is not None is written, and the others are not. What the kind
+    of a scene cannot do without is written, and all of a table that would be empty where none may be.
     """
-    is_whole, alone = getattr(one, "WRITTEN_WHOLE", False), getattr(one, "ALONE", ())
+    kind, alone = getattr(one, "kind", kind), getattr(one, "ALONE", ())
     first = next((name for name in alone if getattr(one, name) is not None), "")
-    named = ((item, getattr(one, item.name)) for item in fields(one) if item.name not in alone or item.name == first)
-    return {
-        item.name: as_table(value) if about(item).table is not None else _plain(value)
-        for item, value in named
-        if value is not None and (is_whole or value != item.default)
+    named = {
+        item: value
+        for item in fields(one)
+        if (value := getattr(one, item.name)) is not None and (item.name not in alone or item.name == first)
     }
+    changed = {
+        item: value
+        for item, value in named.items()
+        if _is_whole(one) or _is_whole(value) or value != item.default or kind in about(item).needed_in
+    }
+    written = changed if changed or "minProperties" not in getattr(one, "RULES", {}) else named
+    return {
+        item.name: as_table(value, kind) if about(item).table is not None else _plain(value)
+        for item, value in written.items()
+    }
+
+
+def _is_whole(one: Any) -> bool:
+    return getattr(one, "WRITTEN_WHOLE", False)
 
 
 def _plain(value: Any) -> Any:

@@ -23,6 +23,7 @@ from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.index import scene_words
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import Recording, open_recording
 
@@ -182,8 +183,8 @@ def _labels_beside(recording: Recording) -> _Labels | None:
 def _as_the_papers(header: Header) -> bool:
     """Whether a file is no simulation of another scene than the paper's; of a real recording, who made it knows."""
     recordings = [header, *header["history"].values()]
-    scenes = [one["parameters"].get("scene") for one in recordings if one["kind"] == "recording"]
-    return all(scene["name"] == PAPERS_SCENE for scene in scenes if isinstance(scene, dict))
+    names = [scene_words(one["parameters"], "name") for one in recordings if one["kind"] == "recording"]
+    return all(name == PAPERS_SCENE for name in names if name is not None)
 
 
 def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, Any]:

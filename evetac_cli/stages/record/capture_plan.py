@@ -9,7 +9,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.params.recording import Record
 from evetac_cli.sim.setup import scene_file
-from evetac_cli.sim.setup.scene import GripperCurrent
+from evetac_cli.sim.setup.held import GripperCurrent
 from evetac_cli.stages import session
 from evetac_cli.stages.record.current_ramp import Hold
 from evetac_cli.stages.trials import DeviceTrial

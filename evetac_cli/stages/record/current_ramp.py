@@ -26,7 +26,7 @@ from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSet
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.sim.setup.scene import GripperCurrent
+from evetac_cli.sim.setup.held import GripperCurrent
 from evetac_cli.stages.session import FRESH, OPENED, OVERLOADED, RECORDER_MS, TimeSample
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz

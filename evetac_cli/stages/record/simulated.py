@@ -15,7 +15,8 @@ from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.params.recording import Record
-from evetac_cli.sim.setup.scene import GripperCurrent, Scene
+from evetac_cli.sim.setup.held import GripperCurrent
+from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.stages.live_view import LiveView, shown_in_real_time
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.stages.record.preview import view_of

@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evetac_cli.sim.scene import sensor_row
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.store import index
 from evetac_cli.text_files import as_toml
 
@@ -34,7 +35,7 @@ def write(folder: Path) -> None:
         shutil.copy(folder / name, folder / "data")
     with index.open_index(folder / "data"):
         pass
-    (folder / "own.sensor.toml").write_text(as_toml({"name": "own", **sensor_row("evetac")}))
+    (folder / "own.sensor.toml").write_text(as_toml({"name": "own", **as_table(one_sensor("evetac"))}))
 
 
 def damage_index(path: Path, rng: Rng) -> str:

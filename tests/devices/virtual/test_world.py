@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from evetac_cli.devices.virtual.world import FIRST_MS, VirtualWorld
 from evetac_cli.errors import DeviceError, SceneError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.realtime.shared_time import CREEP
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.plan import Plan, plan
 from tests.conftest import Made
 
 SLICES = 250
@@ -29,9 +30,9 @@ LONGEST_S = 20.0
 SHORT_MS = 3000
 
 
-def short_plan(made: Made) -> dict[str, object]:
+def short_plan(made: Made) -> Plan:
     """One trial of the short slip scene."""
-    return scene.for_trial(scene.plan(str(made.scene), "8", "evetac", ("ramp",))[0], (5, 8, 0))
+    return plan(str(made.scene))
 
 
 def seeds() -> np.random.SeedSequence:
@@ -200,8 +201,9 @@ def test_servo_without_torque_has_no_force(world: VirtualWorld) -> None:
 def test_scenes_that_cannot_be_built(made: Made) -> None:
     """Assert that what the world's process refuses is raised here in its own words."""
     with pytest.raises(DeviceError, match="needs a scene with a gripper"):
-        VirtualWorld(scene.for_trial(scene.plan("press", "8", "evetac", ("press",))[0], (0, 8, 0)), seeds())
-    broken = short_plan(made) | {"sensor_row": {}}
+        VirtualWorld(plan("press"), seeds())
+    whole = short_plan(made)
+    broken = replace(whole, sensor=replace(whole.sensor, shear_modulus_pa=-1.0))
     with pytest.raises((DeviceError, SceneError)):
         VirtualWorld(broken, seeds())
 

@@ -8,9 +8,9 @@ import pytest
 
 from evetac_cli.kernels.identify import rest
 from evetac_cli.kernels.identify.rest import RestNoise
-from evetac_cli.sim.camera.noise import HotPixelTable
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
+from evetac_cli.sim.setup.sensor import HotPixelTable
 
 FRAME = (160, 120)
 # Of so many sensors, where 95 % are expected: a correct estimator is below once in some hundreds of times.

@@ -17,7 +17,7 @@ import pytest
 from evetac_cli.numerics.gel.trial import GRAVITY_M_S2, draw_trial
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
-from evetac_cli.sim.solver import Solver
+from evetac_cli.sim.setup.solver import Solver
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from evetac_cli.numerics.gel.onset import WEIGHT_ON_S, onset_cases, onset_error,
 from evetac_cli.numerics.gel.stability import gel_rows
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
-from evetac_cli.sim.solver import Solver
+from evetac_cli.sim.setup.solver import Solver
 
 CASES = {case.name: (case, within_s) for case, within_s in onset_cases()}
 CONSTANT = "grip falls at 9 N/s, friction constant"

@@ -10,7 +10,7 @@ from evetac_cli.numerics.gel import unloading
 from evetac_cli.numerics.gel.trial import draw_trial
 from evetac_cli.numerics.gel.unloading import onset_ms, solve
 from evetac_cli.numerics.rows import Extent
-from evetac_cli.sim.solver import Solver
+from evetac_cli.sim.setup.solver import Solver
 
 
 def test_onset_by_hand() -> None:

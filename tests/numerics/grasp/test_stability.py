@@ -13,12 +13,13 @@ from evetac_cli.jobs import Job
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.numerics import bounds
 from evetac_cli.numerics import stability as command
-from evetac_cli.numerics.extreme_scenes import LIFTS
+from evetac_cli.numerics.extreme_scenes import LIFTS, merge
 from evetac_cli.numerics.grasp import stability
 from evetac_cli.numerics.grasp.stability import Case, DyingDetector, UnevenSlices, extreme_cases, grasp_rows
 from evetac_cli.numerics.grasp.trials import GraspResult
 from evetac_cli.params.evaluation import EvaluateStability
 from evetac_cli.sim.gripper import Drive
+from evetac_cli.sim.setup.plan import Plan, plan
 from evetac_cli.stages.evaluate import Rows
 from tests.numerics.grasp.conftest import CountingDetector
 
@@ -120,17 +121,17 @@ def test_every_case_is_another() -> None:
 
 def test_a_scene_changes_the_plan() -> None:
     """Assert that the tables of a scene come into the plan of its case."""
-    changed: dict[str, Any] = {"scene": {"gripper": {"friction_factor": [0.9, 1.1]}}}
+    usual = merge(plan("lift"), {"gripper": {"friction_factor": [0.9, 1.1]}})
     case = next(case for case in extreme_cases(full=False) if case.name == "gear friction x0.7")
-    case.change_plan(changed)
-    assert changed["scene"]["gripper"]["friction_factor"] == 0.7
+    assert case.change_plan(usual).scene.gripper.friction_factor == (0.7, 0.7)
 
 
 def test_refusals_are_ok() -> None:
     """Assert that a case whose plan cannot be simulated is ok, and says why."""
 
-    def without_mass(plan: dict[str, Any]) -> None:
-        plan["object_row"] = {**plan["object_row"], "mass_g": -1.0}
+    def without_mass(usual: Plan) -> Plan:
+        assert usual.touched is not None
+        return replace(usual, touched=replace(usual.touched, mass_g=-1.0))
 
     (row,) = grasp_rows(Case("object of -1 g", without_mass, timing=SHORT), "paper", 0)
     assert row["ok"]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import concatenate
-from evetac_cli.sim.camera.gel_camera import CUT_NODES, GelCamera, _moved_cut
-from evetac_cli.sim.scene import sensor_row
+from evetac_cli.sim.camera.gel_camera import CUT_NODES, _moved_cut
+from evetac_cli.sim.setup.plan import one_sensor
+from tests.sim.camera.gel_cameras import gel_camera
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -22,20 +23,20 @@ def test_cut_edge_moves_as_between_its_nodes(seed: int) -> None:
 
 def test_realistic_sensor_sees_the_gel_move() -> None:
     """Assert that dots of the sensor `realistic` make ON and OFF events at their rims, the same when made again."""
-    row = sensor_row("realistic")
+    sensor = one_sensor("realistic")
     made = []
     for _ in range(2):
-        gel_camera = GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(0))
-        shift_m, cut_m = np.zeros_like(gel_camera.rest_m), np.zeros_like(gel_camera.cut_rest_m)
+        realistic = gel_camera(sensor, cut=True)
+        shift_m, cut_m = np.zeros_like(realistic.rest_m), np.zeros_like(realistic.cut_rest_m)
         slices = []
         for k in range(40):
             shift_m, cut_m = shift_m + [2e-6, 0.0], cut_m + [2e-6, 0.0]
-            slices.append(gel_camera.render(shift_m, np.zeros(2), 0.0, 1000 * k, cut_m=cut_m))
+            slices.append(realistic.render(shift_m, np.zeros(2), 0.0, 1000 * k, cut_m=cut_m))
         made.append(concatenate(slices))
-        assert np.abs(gel_camera.dot_xy_px - gel_camera.grid_xy_px.reshape(-1, 2)).max() > 2.0
+        assert np.abs(realistic.dot_xy_px - realistic.grid_xy_px.reshape(-1, 2)).max() > 2.0
     assert all((one == other).all() for one, other in zip(*made, strict=True))
     at_px = np.stack([made[0].x, made[0].y], axis=1).astype(float)
-    near = np.linalg.norm(at_px[:, None] - gel_camera.dot_xy_px, axis=2).min(axis=1)
+    near = np.linalg.norm(at_px[:, None] - realistic.dot_xy_px, axis=2).min(axis=1)
     at_rims = (near > 9.0) & (near < 23.0)
     assert at_rims.mean() > 0.7
     assert 0.25 < made[0].p[at_rims].mean() < 0.75

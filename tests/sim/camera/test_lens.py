@@ -1,13 +1,14 @@
 """Lens distortion: its closed form, and what a camera sees of it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.camera.lens import Lens
-from evetac_cli.sim.scene import sensor_row
+from evetac_cli.sim.setup.plan import one_sensor
+from tests.sim.camera.gel_cameras import gel_camera
 
 FRAME = (640, 480)
 
@@ -42,12 +43,9 @@ def test_folding_lenses_are_refused(k1: float, k2: float) -> None:
 
 def test_camera_behind_a_lens() -> None:
     """Assert that dots and their truth are where the lens shows them, and the gel is where it was."""
-    row = sensor_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0}
+    sensor = replace(one_sensor("evetac"), noise_hz=0.0, hot_pixels=0)
     lens = Lens(FRAME, -0.06, 0.0)
-    plain, behind = (
-        GelCamera(named, cut=True, texture=None, rng=np.random.default_rng(0))
-        for named in (row, row | {"distortion": [-0.06, 0.0]})
-    )
+    plain, behind = (gel_camera(one, cut=True) for one in (sensor, replace(sensor, distortion=(-0.06, 0.0))))
     np.testing.assert_array_equal(plain.rest_m, behind.rest_m)
     np.testing.assert_allclose(behind.grid_xy_px, lens.seen(plain.grid_xy_px), atol=1e-9)
     shift_m = np.full_like(plain.rest_m, 2e-4)

@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.scanning import camera
-from evetac_cli.sim.scene import sensor_row
+from evetac_cli.sim.setup.plan import one_sensor
+from tests.sim.camera.gel_cameras import gel_camera
 
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
@@ -192,7 +193,7 @@ def test_light_falls_to_the_corners() -> None:
 
 def test_bandwidth_by_light_delays_dark_dots_and_dark_corners() -> None:
     """Assert that a sensor's dots come later by the brightness of their rims, and later still where light is less."""
-    row = sensor_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0, "bandwidth_hz": 500.0}
+    sensor = replace(one_sensor("evetac"), noise_hz=0.0, hot_pixels=0, bandwidth_hz=500.0)
     late_us = {}
     for name, more in {
         "all alike": {},
@@ -200,11 +201,11 @@ def test_bandwidth_by_light_delays_dark_dots_and_dark_corners() -> None:
         "uneven": {"bandwidth_by_light": True, "light_gradient": 0.6},
         "no effect": {"light_gradient": 0.6},
     }.items():
-        gel_camera = GelCamera(row | more, cut=False, texture=None, rng=np.random.default_rng(0))
-        at_m, slices = np.zeros_like(gel_camera.rest_m), []
+        seen_by = gel_camera(replace(sensor, **more), cut=False)
+        at_m, slices = np.zeros_like(seen_by.rest_m), []
         for k in range(30):
             at_m = at_m + [1e-5, 0.0] if k < 3 else at_m
-            slices.append(gel_camera.render(at_m, np.zeros(2), 0.0, k * 1000))
+            slices.append(seen_by.render(at_m, np.zeros(2), 0.0, k * 1000))
         events = concatenate(slices)
         corner = (events.x < 100) & ((events.y < 80) | (events.y > 380))
         late_us[name] = events.t.mean(), events.t[corner].mean()
@@ -215,20 +216,18 @@ def test_bandwidth_by_light_delays_dark_dots_and_dark_corners() -> None:
 
 
 def test_a_sensor_with_a_bandwidth_sees_less_and_later() -> None:
-    """Assert that a row's bandwidth_hz delays what the eye sees, leaves the truth alone, and that 0 is none."""
-    row = sensor_row("evetac") | {"noise_hz": 0.0, "hot_pixels": 0}
+    """Assert that a sensor's bandwidth_hz delays what the eye sees, leaves the truth alone, and that 0 is none."""
+    sensor = replace(one_sensor("evetac"), noise_hz=0.0, hot_pixels=0)
     made = {}
     for bandwidth_hz in (None, 0.0, 100.0):
-        named = row if bandwidth_hz is None else row | {"bandwidth_hz": bandwidth_hz}
-        gel_camera = GelCamera(named, cut=False, texture=None, rng=np.random.default_rng(0))
-        shift_m = np.zeros_like(gel_camera.rest_m)
+        named = sensor if bandwidth_hz is None else replace(sensor, bandwidth_hz=bandwidth_hz)
+        seen_by = gel_camera(named, cut=False)
+        shift_m = np.zeros_like(seen_by.rest_m)
         slices = []
         for k in range(30):
             shift_m = shift_m + [2e-5, 0.0] if k < 3 else shift_m
-            slices.append(gel_camera.render(shift_m, np.zeros(2), 0.0, k * 1000))
-        assert gel_camera.dot_xy_px == pytest.approx(
-            gel_camera.grid_xy_px.reshape(-1, 2) + [6e-2 / gel_camera.mm_per_px, 0.0]
-        )
+            slices.append(seen_by.render(shift_m, np.zeros(2), 0.0, k * 1000))
+        assert seen_by.dot_xy_px == pytest.approx(seen_by.grid_xy_px.reshape(-1, 2) + [6e-2 / seen_by.mm_per_px, 0.0])
         made[bandwidth_hz] = slices
     times = {key: concatenate(slices) for key, slices in made.items()}
     assert all((one == other).all() for one, other in zip(times[None], times[0.0], strict=True))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.sim.camera.event_keys import sorted_columns
-from evetac_cli.sim.camera.noise import HotPixels, HotPixelTable, add_noise, hot_rates
+from evetac_cli.sim.camera.noise import HotPixels, add_noise, hot_rates
+from evetac_cli.sim.setup.sensor import HotPixelTable
 
 FRAME = (64, 48)
 HOT = (np.array([5 * 64 + 3, 40 * 64 + 60]), np.array([0.0, 2000.0, 8000.0]))

@@ -1,7 +1,7 @@
 """What is off unless a scene names it: each against a closed form, and against the same trial without."""
 
 import math
-from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,28 +10,22 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import SceneError
-from evetac_cli.sim import sampling, scene
 from evetac_cli.sim.scenes import gripped
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.hand import jerk_m_s
 from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.setup import sampling
+from evetac_cli.sim.setup.held import HandJerk
+from evetac_cli.sim.setup.sensor import GelFriction
+from evetac_cli.sim.setup.tables import as_table
+from tests.sim.scenes.trials import NONE, Changes, grasp_of, quiet_plan
 
 Rows = dict[str, NDArray[Any]]
 
 
-def planned(name: str, kind: str, changes: Mapping[str, Mapping[str, Any]], number: str = "8") -> dict[str, Any]:
-    """The plan of a trial whose scene has some keys more, before a camera without noise."""
-    (plan,) = scene.plan(name, number, "evetac", (kind,))
-    for group, keys in changes.items():
-        plan["scene"][group] = {**plan["scene"].get(group, {}), **keys}
-    plan["scene"]["randomise"].pop("touch_mm", None)  # touched off its middle, an object swings
-    plan["sensor_row"] = {**plan["sensor_row"], "noise_hz": 0.0, "hot_pixels": 0}
-    return plan
-
-
-def held(changes: Mapping[str, Mapping[str, Any]]) -> GraspSimulation:
+def held(changes: Changes = NONE) -> GraspSimulation:
     """An object held by a current."""
-    return GraspSimulation(planned("slip", "ramp", changes), *(np.random.default_rng(part) for part in range(2)))
+    return grasp_of(quiet_plan("slip", changes))
 
 
 def run(trial: Any, slices: int) -> tuple[Rows, list[Any]]:
@@ -45,7 +39,7 @@ def run(trial: Any, slices: int) -> tuple[Rows, list[Any]]:
 
 def test_friction_to_a_tenth_lets_go() -> None:
     """Assert that m a = m g - 2 mu_k N / 10 once it slides, within 2 %, and nothing before the change is another."""
-    plain, changed = held({}), held({"friction_change": {"at_s": 0.6, "factor": 0.1}})
+    plain, changed = held(), held({"friction_change": {"at_s": 0.6, "factor": 0.1}})
     before, after = run(plain, 800)[0], run(changed, 800)[0]
     for name in before:
         np.testing.assert_array_equal(before[name][:600], after[name][:600])
@@ -62,14 +56,13 @@ def test_friction_to_a_tenth_lets_go() -> None:
 
 def test_jerk_of_the_hand() -> None:
     """Assert that half a sine of speed V and time T raises the hand by 2 V T / pi: what stands on the table sinks."""
-    jerk = {"at_s": 0.1, "speed_mm_s": 80.0, "lasts_s": 0.05}
+    jerk = HandJerk(at_s=0.1, speed_mm_s=80.0, lasts_s=0.05)
     times = np.arange(1, 400) * 1e-3
     raised_mm = sum(jerk_m_s(jerk, now) for now in times)
     assert raised_mm == pytest.approx(2 * 80.0 * 0.05 / math.pi, rel=1e-3)
     sunk_mm = []
-    for hand in ({}, {"jerk": jerk}):
-        rngs = [np.random.default_rng(part) for part in range(2)]
-        trial = GraspSimulation(planned("lift", "lift", {"hand": hand}), *rngs, lift_s=1.5, balance_s=0.0)
+    for changes in (NONE, {"hand": {"jerk": as_table(jerk)}}):
+        trial = grasp_of(quiet_plan("lift", changes), lift_s=1.5, balance_s=0.0)
         rows = run(trial, 300)[0]
         assert np.abs(rows["truth/table_gap_mm"]).max() < 0.01
         sunk_mm.append(rows["truth/object_xy_px"][-1, 0] * trial.gel_camera.mm_per_px)
@@ -81,11 +74,11 @@ def test_a_stiffer_gel_shears_less() -> None:
     """Assert that with 10 times the stiffness the same shear force moves the dots a tenth as far."""
     moved = {}
     for factor in (1.0, 10.0):
-        plan = planned("shear", "press", {"gel": {"stiffness_factor": factor}})
-        plan["scene"]["motion"] = {**plan["scene"]["motion"], "count": 1, "move_s": [0.4, 0.4]}
+        motion = {"count": 1, "move_s": [0.4, 0.4]}
+        plan = quiet_plan("shear", {"gel": {"stiffness_factor": factor}, "motion": motion})
         trial = Pressing(plan, np.random.default_rng(3), np.random.default_rng(4))
         rows = {"truth/dot_xy_px": []}
-        pressed = round(1000 * (plan["scene"]["time"]["rest_s"] + plan["scene"]["motion"]["press_s"]))
+        pressed = round(1000 * (plan.scene.time.rest_s + plan.scene.motion.press_s))
         while not trial.finished:
             trial.step()
             rows["truth/dot_xy_px"].append(trial.truth()["truth/dot_xy_px"])
@@ -98,12 +91,12 @@ def test_a_stiffer_gel_shears_less() -> None:
 @pytest.mark.parametrize("mass_g", [5.0, 2000.0])
 def test_mass_of_the_object(mass_g: float) -> None:
     """Assert that the mass is the scene's, times the factor of its trial, and that nothing else is sampled anew."""
-    plain, changed = planned("slip", "ramp", {}), planned("slip", "ramp", {"object": {"mass_g": mass_g}})
+    plain, changed = quiet_plan("slip"), quiet_plan("slip", {"object": {"mass_g": mass_g}})
     samples = [
-        vars(sampling.sample_trial(plan["scene"], plan["object_row"], np.random.default_rng(5)))
+        vars(sampling.sample_trial(plan.scene, plan.touched, plan.sensor, np.random.default_rng(5)))
         for plan in (plain, changed)
     ]
-    ratio = mass_g / plain["object_row"]["mass_g"]
+    ratio = mass_g / plain.touched.mass_g
     assert samples[1]["mass_kg"] == pytest.approx(samples[0]["mass_kg"] * ratio, rel=1e-12)
     assert {**samples[0], "mass_kg": 0} == {**samples[1], "mass_kg": 0}
     hanging = held({"object": {"mass_g": mass_g}, "gripper": {"start_factor": [1.2, 1.2]}})
@@ -116,10 +109,9 @@ def test_mass_of_the_object(mass_g: float) -> None:
 def test_one_gear_friction() -> None:
     """Assert that one number stands for a range that is as wide as nothing, and shifts nothing else."""
     samples = [
-        vars(sampling.sample_trial(plan["scene"], plan["object_row"], np.random.default_rng(5)))
+        vars(sampling.sample_trial(plan.scene, plan.touched, plan.sensor, np.random.default_rng(5)))
         for plan in (
-            planned("slip", "ramp", {"gripper": {"friction_factor": factor}})
-            for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
+            quiet_plan("slip", {"gripper": {"friction_factor": factor}}) for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
         )
     ]
     assert samples[0] == samples[1]
@@ -131,14 +123,14 @@ def test_one_gear_friction() -> None:
 
 def test_backlash_reaches_the_gripper() -> None:
     """Assert that the encoder of a held object reads half the backlash further closed, with the same force."""
-    plain, loose = held({}), held({"gripper": {"backlash_ticks": 4.0}})
+    plain, loose = held(), held({"gripper": {"backlash_ticks": 4.0}})
     assert loose.finger.position_ticks - plain.finger.position_ticks == 2
     assert loose.finger.force_n == plain.finger.force_n
 
 
 def test_commands_that_come_late() -> None:
     """Assert that a command given with a delay of 7 ms does what the same does that is given 7 ms later."""
-    late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held({})
+    late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held()
     given = {400: ("current", 3), 430: ("current", 40), 431: ("position", plain.finger.position_ticks + 1)}
     for k in range(500):
         late.command = given.get(k, late.command)
@@ -151,14 +143,14 @@ def test_commands_that_come_late() -> None:
     jitters = [held({"gripper": {"command_jitter_ms": 20.0}}) for _ in range(2)]
     for one in jitters:
         one.command = ("current", 60)
-    forces = [run(one, 40)[0]["truth/normal_force_n"] for one in (*jitters, held({}))]
+    forces = [run(one, 40)[0]["truth/normal_force_n"] for one in (*jitters, held())]
     np.testing.assert_array_equal(forces[0], forces[1])
     assert 0 <= np.flatnonzero(forces[0] != forces[2])[0] <= 20
 
 
 def test_noise_of_the_encoder() -> None:
     """Assert that readings scatter as named about the motor's place, which under a current is as without noise."""
-    noisy, plain = held({"gripper": {"encoder_noise_ticks": 2.0}}), held({})
+    noisy, plain = held({"gripper": {"encoder_noise_ticks": 2.0}}), held()
     readings = []
     for _ in range(600):
         for one in (noisy, plain):
@@ -180,7 +172,7 @@ def test_noise_of_the_encoder() -> None:
 def test_a_calibration_that_is_off() -> None:
     """Assert that the sensor tells a grid turned about the frame's middle and moved, with equal events and truth."""
     changes = {"calibration": {"offset_px": [3.0, -1.0], "turned_deg": 1.0}}
-    off, true = (rig(planned("slip", "ramp", c), np.random.SeedSequence(7)) for c in (changes, {}))
+    off, true = (rig(quiet_plan("slip", c), np.random.SeedSequence(7)) for c in (changes, NONE))
     at, expected = off.camera.sensor["sensor/dot_xy_px"], true.camera.sensor["sensor/dot_xy_px"]
     turn = np.exp(1j * np.deg2rad(1.0))
     from_middle = (expected[..., 0] - 320) + 1j * (expected[..., 1] - 240)
@@ -197,12 +189,10 @@ def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
     """Assert that a dot brightens once where it was, makes no events afterwards, and goes on in the truth."""
     gone = {"vanishing_dots": {"dots": [[3, 4], [0, 0]], "at_s": 0.3}}
     results = []
-    for changes in ({}, gone):
-        plan = planned("slip", "ramp", changes)
-        plan["readout"] = readout
-        plan["sensor_row"]["bandwidth_hz"] = bandwidth_hz
-        trial = GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)))
-        results.append(run(trial, 450))
+    for changes in (NONE, gone):
+        plan = quiet_plan("slip", changes)
+        sensor = replace(plan.sensor, bandwidth_hz=bandwidth_hz)
+        results.append(run(grasp_of(replace(plan, readout=readout, sensor=sensor)), 450))
     (rows, plain), (rows_gone, events) = results
     np.testing.assert_array_equal(rows["truth/dot_xy_px"], rows_gone["truth/dot_xy_px"])
 
@@ -226,13 +216,12 @@ def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
 
 def test_what_cannot_be_is_said() -> None:
     """Assert that a dot that is not there, and changing light before an ideal camera, are refused in words."""
-    odd = planned("slip", "ramp", {"vanishing_dots": {"dots": [[7, 0]], "at_s": 0.3}})
+    odd = quiet_plan("slip", {"vanishing_dots": {"dots": [[7, 0]], "at_s": 0.3}})
     with pytest.raises(SceneError, match=r"vanishing_dots.*rows 0 to 6"):
         rig(odd, np.random.SeedSequence(0))
-    lit = planned("slip", "ramp", {"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.1}}})
-    lit["readout"] = "ideal"
+    lit = quiet_plan("slip", {"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.1}}})
     with pytest.raises(SceneError, match="readout dvxplorer"):
-        rig(lit, np.random.SeedSequence(0))
+        rig(replace(lit, readout="ideal"), np.random.SeedSequence(0))
 
 
 @pytest.mark.slow
@@ -248,8 +237,9 @@ def test_flicker_reaches_the_camera() -> None:
 
 def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a sensor with uneven friction has the same in all trials, in which other nodes slip first."""
-    plan = planned("slip", "ramp", {})
-    uneven = {**plan, "sensor_row": {**plan["sensor_row"], "friction": {"patch_spread": 0.3, "patch_mm": 2.0}}}
+    plan = quiet_plan("slip")
+    patchy = replace(plan.sensor, friction=GelFriction(patch_spread=0.3, patch_mm=2.0))
+    uneven = replace(plan, sensor=patchy)
     trials = [
         GraspSimulation(each, np.random.default_rng(seed), np.random.default_rng(9))
         for each, seed in ((plan, 5), (uneven, 5), (uneven, 6))
@@ -262,7 +252,7 @@ def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPa
     assert not even["truth/slip"].any()
     assert not varied["truth/slip"].any()
     assert (even["truth/slip_share"] != varied["truth/slip_share"]).any()
-    other = {**uneven, "sensor_row": {**uneven["sensor_row"], "seed": 77}}
+    other = replace(plan, sensor=replace(patchy, seed=77))
     elsewhere = GraspSimulation(other, np.random.default_rng(5), np.random.default_rng(9))
     assert np.abs(elsewhere._friction_factor - factors[0]).max() > 0.1
     monkeypatch.setattr(gripped, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
@@ -270,6 +260,6 @@ def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPa
     assert double._slip_limit_n == pytest.approx(trials[0]._slip_limit_n / 2, rel=1e-12)
     monkeypatch.undo()
     for odd in ({"patch_spread": 0.3}, {"patch_mm": 2.0}, {"patch_spread": -1.0, "patch_mm": 2.0}):
-        wrong = {**plan, "sensor_row": {**plan["sensor_row"], "friction": odd}}
+        wrong = replace(plan, sensor=replace(plan.sensor, friction=GelFriction(**odd)))
         with pytest.raises(SceneError, match="friction"):
             rig(wrong, np.random.SeedSequence(0))

@@ -12,29 +12,30 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import SceneError
 from evetac_cli.events import concatenate
+from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES, table
-from evetac_cli.sim import gripper, sampling, scene
+from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.scene import plan
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.shared import material
+from evetac_cli.sim.setup import sampling
+from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.sensor import GelCreep
 from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import Made
+from tests.sim.scenes.trials import grasp_of
 
 
 def world(object_number: int, seed: int = 0, name: str = "slip", sensor: str = "evetac") -> GraspSimulation:
     """A trial of an object touched in its middle: off it, a hanging object swings for seconds, as a pendulum does."""
-    kind = "lift" if name == "lift" else "ramp"
-    rngs = [np.random.default_rng([seed, part]) for part in range(2)]
-    built = plan(name, str(object_number), sensor, (kind,))[0]
-    for key in ("touch_mm", "lever_mm"):
-        built["scene"]["randomise"].pop(key, None)
-    built["object_row"].pop("lever_mm", None)
-    return GraspSimulation(built, *rngs, lift_s=1.5, balance_s=0.0)
+    built = plan(name, str(object_number), sensor)
+    built = merge(built, {"randomise": {"touch_mm": None, "lever_mm": None}})
+    built = dataclasses.replace(built, touched=dataclasses.replace(built.touched, lever_mm=0.0))
+    return grasp_of(built, seed, lift_s=1.5, balance_s=0.0)
 
 
 def run(one: GraspSimulation, slices: int) -> list[dict[str, object]]:
@@ -118,27 +119,27 @@ def test_seeds_are_enough() -> None:
 
 def test_window_dots_do_not_exist() -> None:
     """Assert that the cut gel keeps 7 rows of 8 dots, all outside the window."""
-    row = scene.sensor_row("evetac")
-    grid = dot_grid(row, cut=True)
+    sensor = one_sensor("evetac")
+    grid = dot_grid(sensor, cut=True)
     assert grid.shape == (7, 8, 2)
-    assert grid[..., 0].max() < row["window_px"][0]
+    assert grid[..., 0].max() < sensor.window_px[0]
 
 
 def test_scene_of_the_wrong_kind_is_refused() -> None:
     """Assert that a lift scene cannot be recorded as a ramp."""
     with pytest.raises(SceneError, match="another command"):
-        plan("lift", "8", "evetac", ("ramp",))
+        plan("lift", kinds=("ramp",))
 
 
-@pytest.mark.parametrize("creep", [{}, {"share": [0.05, 0.1], "time_s": [0.003, 5.0]}])
+@pytest.mark.parametrize("creep", [None, GelCreep(share=(0.05, 0.1), time_s=(0.003, 5.0))])
 @pytest.mark.parametrize("tangent", [0.08, 0.12, 0.2])
-def test_loss_tangent(tangent: float, creep: dict[str, list[float]]) -> None:
+def test_loss_tangent(tangent: float, creep: GelCreep | None) -> None:
     """Assert that a gel's complex stiffness at 100 Hz has the named loss tangent, and that none named is the usual."""
-    row = scene.sensor_row("evetac")
-    assert material(row) == gel.GelMaterial(shear_modulus_pa=row["shear_modulus_pa"])
-    made = material({**row, "loss_tangent": tangent, "creep": creep})
+    sensor = one_sensor("evetac")
+    assert material(sensor) == gel.GelMaterial(shear_modulus_pa=sensor.shear_modulus_pa)
+    made = material(dataclasses.replace(sensor, loss_tangent=tangent, creep=creep))
     turn = 2j * np.pi * 100
-    assert len(made.arms) == 1 + len(creep.get("share", []))
+    assert len(made.arms) == (1 if creep is None else 1 + len(creep.share))
     stiffness = 1 + turn * made.viscous_time_s
     stiffness += sum(share * turn * time_s / (1 + turn * time_s) for share, time_s in made.arms)
     assert stiffness.imag / stiffness.real == pytest.approx(tangent, rel=1e-12)
@@ -147,20 +148,20 @@ def test_loss_tangent(tangent: float, creep: dict[str, list[float]]) -> None:
 def test_a_loss_tangent_that_cannot_be() -> None:
     """Assert that a gel cannot lose less than its arms do, and that this is said in the sensor's own words."""
     with pytest.raises(ValueError, match="loss_tangent of the sensor must be at least"):
-        material({**scene.sensor_row("evetac"), "loss_tangent": 1e-4})
+        material(dataclasses.replace(one_sensor("evetac"), loss_tangent=1e-4))
 
 
 def test_gripper_of_a_sensor() -> None:
     """Assert that a drawn gripper pushes with its servo's stiffness, at two ticks as hard as named."""
-    assert gripper.make_drive(scene.sensor_row("evetac")) == gripper.Drive()
+    assert gripper.make_drive(one_sensor("evetac").gripper) == gripper.Drive()
     for number in range(20):
-        row = scene.sensor_row(f"randomized:{number}")
-        drive = gripper.make_drive(row)
+        own = one_sensor(f"randomized:{number}").gripper
+        drive = gripper.make_drive(own)
         servo_n_tick = drive.gain_ma_tick * drive.force_per_current_n_ma
-        assert servo_n_tick == pytest.approx(row["gripper"]["servo_n_tick"])
-        friction_n = drive.friction_n / row["gripper"]["friction_factor"]
+        assert servo_n_tick == pytest.approx(own.servo_n_tick)
+        friction_n = drive.friction_n / own.friction_factor
         assert 0.08 <= 2 * servo_n_tick - friction_n <= 0.18
-        assert gripper.make_drive(row, 0.5).friction_n == pytest.approx(0.5 * drive.friction_n)
+        assert gripper.make_drive(own, 0.5).friction_n == pytest.approx(0.5 * drive.friction_n)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
@@ -170,8 +171,8 @@ def test_sampled_sensors_hold(number: int) -> None:
     rows = run(held, 900)
     assert not any(row["truth/slip"] for row in rows)
     assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.sampled.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
-    row = scene.sensor_row(f"randomized:{number}")
-    sinks_px = rows[-1]["truth/object_xy_px"][0] * row["mm_per_px"] * row["shear_modulus_pa"]  # type: ignore[index]
+    sensor = one_sensor(f"randomized:{number}")
+    sinks_px = rows[-1]["truth/object_xy_px"][0] * sensor.mm_per_px * sensor.shear_modulus_pa  # type: ignore[index]
     assert 80 < sinks_px / held.sampled.mass_kg / 1e3 < 1e4  # arms of creep hold up to a fifth at first
     assert held.gel_camera.grid_xy_px.shape == (7, 8, 2)
 
@@ -179,12 +180,12 @@ def test_sampled_sensors_hold(number: int) -> None:
 def test_every_drawn_grid_is_whole() -> None:
     """Assert that the cut gel of 50 sampled sensors keeps 7 rows of 8 dots, in the frame and off the window."""
     for number in range(50):
-        row = scene.sensor_row(f"randomized:{number}")
-        grid = dot_grid(row, cut=True)
+        sensor = one_sensor(f"randomized:{number}")
+        grid = dot_grid(sensor, cut=True)
         assert grid.shape == (7, 8, 2)
-        assert grid[..., 0].max() + row["dot_radius_px"] < 540
-        assert grid.min() - row["dot_radius_px"] > 0
-        assert grid[..., 1].max() + row["dot_radius_px"] < 480
+        assert grid[..., 0].max() + sensor.dot_radius_px < 540
+        assert grid.min() - sensor.dot_radius_px > 0
+        assert grid[..., 1].max() + sensor.dot_radius_px < 480
 
 
 def off_middle(monkeypatch: pytest.MonkeyPatch, number: int, **changes: Any) -> GraspSimulation:
@@ -214,9 +215,7 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None:
     """Assert that object 20, 12 mm off its centre of mass, does not turn in the grip before the current falls."""
-    (built,) = plan("slip", "20", "evetac", ("ramp",))
-    built["scene"]["gripper"]["start_factor"] = [1.5, 1.5]
-    held = GraspSimulation(built, *(np.random.default_rng([seed, part]) for part in range(2)))
+    held = grasp_of(merge(plan("slip", "20"), {"gripper": {"start_factor": [1.5, 1.5]}}), seed)
     assert not any(row["truth/slip"] for row in run(held, 900))
     assert abs(held._gel.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
 
@@ -234,11 +233,11 @@ def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_pushes_and_grip_of_the_data_rate_scene() -> None:
     """Assert that a push is a half sine of its force, and that the grip holds by the named force beyond the limit."""
-    (planned,) = plan("data-rate", "18", "evetac", ("hold",))
-    pushed = GraspSimulation(planned, *[np.random.default_rng(part) for part in range(2)])
-    push, drive = planned["scene"]["push"], pushed.drive
+    planned = plan("data-rate", "18")
+    pushed = grasp_of(planned)
+    push, drive = planned.scene.push, pushed.drive
     for after_s, share in ((-1e-3, 0.0), (0.02, np.sqrt(0.5)), (0.04, 1.0), (0.081, 0.0)):
-        for at_s, force_n in zip(push["at_s"], push["force_n"], strict=True):
+        for at_s, force_n in zip(push.at_s, push.force_n, strict=True):
             pushed.slices = round((at_s + after_s) * 1000)
             assert pushed._push() == pytest.approx(share * force_n, abs=1e-9)
     limit_n = pushed.sampled.mass_kg * GRAVITY_M_S2 / (2 * pushed.sampled.static_friction)
@@ -315,8 +314,7 @@ def test_a_texture_that_nobody_looks_at(sensor: str) -> None:
     """Assert that a grasp without texture has the gel's events and the truth of one with it, and none of the window."""
     seen = {}
     for texture in ("on", "off"):
-        built = plan("lift", "11", sensor, ("lift",), texture=texture)[0]
-        trial = GraspSimulation(built, *(np.random.default_rng([5, part]) for part in range(2)), lift_s=1.0)
+        trial = grasp_of(plan("lift", "11", sensor, texture=texture), 5, lift_s=1.0)
         events, rows = [], []
         for ms in range(2300):  # closes, and the hand begins to rise
             if ms % 2 == 0:
@@ -325,7 +323,7 @@ def test_a_texture_that_nobody_looks_at(sensor: str) -> None:
             rows.append(trial.truth())
         seen[texture] = concatenate(events), rows
     (on, truth_on), (off, truth_off) = seen["on"], seen["off"]
-    border = scene.sensor_row(sensor)["window_px"][0] - 5  # the cut edge lies over both
+    border = one_sensor(sensor).window_px[0] - 5  # the cut edge lies over both
     for name in on._fields:
         np.testing.assert_array_equal(getattr(on, name)[on.x < border], getattr(off, name)[off.x < border])
     assert (on.x > border + 10).sum() > (off.x > border + 10).sum() + 500

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.sim import scene
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2
 from evetac_cli.sim.scenes.hand import FADE_S, Hand
 from evetac_cli.sim.scenes.shared import STEP_S
+from evetac_cli.sim.setup.held import HandSettings
+from evetac_cli.sim.setup.tables import build
+from tests.sim.scenes.trials import grasp_of, quiet_plan
 
 LIFT = {"height_mm": 60.0, "speed_mm_s": 100.0, "acceleration_mm_s2": 500.0}
 SHAKES = {"frequency_hz": [18.0, 41.0], "acceleration_m_s2": [0.6, 0.3]}
@@ -17,7 +19,7 @@ SHAKES = {"frequency_hz": [18.0, 41.0], "acceleration_m_s2": [0.6, 0.3]}
 
 def speeds(hand: dict[str, Any], slices: int = 1500) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speed at the end of each slice, and acceleration within it, of a hand that rises from 0.2 s on."""
-    one = Hand({"hand": hand}, 0.2, STEP_S, np.random.default_rng(1))
+    one = Hand(build(HandSettings, hand), 0.2, STEP_S, np.random.default_rng(1))
     rows = [(one.accelerate(k), one.speed_m_s) for k in range(slices)]
     acceleration, speed = np.array(rows).T
     return speed, acceleration
@@ -69,18 +71,10 @@ def test_only_while_it_moves() -> None:
     assert np.abs((always - plain)[:200]).max() > 3e-3
 
 
-def trial(name: str, kind: str, hand: dict[str, Any], **durations: float) -> GraspSimulation:
-    """A trial of a scene whose hand has some keys more."""
-    (plan,) = scene.plan(name, "8", "evetac", (kind,))
-    plan["scene"]["hand"] = {**plan["scene"].get("hand", {}), **hand}
-    plan["scene"]["randomise"].pop("touch_mm", None)  # touched off its middle, an object swings
-    plan["sensor_row"] = {**plan["sensor_row"], "noise_hz": 0.0, "hot_pixels": 0}
-    return GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)), **durations)
-
-
 def test_a_held_object_is_shaken() -> None:
     """Assert m dv/dt = m (g + a) - 2 F in each slice, with a the acceleration of the hand, and equal samples."""
-    held, still = trial("slip", "ramp", {"vibration": SHAKES}), trial("slip", "ramp", {})
+    shakes = {"vibration": SHAKES}
+    held, still = grasp_of(quiet_plan("slip", {"hand": shakes})), grasp_of(quiet_plan("slip"))
     assert held.sampled == still.sampled
     mass_kg, fall_m_s, friction_n, moved = held.sampled.mass_kg, [], [], []
     for one in (held, still):
@@ -90,7 +84,7 @@ def test_a_held_object_is_shaken() -> None:
                 fall_m_s.append(one._gel.twist[0])
                 friction_n.append(one.truth()["truth/shear_force_n"][0])
         moved.append(one.truth()["truth/object_xy_px"][0])
-    hand = Hand({"hand": {"vibration": SHAKES}}, 0.0, STEP_S, np.random.default_rng(0).spawn(2)[1])
+    hand = Hand(build(HandSettings, shakes), 0.0, STEP_S, np.random.default_rng(0).spawn(2)[1])
     expected = np.array([hand.accelerate(k) for k in range(900)])
     acting = np.diff(fall_m_s, prepend=0.0) / STEP_S + 2 * np.array(friction_n) / mass_kg - GRAVITY_M_S2
     loaded = slice(600, 900)
@@ -101,7 +95,8 @@ def test_a_held_object_is_shaken() -> None:
 
 def test_an_object_on_a_table_goes_with_the_table() -> None:
     """Assert that, seen from a hand that vibrates, what stands on the table swings by A / w^2."""
-    shaken = trial("lift", "lift", {"vibration": {"frequency_hz": [10.0], "acceleration_m_s2": [1.0]}}, lift_s=2.0)
+    vibration = {"frequency_hz": [10.0], "acceleration_m_s2": [1.0]}
+    shaken = grasp_of(quiet_plan("lift", {"hand": {"vibration": vibration}}), lift_s=2.0)
     swing_m = []
     for k in range(700):
         shaken.step()

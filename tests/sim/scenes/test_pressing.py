@@ -9,12 +9,12 @@ import pytest
 from evetac_cli.events import concatenate
 from evetac_cli.formats.imports import read_events
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.scene import plan, sensor_row
 from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.setup.plan import one_sensor, plan
 from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
+from tests.sim.camera.gel_cameras import gel_camera
 
 
 def pressing(name: str, tmp_path: Path, **changes: dict[str, object]) -> Pressing:
@@ -24,7 +24,7 @@ def pressing(name: str, tmp_path: Path, **changes: dict[str, object]) -> Pressin
     path = tmp_path / f"{name}.toml"
     path.write_text(as_toml(scene))
     rngs = [np.random.default_rng(part) for part in range(2)]
-    return Pressing(plan(str(path), "8", "evetac", ("press",))[0], *rngs)
+    return Pressing(plan(str(path)), *rngs)
 
 
 def run(trial: Pressing) -> list[dict[str, object]]:
@@ -90,14 +90,14 @@ def test_lens_and_nothing() -> None:
 @pytest.mark.parametrize("name", ["evetac", "second", "bare-dvxplorer"])
 def test_sensor_is_the_same_in_every_trial(name: str) -> None:
     """Assert that dots, thresholds and hot pixels belong to the sensor, and phases to the trial."""
-    row = sensor_row(name)
-    one, other = (GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(seed)) for seed in (1, 2))
+    sensor = one_sensor(name)
+    one, other = (gel_camera(sensor, cut=True, seed=seed) for seed in (1, 2))
     assert (one.grid_xy_px == other.grid_xy_px).all()
     assert (one._camera.threshold == other._camera.threshold).all()
     assert (one._camera.hot_pixel == other._camera.hot_pixel).all()
     assert (one._camera.reference != other._camera.reference).any()
     assert one.grid_xy_px.shape == (7, 8, 2)
-    assert GelCamera(row, cut=False, texture=None, rng=np.random.default_rng(1)).grid_xy_px.shape == (7, 9, 2)
+    assert gel_camera(sensor, cut=False, seed=1).grid_xy_px.shape == (7, 9, 2)
 
 
 def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
@@ -106,9 +106,9 @@ def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
     pytest.importorskip("dv_processing")
     if not real.exists():
         pytest.skip("the real recording is not here")
-    gel_camera = GelCamera(sensor_row("bare-dvxplorer"), cut=True, texture=None, rng=np.random.default_rng(0))
-    still = np.zeros_like(gel_camera.rest_m)
-    made = concatenate([gel_camera.render(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
+    bare = gel_camera(one_sensor("bare-dvxplorer"), cut=True)
+    still = np.zeros_like(bare.rest_m)
+    made = concatenate([bare.render(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
     measured = read_events(real).events
     rate, share, peak = zip(*(figures(events.t, events.x, events.y) for events in (made, measured)), strict=True)
     assert rate[0] == pytest.approx(rate[1], rel=0.05)

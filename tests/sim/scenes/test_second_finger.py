@@ -1,23 +1,23 @@
 """A second finger that is no mirror image of the first: pressure, slip limit, weight, and the mirrored trial."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from evetac_cli.kernels.grip import paper as grip
-from evetac_cli.sim import scene
+from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.sim.scenes.gripped import FINGER_STIFFNESS_N_M, GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.sensor import GelFriction
+from tests.sim.scenes.trials import NONE, grasp_of, quiet_plan
 
 
-def trial(name: str, kind: str, second: dict[str, float] | None, **durations: float) -> GraspSimulation:
+def trial(name: str, second: dict[str, float] | None, **durations: float) -> GraspSimulation:
     """A trial of a scene, with a second finger of its own or mirrored ones."""
-    (plan,) = scene.plan(name, "8", "evetac", (kind,))
-    if second is not None:
-        plan["scene"]["gripper"]["second_finger"] = second
-    plan["scene"]["randomise"].pop("touch_mm", None)  # touched off its middle, an object swings
-    plan["sensor_row"] = {**plan["sensor_row"], "noise_hz": 0.0, "hot_pixels": 0}
-    return GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)), **durations)
+    changes = NONE if second is None else {"gripper": {"second_finger": second}}
+    return grasp_of(quiet_plan(name, changes), **durations)
 
 
 def both_n(one: GraspSimulation) -> tuple[float, float]:
@@ -29,7 +29,7 @@ def both_n(one: GraspSimulation) -> tuple[float, float]:
 @pytest.mark.slow
 def test_a_second_finger_that_does_not_differ() -> None:
     """Assert that it makes the trial of mirrored fingers, from hold to loss, within 0.01 px and 1 ms of slip."""
-    mirrored, own = (trial("slip", "ramp", second) for second in (None, {"friction_factor": 1.0}))
+    mirrored, own = (trial("slip", second) for second in (None, {"friction_factor": 1.0}))
     held_ma = mirrored.command[1]
     slips: dict[int, list[bool]] = {0: [], 1: []}
     for k in range(1500):
@@ -48,10 +48,9 @@ def test_a_second_finger_that_does_not_differ() -> None:
 @pytest.mark.parametrize("stiffness", [0.5, 2.0])
 def test_both_fingers_press_with_one_force(stiffness: float) -> None:
     """Assert that both gels are pressed in as their stiffness says, and that these and the links make the closing."""
-    one = trial("slip", "ramp", {"stiffness_factor": stiffness})
+    one = trial("slip", {"stiffness_factor": stiffness})
     finger, curve, gap_m = one.finger, one._curve, one._gap
-    row = scene.sensor_row("evetac")
-    node_n_m = row["normal_modulus_pa"] / one._material.height_m * one._gel.cell_area_m2
+    node_n_m = one_sensor("evetac").normal_modulus_pa / one._material.height_m * one._gel.cell_area_m2
     assert curve.second_indentation_m is not None
     second_m = float(np.interp(finger.force_n, curve.force_n, curve.second_indentation_m))
     pressed_n = [
@@ -69,7 +68,7 @@ def test_both_fingers_press_with_one_force(stiffness: float) -> None:
 
 def test_slip_limit_of_different_fingers() -> None:
     """Assert that a second finger of a share f of the friction needs 2 / (1 + f) times the force."""
-    mirrored, half = (trial("slip", "ramp", second) for second in (None, {"friction_factor": 0.5}))
+    mirrored, half = (trial("slip", second) for second in (None, {"friction_factor": 0.5}))
     assert half._slip_limit_n == pytest.approx(mirrored._slip_limit_n * 2 / 1.5, rel=1e-12)
     assert half.sampled == mirrored.sampled
 
@@ -77,7 +76,7 @@ def test_slip_limit_of_different_fingers() -> None:
 @pytest.mark.slow
 def test_a_lift_with_different_fingers() -> None:
     """Assert that both fingers together carry the object once it hangs, the stiffer one more, and that it is lifted."""
-    one = trial("lift", "lift", {"stiffness_factor": 3.0}, lift_s=2.5)
+    one = trial("lift", {"stiffness_factor": 3.0}, lift_s=2.5)
     law = grip.start()
     carried_n = []
     for k in range(2600):
@@ -96,10 +95,9 @@ def test_a_lift_with_different_fingers() -> None:
 
 def test_fingers_differ_where_friction_varies() -> None:
     """Assert that over a second finger friction varies otherwise than over the first, about its own mean."""
-    (plan,) = scene.plan("slip", "8", "evetac", ("ramp",))
-    plan["scene"]["gripper"]["second_finger"] = {"friction_factor": 0.6}
-    plan["sensor_row"] = {**plan["sensor_row"], "friction": {"patch_spread": 0.2, "patch_mm": 3.0}}
-    one = GraspSimulation(plan, *(np.random.default_rng(part) for part in range(2)))
+    planned = merge(plan("slip"), {"gripper": {"second_finger": {"friction_factor": 0.6}}})
+    patchy = replace(planned.sensor, friction=GelFriction(patch_spread=0.2, patch_mm=3.0))
+    one = grasp_of(replace(planned, sensor=patchy))
     assert one._second is not None
     first, second = one._friction_factor, one._second.friction_factor
     assert first is not None

@@ -17,10 +17,11 @@ from evetac_cli.errors import InputError, SceneError
 from evetac_cli.inspect import validate
 from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
-from evetac_cli.sim import scene
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.plan import plan, tones_hz
 from evetac_cli.stages import record
 from evetac_cli.text_files import as_toml
 
@@ -38,8 +39,8 @@ def changed(tmp_path: Path, time: dict[str, Any], **tone: Any) -> str:
 
 
 def vibration(scene_name: str, hz: float, *, seed: int = 0, sensor: str = "evetac", gel: str = "closed") -> Vibration:
-    plan = scene.plan(scene_name, "8", sensor, ("tone",), gel, "dvxplorer", f"{hz:g}")[0]
-    return Vibration(plan, *map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2)))
+    planned = plan(scene_name, sensor=sensor, gel=gel, tones=f"{hz:g}")
+    return Vibration(planned, *map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2)))
 
 
 @given(
@@ -208,7 +209,7 @@ def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
         ({"frequency_hz": [0.5]}, "frequency_hz"),
         ({"frequency_hz": []}, "frequency_hz"),
         ({"at_hz": [100, 100, 300, 400, 498]}, "rising"),
-        ({"modulation_most": [0.3]}, "another length"),
+        ({"modulation_most": [0.3]}, "lists of different lengths"),
         ({"second_harmonic_least": [0.9] * 5}, "above its most"),
         ({"tangential_share": [0.6, 0.2]}, "lower end"),
         ({"volume": 11}, "volume"),
@@ -217,14 +218,14 @@ def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
 def test_a_wrong_table_is_refused(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
     """Assert that tones out of range and tables that do not fit together are refused, and told where."""
     with pytest.raises(SceneError, match=says):
-        scene.load(changed(tmp_path, {}, **changes))
+        scene_file.load(changed(tmp_path, {}, **changes))
 
 
 @pytest.mark.parametrize("tones", ["", "x", "0", "2501", "nan", "200,,300", "-5"])
 def test_no_tone_is_refused(tones: str) -> None:
     """Assert that what is no list of tones from 1 to 2500 Hz is refused."""
     with pytest.raises(InputError, match="--tone"):
-        scene.tones_hz(tones)
+        tones_hz(tones)
 
 
 def test_a_recording_a_tone(tmp_path: Path) -> None:

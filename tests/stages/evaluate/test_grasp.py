@@ -7,17 +7,17 @@ import pytest
 
 from evetac_cli.params.evaluation import EvaluateGrasp
 from evetac_cli.resources import table
+from evetac_cli.sim.setup.plan import plan, read_plan
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
+    **plan("lift").parameters(),
     "controller": "paper",
     "gain": 1.0,
     "latency_ms": 0,
     "control_hz": 500.0,
-    "sensor": "evetac",
-    "scene": {"name": "lift", "gel": {"cut": True}},
 }
 
 
@@ -39,6 +39,11 @@ def trial(setting: str = "paper", number: int = 11, *, lifted: bool = True, held
         "slip_events": 3,
     }
     return {"setting": setting, "object": number, "file": "x.recording.h5", **figures, **more}
+
+
+def described(planned: dict[str, Any]) -> str:
+    """The setting of a grasp whose header holds these parameters."""
+    return describe_setting(read_plan(planned, "x.recording.h5"), planned)
 
 
 def split(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
@@ -129,16 +134,16 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
         ({}, "paper"),
         ({"controller": "load-proportional"}, "load-proportional"),
         ({"gain": 2.0}, "paper, gain 2"),
-        ({"scene": {"name": "drop-20g", "gel": {"cut": True}}}, "paper, drop-20g"),
-        ({"sensor": "second", "scene": {"name": "lift", "gel": {"cut": False}}}, "paper, second, closed gel"),
+        (plan("drop-20g").parameters(), "paper, drop-20g"),
+        (plan("lift", sensor="second", gel="closed").parameters(), "paper, second, closed gel"),
         ({"latency_ms": 20, "control_hz": 100.0}, "paper, 20 ms late, 100 Hz"),
     ],
 )
 def test_a_setting_says_what_is_unusual(changes: dict, setting: str) -> None:
     """Assert the name of each setting, and that a recording of before these flags is a usual one."""
-    assert describe_setting({**PLANNED, **changes}) == setting
+    assert described({**PLANNED, **changes}) == setting
     older = {key: value for key, value in PLANNED.items() if key not in ("gain", "latency_ms", "control_hz")}
-    assert describe_setting(older) == "paper"
+    assert described(older) == "paper"
     assert "gain" not in without_gain(setting)
 
 

@@ -13,7 +13,8 @@ from evetac_cli.events import Events, slice_starts
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.evaluation import EvaluateRealism
 from evetac_cli.params.recording import Record
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import realism
 from evetac_cli.store.files import write_stage
@@ -71,7 +72,7 @@ def test_one_sensor_twice(same: tuple[Path, Path], tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_another_sensor_is_far(same: tuple[Path, Path], tmp_path: Path) -> None:
     """Assert that a sensor with another polarity, and twice the noise of ordinary pixels, is told by just that."""
-    row = scene.sensor_row("bare-dvxplorer")
+    row = as_table(one_sensor("bare-dvxplorer"))
     other = tmp_path / "other.toml"
     other.write_text(as_toml({**row, "noise_on_share": 0.8, "noise_hz": 2 * row["noise_hz"]}))
     rows, _ = compared(same[0], resting(tmp_path, str(other), 2), tmp_path)

@@ -16,11 +16,13 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.learning import PredictForce, TrainForce
-from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import pad
+from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import adapt_gel, predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
@@ -34,9 +36,10 @@ TRAIN = TrainForce(method="gel", contacts=12, epochs=1)
 ADAPT = TrainForce(adapt="shipped")
 
 
-def sensor_row(stiffer: float = 1.0) -> dict[str, Any]:
-    row = scene.sensor_row("evetac")
-    return {**row, **{key: stiffer * row[key] for key in ("shear_modulus_pa", "normal_modulus_pa")}}
+def sensor_of(stiffer: float = 1.0) -> Sensor:
+    usual = one_sensor("evetac")
+    shear_pa, normal_pa = (stiffer * modulus_pa for modulus_pa in (usual.shear_modulus_pa, usual.normal_modulus_pa))
+    return replace(usual, shear_modulus_pa=shear_pa, normal_modulus_pa=normal_pa)
 
 
 def trial(
@@ -51,10 +54,10 @@ def trial(
     smaller: int = 1,
 ) -> Path:
     """A recording without events, its truth and the tracks of its dots, on a smaller frame; the path of the tracks."""
-    row = sensor_row(stiffer)
-    grid = np.array(dot_grid(row, False) if grid_px is None else grid_px)
+    sensor = sensor_of(stiffer)
+    grid = np.array(dot_grid(sensor, cut=False) if grid_px is None else grid_px)
     rest_px = grid.reshape(-1, 2)
-    nodes = pad({"gel": {"cut": False}}, row)
+    nodes = pad(Solver(), sensor, cut=False)
     columns = nodes.reshape(-1, 2).T
     area_m2 = np.ptp(columns[0]) * np.ptp(columns[1]) * 24 * 18 / (23 * 17)  # about a cell more than between nodes
     rng = np.random.default_rng(number)
@@ -65,13 +68,14 @@ def trial(
     shear_n = pressed[:, None] * np.stack([np.interp(time, at, knots[:, axis]) for axis in (0, 1)], axis=1)
     if not normal_n:
         shear_n[:] = 0.0
-    depth_m = np.full(nodes.shape[:2], normal_n * HEIGHT_M / (row["normal_modulus_pa"] * area_m2))
-    rest_m = (rest_px - [320, 240]) * row["mm_per_px"] * 1e-3
+    depth_m = np.full(nodes.shape[:2], normal_n * HEIGHT_M / (sensor.normal_modulus_pa * area_m2))
+    rest_m = (rest_px - [320, 240]) * sensor.mm_per_px * 1e-3
     spread_m = dilation(rest_m, nodes, depth_m, np.full(len(rest_m), depth_m[0, 0]), HEIGHT_M)
-    shift_m = shear_n * HEIGHT_M / (row["shear_modulus_pa"] * area_m2)
+    shift_m = shear_n * HEIGHT_M / (sensor.shear_modulus_pa * area_m2)
     moved_m = shift_m[:, None] + pressed[:, None, None] * spread_m
-    dots = (rest_px + moved_m * 1e3 / row["mm_per_px"]).astype(np.float32)
-    made = Recipe("recording", 1, {"sensor_row": row, "dots": len(rest_px)}, seed=number, simulated_source=truth)
+    dots = (rest_px + moved_m * 1e3 / sensor.mm_per_px).astype(np.float32)
+    planned = replace(plan("press"), sensor=sensor)
+    made = Recipe("recording", 1, {**planned.parameters(), "dots": len(rest_px)}, seed=number, simulated_source=truth)
     frame_px = (640 // smaller, 480 // smaller)
     return write_trial(folder, made, grid / smaller, dots / smaller, normal_n * pressed, shear_n, name, frame_px)
 
@@ -89,9 +93,13 @@ def true_shear(path: Path) -> Any:
 
 def own_sensor(folder: Path, stiffer: float, smaller: int = 1) -> str:
     path = folder / f"{stiffer}.sensor.toml"
-    row = sensor_row(stiffer)
-    row["mm_per_px"] *= smaller
-    lines = [f"{key} = {row[key]}" for key in ("mm_per_px", "shear_modulus_pa", "normal_modulus_pa")]
+    sensor = sensor_of(stiffer)
+    values = {
+        "mm_per_px": sensor.mm_per_px * smaller,
+        "shear_modulus_pa": sensor.shear_modulus_pa,
+        "normal_modulus_pa": sensor.normal_modulus_pa,
+    }
+    lines = [f"{key} = {value}" for key, value in values.items()]
     path.write_text("\n".join(['like = "evetac"', *lines, "[creep]", "share = [0.0]", "time_s = [1.0]"]))
     return str(path)
 

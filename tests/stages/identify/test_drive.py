@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evetac_cli.sim import gripper, scene
+from evetac_cli.sim import gripper
 from evetac_cli.sim.gel.contact import ForceCurve
+from evetac_cli.sim.setup import scene_file
 from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import GripperRows
-from evetac_cli.stages.record.current_course import CurrentCourse
 
 SECONDS = 13.0
 FORCE_PER_CURRENT = 0.4
@@ -17,7 +17,7 @@ FORCE_PER_CURRENT = 0.4
 
 def simulated(friction_n: float, damping: float, mass_kg: float, backlash_ticks: float, noise_ticks: float = 0.0):
     """Rows of the scene grip-steps by a drive whose force rises evenly with its closing, 1.4 ticks a mA."""
-    course = CurrentCourse.read(scene.load("grip-steps"))
+    course = scene_file.load("grip-steps").gripper.current
     assert course is not None
     current_ma = np.array([float(round(course.at(ms * 1e-3))) for ms in range(round(1000 * SECONDS))])
     ticks = np.arange(0.0, 200.0, 0.05)

@@ -9,16 +9,19 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.identify.estimates import Estimate
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Identify, Record
-from evetac_cli.sim import gripper, scene
+from evetac_cli.sim import gripper
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.plan import named_sensor, one_sensor
+from evetac_cli.sim.setup.sensor import Sensor, SensorGripper
+from evetac_cli.sim.setup.tables import build
 from evetac_cli.stages import grasp, identify, record
 from evetac_cli.stages.identify import gripped, gripper_rows
 from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
 from evetac_cli.stages.identify.gripped import Gripped, Weight
 from evetac_cli.stages.identify.gripper_rows import Known
 from evetac_cli.store.read import open_recording
-from evetac_cli.text_files import as_toml
 
-LIKE = scene.sensor_row("evetac")
+LIKE = one_sensor("evetac")
 MIDDLE = 0.36 * (0.36 / 0.35) ** gripper_rows.SLIP_PART  # of the friction in `gripped_whole`, as half of 1 kg is held
 
 
@@ -36,7 +39,7 @@ def test_what_is_written_simulates_the_same() -> None:
     """Assert that the drive of the file's table has the friction, gain and damping that were told; the gel, too."""
     listed, values = gripper_rows.rows([gripped_whole()], Known(500.0, 0.9, 0.45, True), LIKE)
     table = {key: one.value for key, one in values["gripper"].value.items()}
-    drive = gripper.make_drive({"gripper": table})
+    drive = gripper.make_drive(build(SensorGripper, table))
     assert drive.force_per_current_n_ma == 0.45
     assert drive.friction_n == pytest.approx(10.0 * 0.45) and drive.gain_ma_tick == pytest.approx(6.0)
     assert drive.damping_n_s_m == pytest.approx(400 * 0.45) and drive.mass_kg == pytest.approx(5 * 0.45)
@@ -224,11 +227,9 @@ def test_the_longest_hold() -> None:
 def grip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scene grip-steps with coarse nodes, by a gripper with faults on a creeping gel."""
     folder = tmp_path_factory.mktemp("grip")
-    coarse = scene.load("grip-steps")
-    coarse["solver"] = {"node_pitch_mm": 1.45}
-    coarse["gripper"] |= {"backlash_ticks": 2.0, "encoder_noise_ticks": 0.3, "command_delay_ms": 3.4}
-    coarse["gripper"]["command_jitter_ms"] = 2.2
-    (folder / "grip-steps.toml").write_text(as_toml(coarse))
+    faults = {"backlash_ticks": 2.0, "encoder_noise_ticks": 0.3, "command_delay_ms": 3.4, "command_jitter_ms": 2.2}
+    coarse = scene_file.changed("grip-steps", {"solver": {"node_pitch_mm": 1.45}, "gripper": faults})
+    (folder / "grip-steps.toml").write_text(coarse)
     chosen = Record(scene=str(folder / "grip-steps.toml"), sensor="realistic", objects="18", seed=3)
     (job,) = record.jobs([], chosen, folder / "grip.recording.h5")
     record.run(job, chosen)
@@ -262,9 +263,10 @@ def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
         assert by_name[name]["low"] <= value <= by_name[name]["high"], (name, by_name[name])
     for name in ("normal_modulus_pa", "loss_tangent", "noise_hz", "dots"):
         assert by_name[name]["estimate"] is None and "cannot be told" in by_name[name]["from"]
-    _, sensor = scene.named_sensor(str(job.output))
+    _, sensor = named_sensor(str(job.output))
+    assert isinstance(sensor, Sensor)
     chosen = Record(scene="slip", sensor=str(job.output), objects="18")
-    assert record.jobs([], chosen, tmp_path)[0].plan["sensor_row"]["gripper"] == sensor["gripper"]
+    assert record.jobs([], chosen, tmp_path)[0].plan.sensor.gripper == sensor.gripper
 
 
 @pytest.mark.slow
@@ -292,9 +294,7 @@ def test_truth_is_never_read(grip: Path, tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
     """Assert that one without rows of a gripper tells nothing of it."""
-    short = scene.load("rest")
-    short["time"]["rest_s"] = 0.1
-    (tmp_path / "rest.toml").write_text(as_toml(short))
+    (tmp_path / "rest.toml").write_text(scene_file.changed("rest", {"time": {"rest_s": 0.1}}))
     chosen = Record(scene=str(tmp_path / "rest.toml"))
     (job,) = record.jobs([], chosen, tmp_path / "rest.recording.h5")
     record.run(job, chosen)

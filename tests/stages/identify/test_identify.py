@@ -14,12 +14,13 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.kernels.realism import figures
 from evetac_cli.params.recording import Identify, Record, Trim
-from evetac_cli.sim import scene
 from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.setup import scene_file, sensor_file
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import identify, record, trim
 from evetac_cli.stages.identify.sensor_text import Entry
 from evetac_cli.store.read import open_recording
-from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
 
 TRUE_RATIO = 1.61 / 0.2  # of the sensor evetac
@@ -53,15 +54,16 @@ def test_the_noise_of_a_simulated_sensor(resting: Path, tmp_path: Path) -> None:
     row = rows["noise_hz"]
     assert row["low"] <= 0.03 <= row["high"] and row["high"] < 1.1 * row["low"]
     assert rows["hot pixels above 20 Hz"]["estimate"] == 6
-    name, sensor = scene.named_sensor(str(path))
+    name, sensor = sensor_file.read(path, one_sensor)
     assert name == "own-sensor"
-    assert sensor["noise_hz"] == pytest.approx(row["estimate"], rel=1e-5)
-    assert sensor["hot_pixels"] == 0 and len(sensor["hot_pixel_table"]["x_px"]) == 6
+    assert sensor.noise_hz == pytest.approx(row["estimate"], rel=1e-5)
+    assert sensor.hot_pixels == 0 and sensor.hot_pixel_table is not None and len(sensor.hot_pixel_table.x_px) == 6
     estimated = {"summary", "noise_hz", "noise_on_share", "timestamp_step_us", "hot_pixels", "hot_pixel_table"}
-    usual = scene.sensor_row("evetac")
-    assert {key: value for key, value in sensor.items() if key not in estimated} == {
-        key: value for key, value in usual.items() if key not in estimated
-    }
+    kept, usual = (
+        {key: value for key, value in as_table(one).items() if key not in estimated}
+        for one in (sensor, one_sensor("evetac"))
+    )
+    assert kept == usual
     text = path.read_text()
     assert 'like = "evetac"' in text and "(simulated)" in text
     assert f"# {row['low']:.6g} to {row['high']:.6g}; rest.recording.h5, 0 to " in text
@@ -99,7 +101,7 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
     rows, path = identified([short], tmp_path / "none.sensor.toml")
     assert all(row["estimate"] is None and "cannot be told" in row["from"] for row in rows.values())
     assert "make one of 3 s" in rows["noise_hz"]["from"]
-    assert scene.named_sensor(str(path))[1]["noise_hz"] == 0.03
+    assert sensor_file.read(path, one_sensor)[1].noise_hz == 0.03
     assert "tell nothing" in path.read_text()
 
 
@@ -228,10 +230,8 @@ def rest_figures(path: Path) -> dict[str, float]:
 @pytest.mark.slow
 def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
     """Assert that the noise comes from the rest of a recording in which something moves later on."""
-    short = scene.load("rest")
-    short["time"]["rest_s"] = 0.6
-    short["motion"] |= {"normal_n": 2.0, "shear_n": 1.0, "move_s": [0.2, 0.2]}
-    (tmp_path / "touch.toml").write_text(as_toml(short))
+    touch = {"normal_n": 2.0, "shear_n": 1.0, "move_s": [0.2, 0.2]}
+    (tmp_path / "touch.toml").write_text(scene_file.changed("rest", {"time": {"rest_s": 0.6}, "motion": touch}))
     chosen = Record(scene=str(tmp_path / "touch.toml"), sensor="bare-dvxplorer")
     (job,) = record.jobs([], chosen, tmp_path / "touch.recording.h5")
     record.run(job, chosen)
@@ -242,11 +242,10 @@ def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def stroked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A press of the sensor evetac, with fewer and faster strokes than the scene's."""
-    faster = scene.load("press")
-    faster["motion"] |= {"speed_mm_s": 60.0, "lines": 5, "approach_s": 0.1, "press_s": 0.05}
-    faster["solver"] = {"node_pitch_mm": 1.45}
+    strokes = {"speed_mm_s": 60.0, "lines": 5, "approach_s": 0.1, "press_s": 0.05}
+    faster = scene_file.changed("press", {"motion": strokes, "solver": {"node_pitch_mm": 1.45}})
     folder = tmp_path_factory.mktemp("stroked")
-    (folder / "press.toml").write_text(as_toml(faster))
+    (folder / "press.toml").write_text(faster)
     chosen = Record(scene=str(folder / "press.toml"), seed=3)
     (job,) = record.jobs([], chosen, folder / "press.recording.h5")
     record.run(job, chosen)
@@ -267,11 +266,11 @@ def test_dots_and_optics_from_a_press(stroked: Path, resting: Path, tmp_path: Pa
         assert rows[name]["from"] == "press.recording.h5"
     assert rows["noise_hz"]["from"].startswith("rest.recording.h5")
     assert rows["log_contrast"]["estimate"] is None
-    _, sensor = scene.named_sensor(str(path))
-    true_dots = dot_grid(scene.sensor_row("evetac"), cut=False)
+    _, sensor = sensor_file.read(path, one_sensor)
+    true_dots = dot_grid(one_sensor("evetac"), cut=False)
     off_px = np.linalg.norm(dot_grid(sensor, cut=False) - true_dots, axis=2)
     assert np.sqrt((off_px**2).mean()) < rows["error of a dot's place, 95 %"]["estimate"]
-    assert sensor["log_contrast"] / sensor["threshold"] == pytest.approx(
+    assert sensor.log_contrast / sensor.threshold == pytest.approx(
         rows["log_contrast / threshold"]["estimate"], rel=1e-5
     )
 

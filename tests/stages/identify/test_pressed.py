@@ -9,11 +9,12 @@ from evetac_cli.kernels.identify.dots import Optics
 from evetac_cli.kernels.identify.estimates import Estimate
 from evetac_cli.kernels.identify.rim import RimProfile
 from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed
 
 FRAME_PX = (640, 480)
 GRID = np.stack(np.meshgrid(np.linspace(60, 560, 9), np.linspace(40, 420, 7)), axis=-1)
-LIKE = {"log_contrast": 1.6}
+LIKE = replace(one_sensor("evetac"), log_contrast=1.6)
 SURE, NONE = Estimate(0.05, 0.04, 0.06), Estimate(0.0, 0.0, 0.01)
 
 
@@ -47,7 +48,7 @@ def test_what_may_not_be_there_is_not_written() -> None:
 
 def test_what_the_named_sensor_has_and_the_press_does_not_show_is_taken_away() -> None:
     """Assert that dots as seen are not moved by the lens of `--like` too, nor thresholds told apart by its own."""
-    like = {**LIKE, "distortion": (-0.03, 0.0), "threshold_off": 0.3, "dot_radius_spread": 0.04}
+    like = replace(LIKE, distortion=(-0.03, 0.0), threshold_off=0.3, dot_radius_spread=0.04)
     _, values = pressed.rows(press(), like)
     assert values["distortion"].value.tolist() == [0.0, 0.0]
     assert values["threshold_off"].value == values["threshold"].value

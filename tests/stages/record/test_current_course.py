@@ -8,15 +8,16 @@ import pytest
 from evetac_cli.devices import GripperReading
 from evetac_cli.errors import InputError
 from evetac_cli.params.recording import Record
-from evetac_cli.sim import scene
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.held import GripperCurrent, SquareWave
 from evetac_cli.stages import record
-from evetac_cli.stages.record.current_course import CurrentCourse, Square
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, Hold, start, step
 
 
 def test_a_line_with_a_square_wave() -> None:
     """Assert the current at its points, between them, before and after them, and in the square wave."""
-    course = CurrentCourse((1.0, 2.0, 4.0), (0.0, 10.0, 10.0), Square(2.5, 3.5, 100, 4.0))
+    square = SquareWave(from_s=2.5, to_s=3.5, every_ms=100, by_ma=4.0)
+    course = GripperCurrent(at_s=(1.0, 2.0, 4.0), ma=(0.0, 10.0, 10.0), square=square)
     assert [course.at(time_s) for time_s in (0.0, 1.0, 1.5, 2.0, 9.0)] == [0.0, 0.0, 5.0, 10.0, 10.0]
     assert [course.at(time_s) for time_s in (2.49, 2.5, 2.599, 2.6, 2.7, 3.45, 3.5)] == [10, 10, 10, 6, 10, 6, 10]
     assert course.ends_s == 4.0
@@ -24,22 +25,20 @@ def test_a_line_with_a_square_wave() -> None:
 
 def test_what_the_scene_grip_steps_is_for() -> None:
     """Assert that its currents open and close more than once, hold for 15 s and fall below 0."""
-    course = CurrentCourse.read(scene.load("grip-steps"))
+    course = scene_file.load("grip-steps").gripper.current
     assert course is not None and course.square is not None and course.square.every_ms % 2 == 1
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(course.current_ma))))
-    assert len(turns) >= 6 and min(course.current_ma) < 0
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(course.ma))))
+    assert len(turns) >= 6 and min(course.ma) < 0
     assert any(
         after - before > 15 and low == high
-        for before, after, low, high in zip(
-            course.at_s, course.at_s[1:], course.current_ma, course.current_ma[1:], strict=False
-        )
+        for before, after, low, high in zip(course.at_s, course.at_s[1:], course.ma, course.ma[1:], strict=False)
     )
-    assert CurrentCourse.read(scene.load("slip")) is None
+    assert scene_file.load("slip").gripper.current is None
 
 
 def test_a_device_follows_it() -> None:
     """Assert that commands follow the course whatever is read, and end with it."""
-    course = CurrentCourse((0.0, 0.1), (0.0, 50.0))
+    course = GripperCurrent(at_s=(0.0, 0.1), ma=(0.0, 50.0))
     hold = Hold(10, 50.0, 1.0, -50.0, course)
     state, rng = start(hold), np.random.default_rng(0)
     given = []

@@ -20,6 +20,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
 from evetac_cli.kernels.slip.features import event_image
+from evetac_cli.store.index import scene_words
 from evetac_cli.store.read import Recording
 
 Floats = NDArray[np.float32]
@@ -64,9 +65,7 @@ def outline(files: TrialFiles, task: str | None) -> Outline:
     """What a trial could give; `task` in words, by default what its scene is about."""
     recording = files.recording
     names = tuple(name for columns in columns_of(files) for name in columns.names)
-    scene = recording.header["parameters"].get("scene")
-    about = scene.get("summary") if isinstance(scene, dict) else None
-    words = task or (about if isinstance(about, str) else "touch and hold an object")
+    words = task or scene_words(recording.header["parameters"], "summary") or "touch and hold an object"
     return Outline(
         recording.path, files.facts(), words, recording.header["id"], names, len(recording), recording.frame_px
     )

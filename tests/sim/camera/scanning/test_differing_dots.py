@@ -8,12 +8,13 @@ import pytest
 
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.dot_shapes import shaped_level
-from evetac_cli.sim.camera.gel_camera import GelCamera, dots_differ
+from evetac_cli.sim.camera.gel_camera import dots_differ
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from evetac_cli.sim.camera.scanning.light import LightChange
-from evetac_cli.sim.scene import sensor_row
+from evetac_cli.sim.setup.plan import one_sensor
+from tests.sim.camera.gel_cameras import gel_camera
 from tests.sim.camera.scanning.test_camera import FRAME, STILL, Path, play
 
 MODEL = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, mismatch=0.05, dot_radius_px=8.0)
@@ -117,15 +118,16 @@ def test_lines_leak_and_light_see_each_dot_as_it_is() -> None:
 
 def test_spreads_of_a_sensor() -> None:
     """Assert that a sensor's dots differ by its spreads, are the same behind a cut, and alike without them."""
-    row = sensor_row("evetac") | {"dot_radius_spread": 0.1, "dot_contrast_spread": 0.05}
-    drawn, cut = dots_differ(row, cut=False), dots_differ(row, cut=True)
+    plain = one_sensor("evetac")
+    spread = dataclasses.replace(plain, dot_radius_spread=0.1, dot_contrast_spread=0.05)
+    drawn, cut = dots_differ(spread, cut=False), dots_differ(spread, cut=True)
     assert drawn is not None
     assert cut is not None
     assert drawn[0].std() == pytest.approx(0.1, rel=0.3)
     assert drawn[1].std() == pytest.approx(0.05, rel=0.3)
     np.testing.assert_array_equal(drawn[0].reshape(7, 9)[:, :8].ravel(), cut[0])
-    assert dots_differ(sensor_row("evetac"), cut=True) is None
-    camera_of = GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(0))
+    assert dots_differ(plain, cut=True) is None
+    camera_of = gel_camera(spread, cut=True)
     assert isinstance(camera_of._camera, CameraState)
     assert len(camera_of._camera.shapes.inner_px) == 56
 
@@ -134,6 +136,6 @@ def test_ideal_camera_refuses_them() -> None:
     """Assert that an ideal camera, whose dots are all alike, says so."""
     with pytest.raises(ValueError, match="dots that differ"):
         ideal.from_references(start())
-    row = sensor_row("evetac") | {"dot_radius_spread": 0.1}
+    spread = dataclasses.replace(one_sensor("evetac"), dot_radius_spread=0.1)
     with pytest.raises(ValueError, match="dots that differ"):
-        GelCamera(row, cut=True, texture=None, rng=np.random.default_rng(0), readout="ideal")
+        gel_camera(spread, cut=True, readout="ideal")

@@ -2,7 +2,7 @@
 
 import copy
 import math
-import tomllib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evetac_cli.errors import InputError
-from evetac_cli.resources import SCENES, table
-from evetac_cli.sim import sampling, scene
+from evetac_cli.resources import table
+from evetac_cli.sim.setup import object_file, sampling, scene_file
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.sensor import SensorGripper
+from evetac_cli.sim.setup.tables import as_table
+
+SLIP = scene_file.load("slip")
+EVETAC = one_sensor("evetac")
 
 
-def slip() -> dict[str, Any]:
-    """The scene `slip` as a table."""
-    return tomllib.loads((SCENES / "slip.toml").read_text())
+def slip(**ranges: Any) -> Scene:
+    """The scene `slip` with other ranges."""
+    return replace(SLIP, randomise=replace(SLIP.randomise, **ranges))
 
 
 def random(seed: int) -> np.random.Generator:
@@ -27,11 +34,10 @@ def random(seed: int) -> np.random.Generator:
 
 def test_samples_stay_in_their_ranges() -> None:
     """Assert that 200 samples lie in the scene's ranges and fill them."""
-    ramp, object_params = slip(), scene.object_row(8)
-    rng = np.random.default_rng(0)
-    sampled = [sampling.sample_trial(ramp, object_params, rng) for _ in range(200)]
-    friction = np.array([one.static_friction for one in sampled]) / object_params["static_friction"]
-    low, high = ramp["randomise"]["static_friction"]
+    touched, rng = object_file.of_table(8), random(0)
+    sampled = [sampling.sample_trial(SLIP, touched, EVETAC, rng) for _ in range(200)]
+    friction = np.array([one.static_friction for one in sampled]) / touched.static_friction
+    low, high = SLIP.randomise.static_friction
     assert low <= friction.min() < low + 0.02
     assert high - 0.02 < friction.max() <= high
     assert all(one.kinetic_friction < one.static_friction for one in sampled)
@@ -39,30 +45,27 @@ def test_samples_stay_in_their_ranges() -> None:
 
 def test_keys_of_a_scene_leave_other_samples() -> None:
     """Assert that touch, lever and kinetic spread change nothing else that is sampled, and lie in their ranges."""
-    plain, more, flat = slip(), slip(), scene.object_row(16)
-    for key in ("touch_mm", "kinetic_share_spread"):
-        del plain["randomise"][key]
-    more["randomise"] |= {"touch_mm": 3.0, "lever_mm": 3.0}
+    plain, more = slip(touch_mm=0.0, kinetic_share_spread=None), slip(touch_mm=3.0, lever_mm=3.0)
+    flat, round_ = object_file.of_table(16), object_file.of_table(8)
     for seed in range(50):
-        old, new = sampling.sample_trial(plain, flat, random(seed)), sampling.sample_trial(more, flat, random(seed))
+        old, new = (sampling.sample_trial(scene, flat, EVETAC, random(seed)) for scene in (plain, more))
         assert old.touch_m == (0.0, 0.0)
         assert old.lever_m == 0.0
         assert {**vars(old), "touch_m": 0, "lever_m": 0} == {**vars(new), "touch_m": 0, "lever_m": 0}
         assert np.abs(new.touch_m).max() <= 3e-3
-    sampled = [sampling.sample_trial(more, flat, random(seed)) for seed in range(400)]
+    sampled = [sampling.sample_trial(more, flat, EVETAC, random(seed)) for seed in range(400)]
     assert np.std([one.lever_m for one in sampled]) == pytest.approx(3e-3, rel=0.15)
     assert np.std([one.touch_m for one in sampled]) == pytest.approx(3e-3 / math.sqrt(3), rel=0.1)
-    assert sampling.sample_trial(more, scene.object_row(8), random(0)).lever_m == 0.0  # round: touched on its axis
+    assert sampling.sample_trial(more, round_, EVETAC, random(0)).lever_m == 0.0  # touched on its axis
 
 
 def test_objects_keep_their_kinetic_share() -> None:
     """Assert that with a spread the kinetic share of an object stays within it, and objects differ by more."""
-    spread = slip()
-    spread["randomise"]["kinetic_share_spread"] = 0.03
+    spread = slip(kinetic_share_spread=0.03)
 
     def shares(number: int) -> list[float]:
-        row = scene.object_row(number)
-        sampled = [sampling.sample_trial(spread, row, random(seed), None, number) for seed in range(30)]
+        touched = object_file.of_table(number)
+        sampled = [sampling.sample_trial(spread, touched, EVETAC, random(seed), number) for seed in range(30)]
         return [one.kinetic_friction / one.static_friction for one in sampled]
 
     by_object = [shares(number) for number in range(1, 9)]
@@ -74,15 +77,15 @@ def test_objects_keep_their_kinetic_share() -> None:
 def test_sampled_sensors_lie_in_their_ranges() -> None:
     """Assert that 300 sampled sensors fill the ranges of the table, log-uniform ones evenly in the logarithm."""
     ranges = table("sensors")["randomized"]
-    rows = [sampling.sample_sensor(ranges, random(seed)) for seed in range(300)]
-    for group, low, high in (("mm_per_px", 0.029, 0.034), ("hot_pixels", 0, 400), ("loss_tangent", 0.06, 0.24)):
-        values = np.array([row[group] for row in rows])
+    sensors = [sampling.sample_sensor(ranges, random(seed)) for seed in range(300)]
+    for name, low, high in (("mm_per_px", 0.029, 0.034), ("hot_pixels", 0, 400), ("loss_tangent", 0.06, 0.24)):
+        values = np.array([getattr(sensor, name) for sensor in sensors])
         assert low <= values.min() <= low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) <= values.max() <= high
-    moduli = np.log([row["normal_modulus_pa"] for row in rows])
+    moduli = np.log([sensor.normal_modulus_pa for sensor in sensors])
     assert moduli.mean() == pytest.approx(np.log([0.5e6, 2.0e6]).mean(), abs=0.06)
-    assert len({type(row["hot_pixels"]) for row in rows} | {int}) == 1
-    shifts = np.array([np.subtract(row["dot_columns_px"], ranges["dot_columns_px"]) for row in rows])
+    assert {type(sensor.hot_pixels) for sensor in sensors} == {int}
+    shifts = np.array([np.subtract(sensor.dot_columns_px, ranges["dot_columns_px"]) for sensor in sensors])
     assert np.ptp(shifts, axis=1).max() < 1e-9
     assert 5 < np.abs(shifts).max() <= 6
 
@@ -122,16 +125,16 @@ def test_ranges_are_wide() -> None:
 def test_a_range_more_leaves_the_others() -> None:
     """Assert that a range added at the front of the table, or a table turned round, changes no other value."""
     ranges = table("sensors")["randomized"]
-    row = sampling.sample_sensor(ranges, random(3))
-    turned = {"another": {"uniform": [0, 1], "stream": 3}, **dict(reversed(ranges.items()))}
+    sensor = sampling.sample_sensor(ranges, random(3))
+    turned = {"leak_hz": {"uniform": [0.5, 1], "stream": 3}, **dict(reversed(ranges.items()))}
     more = sampling.sample_sensor(turned, random(3))
-    assert 0 <= more.pop("another") <= 1
-    assert more == row
+    assert 0.5 <= more.leak_hz <= 1
+    assert replace(more, leak_hz=sensor.leak_hz) == sensor
 
 
 def test_values_of_a_numbered_sensor() -> None:
     """Assert the values of `randomized:7`, literally: a range renamed or moved must not change them."""
-    row = scene.sensor_row("randomized:7")
+    row = as_table(one_sensor("randomized:7"))
     named = dict(table("sensors")["randomized"])
     sampled = {key: value for key, value in row.items() if value != named.get(key)}
     assert sampled.pop("friction") == pytest.approx(
@@ -192,14 +195,16 @@ def test_values_of_a_numbered_sensor() -> None:
 
 
 def test_a_range_of_another_name_has_the_same_values() -> None:
-    """Assert that the key of a range plays no part in what is sampled from it."""
+    """Assert that neither the key nor the table of a range plays a part in what is sampled from it."""
     ranges = copy.deepcopy(dict(table("sensors")["randomized"]))
-    row = sampling.sample_sensor(ranges, random(3))
-    ranges["spread_of_thresholds"] = ranges.pop("mismatch")
-    ranges["hand"] = ranges.pop("gripper")
+    sensor = sampling.sample_sensor(ranges, random(3))
+    ranges["leak_hz"] = ranges.pop("mismatch")
+    ranges["mismatch"] = 0.05
+    ranges["friction"]["stribeck_mm_s"] = ranges["gripper"].pop("mass_kg")
     renamed = sampling.sample_sensor(ranges, random(3))
-    assert renamed["spread_of_thresholds"] == row["mismatch"]
-    assert renamed["hand"] == row["gripper"]
+    moved = {"leak_hz": sensor.mismatch, "friction": replace(sensor.friction, stribeck_mm_s=sensor.gripper.mass_kg)}
+    without = {"mismatch": 0.05, "gripper": replace(sensor.gripper, mass_kg=None)}
+    assert renamed == replace(sensor, **moved, **without)
 
 
 @pytest.mark.parametrize(
@@ -242,9 +247,9 @@ def test_a_list_may_hold_ranges() -> None:
     """Assert that ranges in a list are sampled, each from its own stream, and refused with their place."""
     ranges = dict(table("sensors")["randomized"])
     ranges["creep"] = {"share": [{"uniform": [0.0, 0.1], "stream": 5}, 0.02], "time_s": [0.3, 5.0]}
-    creep = sampling.sample_sensor(ranges, random(3))["creep"]
-    assert 0.0 <= creep["share"][0] <= 0.1
-    assert creep["share"][1] == 0.02
+    creep = sampling.sample_sensor(ranges, random(3)).creep
+    assert 0.0 <= creep.share[0] <= 0.1
+    assert creep.share[1] == 0.02
     ranges["creep"]["share"][1] = {"uniform": [0.0, 0.1], "stream": 5}
     with pytest.raises(InputError, match=r"creep\.share\[1\]: the same random stream as creep\.share\[0\]"):
         sampling.sample_sensor(ranges, random(3))
@@ -252,8 +257,8 @@ def test_a_list_may_hold_ranges() -> None:
 
 def test_faults_of_a_gripper() -> None:
     """Assert that a scene's faults stand above those of the sensor's gripper, and that what none names is 0."""
-    own = {"gripper": {"backlash_ticks": 1.0, "command_delay_ms": 3.0}}
-    faults = sampling.gripper_faults({"gripper": {"backlash_ticks": 0.0}}, own)
-    assert faults["backlash_ticks"] == 0.0
-    assert faults["command_delay_ms"] == 3.0
-    assert faults["encoder_noise_ticks"] == 0.0
+    own = replace(EVETAC, gripper=SensorGripper(backlash_ticks=1.0, command_delay_ms=3.0))
+    faults = sampling.gripper_faults(replace(SLIP, gripper=replace(SLIP.gripper, backlash_ticks=0.0)), own)
+    assert faults.backlash_ticks == 0.0
+    assert faults.command_delay_ms == 3.0
+    assert faults.encoder_noise_ticks == 0.0

@@ -1,5 +1,6 @@
 """A sensor as a file: what is accepted, how what is wrong is said, and that only the content counts."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,10 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.params.recording import Record
 from evetac_cli.resources import table
-from evetac_cli.sim import scene, sensor_file
 from evetac_cli.sim.camera.gel_camera import dot_grid
+from evetac_cli.sim.setup import sensor_file
+from evetac_cli.sim.setup.plan import named_sensor, one_sensor
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import record
 from evetac_cli.stages.record import simulated
 from evetac_cli.text_files import as_toml
@@ -38,53 +41,51 @@ def written(folder: Path, stem: str = "mine", /, **keys: Any) -> str:
 @pytest.mark.parametrize("name", [*(name for name in table("sensors") if name != "randomized"), "randomized:3"])
 def test_sensors_of_the_package_pass_the_schema(name: str, tmp_path: Path) -> None:
     """Assert that every named sensor is a whole row, and that the same row comes back from a file that holds it."""
-    row = scene.sensor_row(name)
-    sensor_file.check_row(row, name)
+    sensor = one_sensor(name)
+    assert sensor_file.of_row(as_table(sensor), name) == sensor
     path = tmp_path / "same.toml"
-    path.write_text(as_toml(row))
-    called, again = scene.named_sensor(str(path))
-    assert called == "own-sensor" and again == row
+    path.write_text(as_toml(as_table(sensor)))
+    assert named_sensor(str(path)) == ("own-sensor", sensor)
 
 
 def test_what_a_file_leaves_out_is_as_in_the_sensor_it_is_like(tmp_path: Path) -> None:
     """Assert that named keys replace those of the sensor, tables key by key, and that all others stay."""
-    _, row = scene.named_sensor(written(tmp_path, noise_hz=1, gripper={"mass_kg": 3}))
-    assert row == {**scene.sensor_row("evetac"), "noise_hz": 1.0, "gripper": {"mass_kg": 3.0}}
-    assert isinstance(row["noise_hz"], float)
-    path = written(tmp_path, like="randomized:2", gripper={"mass_kg": 3.0})
-    other = scene.sensor_row("randomized:2")
-    assert scene.named_sensor(path)[1]["gripper"] == {**other["gripper"], "mass_kg": 3.0}
+    _, sensor = named_sensor(written(tmp_path, noise_hz=1, gripper={"mass_kg": 3}))
+    assert as_table(sensor) == {**as_table(one_sensor("evetac")), "noise_hz": 1.0, "gripper": {"mass_kg": 3.0}}
+    assert isinstance(sensor.noise_hz, float)
+    _, other = named_sensor(written(tmp_path, like="randomized:2", gripper={"mass_kg": 3.0}))
+    assert other.gripper == replace(one_sensor("randomized:2").gripper, mass_kg=3.0)
 
 
 def test_places_of_all_dots(tmp_path: Path) -> None:
     """Assert that a sensor shows its dots exactly where its file has them, a cut gel those beside its window."""
-    dots = dot_grid(scene.sensor_row("randomized:4"), cut=False) + 0.25
-    _, row = scene.named_sensor(written(tmp_path, dot_xy_px=dots.tolist()))
-    np.testing.assert_array_equal(dot_grid(row, cut=False), dots)
-    np.testing.assert_array_equal(dot_grid(row, cut=True), dots[:, :8])
-    assert not {"dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg"} & row.keys()
+    dots = dot_grid(one_sensor("randomized:4"), cut=False) + 0.25
+    _, sensor = named_sensor(written(tmp_path, dot_xy_px=dots.tolist()))
+    np.testing.assert_array_equal(dot_grid(sensor, cut=False), dots)
+    np.testing.assert_array_equal(dot_grid(sensor, cut=True), dots[:, :8])
+    assert not {"dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg"} & as_table(sensor).keys()
 
 
 def test_dots_in_a_list_without_rows(tmp_path: Path) -> None:
     """Assert that a list of dots in any order is put into the rows of its grid, or is one row where it has none."""
-    dots = dot_grid(scene.sensor_row("evetac"), cut=False)
+    dots = dot_grid(one_sensor("evetac"), cut=False)
     shuffled = np.random.default_rng(0).permutation(dots.reshape(-1, 2))
-    _, row = scene.named_sensor(written(tmp_path, dot_xy_px=shuffled.tolist()))
-    np.testing.assert_array_equal(dot_grid(row, cut=False), dots)
-    _, row = scene.named_sensor(written(tmp_path, dot_xy_px=shuffled[1:].tolist()))
-    np.testing.assert_array_equal(dot_grid(row, cut=False), shuffled[None, 1:])
-    beside = dot_grid(row, cut=True)
+    _, sensor = named_sensor(written(tmp_path, dot_xy_px=shuffled.tolist()))
+    np.testing.assert_array_equal(dot_grid(sensor, cut=False), dots)
+    _, sensor = named_sensor(written(tmp_path, dot_xy_px=shuffled[1:].tolist()))
+    np.testing.assert_array_equal(dot_grid(sensor, cut=False), shuffled[None, 1:])
+    beside = dot_grid(sensor, cut=True)
     assert beside.shape == (1, 56 - (shuffled[0, 0] < 525), 2)
-    assert beside[..., 0].max() + row["dot_radius_px"] < row["window_px"][0]
+    assert beside[..., 0].max() + sensor.dot_radius_px < sensor.window_px[0]
 
 
 def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path) -> None:
     """Assert that a whole row with places and one with columns and rows both pass, and one with neither does not."""
-    row = scene.sensor_row("evetac")
-    places = {key: value for key, value in row.items() if key not in sensor_file.GRID}
+    sensor = one_sensor("evetac")
+    places = {key: value for key, value in as_table(sensor).items() if key not in sensor_file.GRID}
     with pytest.raises(InputError, match="the places of the dots are missing"):
-        sensor_file.check_row(places, "here")
-    sensor_file.check_row({**places, "dot_xy_px": dot_grid(row, cut=False).tolist()}, "here")
+        sensor_file.of_row(places, "here")
+    sensor_file.of_row({**places, "dot_xy_px": dot_grid(sensor, cut=False).tolist()}, "here")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +140,7 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
 def test_what_is_wrong_is_said(keys: dict[str, Any], says: str, tmp_path: Path) -> None:
     """Assert that what cannot be a sensor is refused with its place, at exit code 2."""
     with pytest.raises(InputError) as refused:
-        scene.named_sensor(written(tmp_path, **keys))
+        named_sensor(written(tmp_path, **keys))
     assert says in str(refused.value)
     assert "mine.sensor.toml" in str(refused.value)
 
@@ -149,17 +150,17 @@ def test_a_sensor_without_base_needs_all_keys(tmp_path: Path) -> None:
     path = tmp_path / "bare.toml"
     path.write_text("noise_hz = 0.1\n")
     with pytest.raises(InputError, match="keys are missing") as refused:
-        scene.named_sensor(str(path))
+        named_sensor(str(path))
     assert "threshold" in str(refused.value) and "like" in str(refused.value)
 
 
 def test_no_file(tmp_path: Path) -> None:
     """Assert that a missing file, and one that is no TOML, are refused with their name."""
     with pytest.raises(InputError, match=r"none\.toml"):
-        scene.named_sensor(str(tmp_path / "none.toml"))
+        named_sensor(str(tmp_path / "none.toml"))
     (tmp_path / "odd.toml").write_text("[[[")
     with pytest.raises(InputError, match="not valid TOML"):
-        scene.named_sensor(str(tmp_path / "odd.toml"))
+        named_sensor(str(tmp_path / "odd.toml"))
 
 
 def test_the_recipe_hangs_on_the_content(tmp_path: Path) -> None:
@@ -173,5 +174,5 @@ def test_the_recipe_hangs_on_the_content(tmp_path: Path) -> None:
     assert recipe_id(written(tmp_path, "two", noise_hz=0.5, summary="mine")) == first
     assert recipe_id(written(tmp_path, "two", noise_hz=0.6, summary="mine")) != first
     whole = tmp_path / "whole.toml"
-    whole.write_text(as_toml({**scene.sensor_row("evetac"), "noise_hz": 0.5, "summary": "mine"}))
+    whole.write_text(as_toml({**as_table(one_sensor("evetac")), "noise_hz": 0.5, "summary": "mine"}))
     assert recipe_id(str(whole)) == first

@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,15 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices.simulated import rig
-from evetac_cli.errors import InputError, SceneError
-from evetac_cli.resources import SCENES, table
-from evetac_cli.sim import scene
-from evetac_cli.sim.parts import parts
+from evetac_cli.errors import SceneError
+from evetac_cli.resources import SCENES
+from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.driven import Face
+from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.scene import LightSettings, LightStep
 from evetac_cli.text_files import as_toml
 
 
@@ -22,24 +26,17 @@ def named(name: str) -> dict[str, Any]:
     return tomllib.loads((SCENES / f"{name}.toml").read_text())
 
 
-def slip() -> dict[str, Any]:
-    return named("slip")
-
-
-def random(seed: int) -> np.random.Generator:
-    return np.random.default_rng(seed)
+def written(folder: Path, table: dict[str, Any]) -> str:
+    """The file of a scene."""
+    path = folder / "own.toml"
+    path.write_text(as_toml(table))
+    return str(path)
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_scenes_are_valid(path: Path) -> None:
     """Assert that every scene of the package passes its schema and is named as its file."""
-    assert scene.load(path.stem)["name"] == path.stem
-
-
-def test_objects_are_the_papers() -> None:
-    """Assert that the table has 20 objects with the paper's masses."""
-    masses = [scene.object_row(number)["mass_g"] for number in range(1, 21)]
-    assert masses == [341, 325, 70, 102, 236, 273, 100, 114, 119, 72, 108, 38, 116, 166, 56, 74, 248, 550, 96, 374]
+    assert scene_file.load(path.stem).name == path.stem
 
 
 @pytest.mark.parametrize(
@@ -60,21 +57,17 @@ def test_what_is_wrong_is_said(group: str, key: str, value: Any, says: str, tmp_
     """Assert that an unknown key, or a value of the wrong kind or range, is refused with its place."""
     odd = named("data-rate")
     odd.setdefault(group, {})[key] = value
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=says):
-        scene.load(str(path))
+        scene_file.load(written(tmp_path, odd))
 
 
 def test_a_misspelt_key_that_is_needed(tmp_path: Path) -> None:
     """Assert that a misspelling is named rather than the key that it stands for."""
     odd = named("data-rate")
     odd["randomise"]["masss"] = odd["randomise"].pop("mass")
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match="masss") as caught:
-        scene.load(str(path))
-    assert "did you mean `mass`" in str(caught.value)
+        scene_file.load(written(tmp_path, odd))
+    assert "did you mean mass?" in str(caught.value)
 
 
 def test_files_that_are_no_scene(tmp_path: Path) -> None:
@@ -84,41 +77,9 @@ def test_files_that_are_no_scene(tmp_path: Path) -> None:
     (tmp_path / "folder.toml").mkdir()
     for name in ("broken", "binary", "folder", "absent"):
         with pytest.raises(SceneError):
-            scene.load(str(tmp_path / f"{name}.toml"))
+            scene_file.load(str(tmp_path / f"{name}.toml"))
     with pytest.raises(SceneError, match="did you mean slip"):
-        scene.load("slipp")
-    with pytest.raises(InputError, match="did you mean evetac"):
-        scene.sensor_row("evtac")
-
-
-@pytest.mark.parametrize(("text", "numbers"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])
-def test_object_lists(text: str, numbers: list[int]) -> None:
-    """Assert that lists and ranges of objects are read in their order, each once."""
-    assert scene.numbers(text) == numbers
-
-
-@pytest.mark.parametrize("text", ["", "a", "3-", "5-3", "1;2", "-1"])
-def test_bad_object_lists(text: str) -> None:
-    """Assert that anything else is refused."""
-    with pytest.raises(InputError):
-        scene.numbers(text)
-
-
-def test_which_sensor_is_sampled() -> None:
-    """Assert that randomized:N is one sensor wherever it is named, and randomized another for every trial and seed."""
-    (slipping,) = scene.plan("slip", "8", "randomized:7", ("ramp",))
-    (lifting,) = scene.plan("lift", "11", "randomized:7", ("lift",))
-    assert slipping["sensor_row"] == lifting["sensor_row"] != scene.sensor_row("randomized:8")
-    assert scene.for_trial(slipping, (0, 8, 1)) is slipping
-    (each,) = scene.plan("slip", "8", "randomized", ("ramp",))
-    trials = [scene.for_trial(each, seeds) for seeds in ((0, 8, 0), (0, 8, 1), (1, 8, 0), (0, 8, 0))]
-    rows = [trial["sensor_row"] for trial in trials]
-    assert rows[0] == rows[3]
-    assert len({row["seed"] for row in rows}) == 3
-    assert all(trial["sensor_ranges"] == table("sensors")["randomized"] for trial in trials)
-    for wrong in ("randomized:", "randomized:x", "randomized:-1", "randomized:1.5"):
-        with pytest.raises(InputError, match="no such sensor"):
-            scene.sensor_row(wrong)
+        scene_file.load("slipp")
 
 
 # What a scene cannot do without beyond its schema: (scene of that kind, key).
@@ -143,10 +104,8 @@ def test_m4_a_part_that_is_missing_is_said(name: str, key: str, tmp_path: Path) 
         del odd[group][inner]
     else:
         del odd[group]
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
-    with pytest.raises(SceneError, match=key):
-        scene.load(str(path))
+    with pytest.raises(SceneError, match=f"{key} is missing"):
+        scene_file.load(written(tmp_path, odd))
 
 
 @pytest.mark.parametrize(
@@ -162,12 +121,10 @@ def test_m4_a_motion_without_end_is_refused(name: str, group: str, key: str, val
     """Assert that a face that would take more than a day is refused, and not recorded for ever."""
     odd = named(name)
     odd.setdefault(group, {})[key] = value
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
-    (plan,) = scene.plan(str(path), "8", "evetac", ("press", "rub"))
-    build = {"press": Pressing, "rub": Rubbing}[plan["scene"]["kind"]]
+    endless = plan(written(tmp_path, odd), kinds=("press", "rub"))
+    simulation = {"press": Pressing, "rub": Rubbing}[endless.scene.kind]
     with pytest.raises(SceneError, match="too long"):
-        build(plan, random(0), random(1))
+        simulation(endless, np.random.default_rng(0), np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(
@@ -185,21 +142,17 @@ def test_m4_a_scene_that_cannot_be_simulated_is_said(name: str, key: str, value:
     odd = named(name)
     group, inner = key.split(".")
     odd[group][inner] = value
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
-    (plan, *_) = scene.plan(str(path), "8", "evetac", ("ramp", "press", "tone"))
+    planned = plan(written(tmp_path, odd), kinds=("ramp", "press", "tone"))
     with pytest.raises(SceneError, match=odd["name"]):
-        rig(plan, np.random.SeedSequence(0))
+        rig(planned, np.random.SeedSequence(0))
 
 
 def test_an_edge_blurred_over_the_whole_view_is_refused(tmp_path: Path) -> None:
     """Assert that a blur so wide that drawing the edge takes many seconds is refused with its place and its limit."""
     odd = named("edge")
     odd["rub"]["edge_blur_px"] = [1000.0, 1000.0]
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
-    with pytest.raises(SceneError, match=r"rub\.edge_blur_px.*maximum of 50"):
-        scene.load(str(path))
+    with pytest.raises(SceneError, match=r"rub\.edge_blur_px\.0: out of range\n  expected: more than 0 to 50\n"):
+        scene_file.load(written(tmp_path, odd))
 
 
 SHAKES = {"frequency_hz": [20.0], "acceleration_m_s2": [0.5]}
@@ -230,14 +183,9 @@ def test_optional_parts_are_read_and_named(name: str, group: str, keys: dict[str
     """Assert that each part is accepted, said to be built, and said to be left out by the shipped scene."""
     more = named(name)
     more[group] = {**more.get(group, {}), **keys}
-    path = tmp_path / "more.toml"
-    path.write_text(as_toml(more))
-    built = [{row["part"] for row in parts(plan) if row["built"]} for plan in _plans(str(path), name)]
-    assert len(built[0] - built[1]) == 1
-
-
-def _plans(*scenes: str) -> list[dict[str, Any]]:
-    return [scene.plan(one, "8", "evetac", ("ramp", "lift"))[0] for one in scenes]
+    plans = plan(written(tmp_path, more)), plan(name)
+    built, as_shipped = ({row["part"] for row in rows_of(one) if row["built"]} for one in plans)
+    assert len(built - as_shipped) == 1
 
 
 @pytest.mark.parametrize(
@@ -263,10 +211,8 @@ def test_parts_of_other_kinds_are_refused(
     """Assert that a part that this kind of scene cannot have is refused rather than left out in silence."""
     odd = named(name)
     odd[group] = {**odd.get(group, {}), **keys}
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=f"{says}.*another kind"):
-        scene.load(str(path))
+        scene_file.load(written(tmp_path, odd))
 
 
 @pytest.mark.parametrize(
@@ -290,7 +236,11 @@ def test_parts_of_other_kinds_are_refused(
         ("hand", {"vibration": {"frequency_hz": [20.0]}}, "acceleration_m_s2"),
         ("hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [-1.0]}}, "acceleration_m_s2"),
         ("hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [math.nan]}}, "acceleration_m_s2"),
-        ("hand", {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [1.0, 1.0]}}, "of another length"),
+        (
+            "hand",
+            {"vibration": {"frequency_hz": [20.0], "acceleration_m_s2": [1.0, 1.0]}},
+            "lists of different lengths",
+        ),
         ("hand", {"vibration": {"frequency_hz": [1000.0], "acceleration_m_s2": [1.0]}}, "frequency_hz"),
         ("hand", {"vibration": {"frequency_hz": [20.0] * 17, "acceleration_m_s2": [1.0] * 17}}, "hand.vibration"),
         ("hand", {"profile": "square"}, "profile"),
@@ -298,12 +248,10 @@ def test_parts_of_other_kinds_are_refused(
 )
 def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: str, tmp_path: Path) -> None:
     """Assert that a key that is missing, misspelt or out of range is said."""
-    odd = slip()
+    odd = named("slip")
     odd[group] = {**odd.get(group, {}), **keys}
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=says):
-        scene.load(str(path))
+        scene_file.load(written(tmp_path, odd))
 
 
 @pytest.mark.parametrize(
@@ -311,8 +259,8 @@ def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: s
     [
         ("gripper", {"close_s": 0.1}, "gripper.close_s has no effect with gripper.current"),
         ("gripper", {"start_factor": [2.0, 3.0]}, "gripper.start_factor has no effect"),
-        ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "rising times"),
-        ("gripper", {"current": {"at_s": [0.0, 1.0], "ma": [1.0]}}, "of another length"),
+        ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "expected rising values, none twice"),
+        ("gripper", {"current": {"at_s": [0.0, 1.0], "ma": [1.0]}}, "lists of different lengths"),
         ("time", {"longest_s": 35.0}, "after the scene ends"),
         ("square", {"from_s": 12.0}, "square: not within the current"),
         ("square", {"to_s": 36.0}, "square: not within the current"),
@@ -323,44 +271,24 @@ def test_a_gripper_current_that_is_wrong(group: str, keys: dict[str, Any], says:
     odd = named("grip-steps")
     changed = odd["gripper"]["current"]["square"] if group == "square" else odd[group]
     changed |= keys
-    path = tmp_path / "odd.toml"
-    path.write_text(as_toml(odd))
     with pytest.raises(SceneError, match=says):
-        scene.load(str(path))
-
-
-def test_whether_the_window_shows_a_texture() -> None:
-    """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
-    (shown,), (default,) = (scene.plan("slip", "8", "evetac", ("ramp",), texture=given) for given in ("on", None))
-    assert shown == default
-    for name, kind, given, says in (("lift", "lift", "on", True), ("slip", "ramp", "off", False)):
-        (plan,) = scene.plan(name, "8", "evetac", (kind,), texture=given)
-        assert plan["scene"]["texture"]["show"] is says
-
-
-@pytest.mark.parametrize(
-    ("name", "gel", "texture", "says"),
-    [("slip", "closed", "on", "no window"), ("edge", None, "on", "no texture"), ("press", None, "off", "no texture")],
-)
-def test_no_texture_to_show(name: str, gel: str | None, texture: str, says: str) -> None:
-    """Assert that --texture is refused where it could change nothing."""
-    with pytest.raises(InputError, match=f"--texture(.|\n)*{says}"):
-        scene.plan(name, "8", "evetac", ("ramp", "rub", "press"), gel, texture=texture)
+        scene_file.load(written(tmp_path, odd))
 
 
 def test_a_packaged_scene_that_is_changed(tmp_path: Path) -> None:
     """Assert that values change key by key, None takes one away, the rest stays, and nonsense is said when read."""
-    path, shear = tmp_path / "own.toml", scene.load("shear")
-    path.write_text(scene.changed("shear", {}))
-    assert scene.load(str(path)) == shear
+    path, shear = tmp_path / "own.toml", scene_file.load("shear")
+    path.write_text(scene_file.changed("shear", {}))
+    assert scene_file.load(str(path)) == shear
     path.write_text(
-        scene.changed(
+        scene_file.changed(
             "shear", {"face": {"size_mm": None, "radius_mm": 8.0}, "light": {"step": {"at_s": 1.0, "factor": 0.5}}}
         )
     )
-    own = scene.load(str(path))
-    assert own.pop("light") == {"step": {"at_s": 1.0, "factor": 0.5}}
-    assert own == {**shear, "face": {"static_friction": shear["face"]["static_friction"], "radius_mm": 8.0}}
-    path.write_text(scene.changed("shear", {"motion": {"shear_nn": 4.0}}))
+    own = scene_file.load(str(path))
+    assert own.light == LightSettings(step=LightStep(at_s=1.0, factor=0.5))
+    assert own.face == Face(static_friction=shear.face.static_friction, radius_mm=8.0)
+    assert replace(own, light=None, face=shear.face) == shear
+    path.write_text(scene_file.changed("shear", {"motion": {"shear_nn": 4.0}}))
     with pytest.raises(SceneError, match="did you mean"):
-        scene.load(str(path))
+        scene_file.load(str(path))

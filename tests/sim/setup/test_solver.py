@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import SceneError
-from evetac_cli.sim.scene import plan
-from evetac_cli.sim.solver import Solver, from_scene, resolve
+from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.solver import Solver, with_given
+from evetac_cli.sim.setup.tables import as_table
 
 
 @pytest.mark.parametrize(
@@ -31,30 +32,33 @@ def test_what_makes_no_sense_is_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=name):
         Solver(**settings)
     with pytest.raises(SceneError, match=name):
-        plan("slip", "8", "evetac", ("ramp",), solver=settings)
+        plan("slip", solver=settings)
 
 
 def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
     """Assert that of a tolerance and a fixed step the one that is given holds, whatever the scene names."""
-    fixed = resolve({"solver": {"tolerance_um": 0.05}}, {"step_ms": 0.5})
-    assert fixed["step_ms"] == 0.5
-    assert "tolerance_um" not in fixed
-    adaptive = resolve({"solver": {"step_ms": 0.5, "theta": 0.6}}, {"tolerance_um": 0.05})
-    assert (adaptive["tolerance_um"], adaptive["theta"]) == (0.05, 0.6)
-    assert "step_ms" not in adaptive
+    fixed = with_given(Solver(tolerance_um=0.05), {"step_ms": 0.5})
+    assert fixed.step_ms == 0.5
+    assert "tolerance_um" not in as_table(fixed)
+    adaptive = with_given(Solver(step_ms=0.5, theta=0.6), {"tolerance_um": 0.05})
+    assert (adaptive.tolerance_um, adaptive.theta) == (0.05, 0.6)
+    assert "step_ms" not in as_table(adaptive)
 
 
 def test_a_step_and_a_tolerance_together_are_refused() -> None:
     """Assert that neither is ignored in silence."""
     with pytest.raises(SceneError, match="not both"):
-        plan("slip", "8", "evetac", ("ramp",), solver={"step_ms": 0.5, "tolerance_um": 0.1})
+        plan("slip", solver={"step_ms": 0.5, "tolerance_um": 0.1})
 
 
-def test_a_plan_says_all_settings() -> None:
+@pytest.mark.parametrize(
+    ("scene", "given", "solver"),
+    [("slip", {}, Solver()), ("lift", {"scans_per_ms": 10}, Solver(node_pitch_mm=1.45, scans_per_ms=10))],
+)
+def test_a_plan_says_all_settings(scene: str, given: dict[str, Any], solver: Solver) -> None:
     """Assert that a plan, and so the recipe of a recording, names every setting, also those at their defaults."""
-    (planned,) = plan("lift", "8", "evetac", ("lift",), solver={"scans_per_ms": 10})
-    solver = planned["scene"]["solver"]
-    assert set(solver) == {
+    planned = plan(scene, solver=given)
+    assert set(planned.parameters()["scene"]["solver"]) == {
         "tolerance_um",
         "theta",
         "node_pitch_mm",
@@ -62,7 +66,7 @@ def test_a_plan_says_all_settings() -> None:
         "scans_per_ms",
         "residual",
     }
-    assert from_scene(planned["scene"]) == Solver(node_pitch_mm=1.45, scans_per_ms=10)
+    assert planned.scene.solver == solver
 
 
 @pytest.mark.parametrize(("tolerance_um", "halvings"), [(0.2, 3), (0.1, 4), (0.05, 5), (1e-9, 7), (0.4, 2), (1e3, 0)])

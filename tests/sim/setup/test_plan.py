@@ -1,0 +1,61 @@
+"""What a trial is made from: which objects, tones and sensors are meant, and what overrides a scene."""
+
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.resources import table
+from evetac_cli.sim.setup.plan import numbers, one_sensor, plan, plans
+
+
+@pytest.mark.parametrize(("text", "listed"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])
+def test_object_lists(text: str, listed: list[int]) -> None:
+    """Assert that lists and ranges of objects are read in their order, each once."""
+    assert numbers(text) == listed
+
+
+@pytest.mark.parametrize("text", ["", "a", "3-", "5-3", "1;2", "-1"])
+def test_bad_object_lists(text: str) -> None:
+    """Assert that anything else is refused."""
+    with pytest.raises(InputError):
+        numbers(text)
+
+
+def test_a_misspelt_sensor_gets_the_nearest() -> None:
+    """Assert that the name of no sensor is refused with the one that was meant."""
+    with pytest.raises(InputError, match="did you mean evetac"):
+        one_sensor("evtac")
+
+
+def test_which_sensor_is_sampled() -> None:
+    """Assert that randomized:N is one sensor wherever it is named, and randomized another for every trial and seed."""
+    (slipping,) = plans("slip", "8", "randomized:7", ("ramp",))
+    (lifting,) = plans("lift", "11", "randomized:7", ("lift",))
+    assert slipping.sensor == lifting.sensor != one_sensor("randomized:8")
+    assert slipping.of_trial((0, 8, 1)) == slipping.of_trial()
+    assert slipping.of_trial().sensor == slipping.sensor
+    (each,) = plans("slip", "8", "randomized", ("ramp",))
+    trials = [each.of_trial(seeds) for seeds in ((0, 8, 0), (0, 8, 1), (1, 8, 0), (0, 8, 0))]
+    assert trials[0].sensor == trials[3].sensor
+    assert len({trial.sensor.seed for trial in trials}) == 3
+    assert all(trial.sensor_ranges == table("sensors")["randomized"] for trial in trials)
+    for wrong in ("randomized:", "randomized:x", "randomized:-1", "randomized:1.5"):
+        with pytest.raises(InputError, match="no such sensor"):
+            one_sensor(wrong)
+
+
+def test_whether_the_window_shows_a_texture() -> None:
+    """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
+    shown, default = (plan("slip", texture=given).parameters() for given in ("on", None))
+    assert shown == default
+    for name, given, says in (("lift", "on", True), ("slip", "off", False)):
+        assert plan(name, texture=given).scene.texture.show is says
+
+
+@pytest.mark.parametrize(
+    ("name", "gel", "texture", "says"),
+    [("slip", "closed", "on", "no window"), ("edge", None, "on", "no texture"), ("press", None, "off", "no texture")],
+)
+def test_no_texture_to_show(name: str, gel: str | None, texture: str, says: str) -> None:
+    """Assert that --texture is refused where it could change nothing."""
+    with pytest.raises(InputError, match=f"--texture(.|\n)*{says}"):
+        plan(name, gel=gel, texture=texture)
