@@ -22,7 +22,7 @@ from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
 from evetac_cli.sim.setup.solver import with_given
-from evetac_cli.sim.setup.tables import as_table, build, check
+from evetac_cli.sim.setup.tables import as_table, build, read_table
 
 READOUTS = ("dvxplorer", "ideal")
 FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
@@ -77,17 +77,13 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
     row = parameters.get("object_row")
     if isinstance(row, dict):
         row = {"shape": "flat", **row}  # as a face is, of which recordings may say its friction alone
-    for type_, key, table_ in ((Scene, "scene", parameters["scene"]), (Sensor, "sensor_row", parameters["sensor_row"])):
-        check(type_, table_, f"{where}: header, {key}")
-    if row is not None:
-        check(TouchedObject, row, f"{where}: header, object_row")
     return Plan(
-        build(Scene, parameters["scene"]),
+        read_table(Scene, parameters["scene"], f"{where}: scene in the header"),
         str(parameters["sensor"]),
-        build(Sensor, parameters["sensor_row"]),
+        read_table(Sensor, parameters["sensor_row"], f"{where}: sensor in the header"),
         str(parameters["readout"]),
         parameters.get("object"),
-        None if row is None else build(TouchedObject, row),
+        None if row is None else read_table(TouchedObject, row, f"{where}: object in the header"),
         parameters.get("tone_hz"),
         parameters.get("sensor_ranges"),
     )

@@ -187,6 +187,12 @@ def build(type_: type[T], named: Mapping[str, Any]) -> T:
     return type_(**{name: _value(known[name], value) for name, value in named.items()})
 
 
+def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
+    """An object from a table of a file; InputError where it is none."""
+    check(type_, named, where)
+    return build(type_, named)
+
+
 def _value(known: About, value: Any) -> Any:
     if known.table is not None:
         return build(known.table, value)
@@ -370,7 +376,7 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
         )
     if error.validator == "type":
         kind = TYPES[error.validator_value]
-        raise InputError(f"{place}: expected {kind}", where=where, expected=_meaning(schema), found=given)
+        raise InputError(f"{place or 'here'}: expected {kind}", where=where, expected=_meaning(schema), found=given)
     if error.validator in ("minItems", "maxItems"):
         low, high = schema["minItems"], schema["maxItems"]
         count = f"{low}" if low == high else f"{low} to {high:,}"
