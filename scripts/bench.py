@@ -36,7 +36,7 @@ from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.setup.plan import plan as planned
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
 
@@ -63,7 +63,7 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     slip: the current falls by 6.9 mA/s from 0.9 s on. lift: the paper's control law, fed with the true slip.
     """
     kind = "lift" if name == "lift" else "ramp"
-    plan = planned(name, str(number))
+    plan = first_plan(name, str(number))
     for slices in (100, 100_000):  # the first compiles
         simulated = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
         mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated.gel_camera.render)
@@ -91,7 +91,7 @@ def edges() -> list[dict[str, object]]:
     """Two trials of the scene edge, from the first slice to the last: a finger and a handle."""
     rows = []
     for trial in (0, 1):
-        plan = planned("edge")
+        plan = first_plan("edge")
         for slices in (100, 100_000):  # the first compiles
             devices = rig(plan, np.random.SeedSequence([1, trial]))
             times = slice_times(devices, slices)
@@ -108,7 +108,7 @@ def stillness() -> list[dict[str, object]]:
         ("slip", "held, swinging", 700, 900),
         ("shear", "at rest", 2300, 3000),
     ):
-        plan = planned(name)
+        plan = first_plan(name)
         times = slice_times(rig(plan, np.random.SeedSequence([1, 0])), end)
         rows.append(row(f"simulate {name}, {what}", times[first:]))
     return rows

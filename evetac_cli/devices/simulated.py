@@ -1,16 +1,14 @@
 """Camera, gripper and clock of a simulated scene: reading a slice is what makes its time pass."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig
-from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.scenes.building import Simulation, simulation_of
+from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import Sensor
@@ -40,7 +38,7 @@ class SimulatedCamera:
         if self._simulation is None or self._simulation.finished:
             return None
         self._now_us += SLICE_US
-        with _scene_in_words(self._scene):
+        with scene_in_words(self._scene):
             return self._simulation.step()
 
     def now_us(self) -> int:
@@ -83,20 +81,6 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Rig:
 
     durations: lift_s and balance_s of a scene in which an object is lifted. SceneError if nothing can be made of it.
     """
-    with _scene_in_words(plan.scene.name):
-        return _rig(plan, seeds, durations)
-
-
-@contextmanager
-def _scene_in_words(scene: str) -> Iterator[None]:
-    """Each value of a scene has a range, but not all go together: what the kernels then refuse is said of the scene."""
-    try:
-        yield
-    except (ValueError, ZeroDivisionError, OverflowError) as error:
-        raise SceneError(f"cannot be simulated: {error}", where=f"scene {scene}") from error
-
-
-def _rig(plan: Plan, seeds: np.random.SeedSequence, durations: Mapping[str, float]) -> Rig:
     simulation = simulation_of(plan, seeds, **durations)
     camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
     slices, sampled = simulation.slices_in_all, simulation.sampled.as_json()

@@ -153,10 +153,6 @@ class TouchSensor:
         one = named if isinstance(named, Sensor) else sampling.sample_sensor(named, mechanics)
         touched = _touched(object)
         share = KINETIC_SHARE if touched.kinetic_share is None else touched.kinetic_share
-        try:
-            chosen = with_given(Solver(), solver)
-        except (ValueError, TypeError) as error:
-            raise InputError(f"solver: {error}", where="TouchSensor") from error
         scene = Scene(
             name="touch",
             kind="press",
@@ -164,7 +160,7 @@ class TouchSensor:
             time=SceneTimes(),
             gel=GelSettings(cut=gel == "cut"),
             randomise=Randomised(kinetic_share=(share, share)),
-            solver=chosen,
+            solver=with_given(Solver(), solver, "TouchSensor"),
         )
         self.sampled = sampling.sample_trial(scene, replace(touched, kinetic_share=None), one, mechanics)
         self._camera = GelCamera(one, scene=scene, texture=None, rng=optics, readout=readout)
@@ -420,7 +416,7 @@ def _touched(given: int | str | Path | Mapping[str, Any]) -> TouchedObject:
     if isinstance(given, str | Path):
         return object_file.read(Path(given))[1]
     if not isinstance(given, Mapping):
-        return object_file.of_table(given)
+        return object_file.of_number(given)
     where = "TouchSensor(object=...)"
     table = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
     require_finite(table, where)

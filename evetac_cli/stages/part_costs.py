@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import rows_of, switched
-from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.stages.trials import SimulatedTrial
 
@@ -41,10 +40,11 @@ Floats = NDArray[np.float64]
 class PartCosts:
     """Microseconds a slice of a trial, one for each block of slices, each the fastest of its runs.
 
-    whole: the trial as it is; timed: in the calls that are timed; switched: the trial with one part the other way.
+    parts: those of its plan; whole: the trial as it is; timed: in the calls that are timed; switched: the trial with
+    one part the other way.
     """
 
-    plan: Plan
+    parts: list[dict[str, Any]]
     whole: Floats
     timed: dict[str, Floats]
     switched: dict[str, Floats]
@@ -56,7 +56,7 @@ class PartCosts:
 
     def more_us(self, part: str) -> float:
         """How much more the trial takes with a part that can be switched than without it."""
-        left_out = any(row["part"] == part and row["left_out"] for row in rows_of(self.plan))
+        left_out = any(row["part"] == part and row["left_out"] for row in self.parts)
         difference_us = float(self._differences_us(part).mean())
         return -difference_us if left_out else difference_us
 
@@ -83,7 +83,7 @@ class PartCosts:
         otherwise. What the other parts of the camera do not account for is that of the dots. noise_us: within so much
         of zero a figure says nothing; None of one that is counted and not a difference.
         """
-        rows = rows_of(self.plan)
+        rows = [dict(row) for row in self.parts]
         names = [row["part"] for row in rows]
         built = [row["part"] for row in rows if row["left_out"] is None]
         timed_us = {part: float(us.mean()) for part, us in self.timed.items()}
@@ -205,7 +205,7 @@ def measure(
                 with_other[part].append(_run(other, play, slices, seconds))
         in_calls = np.min(plain, axis=0)[:, 1:].T
     return PartCosts(
-        plan=trial.plan,
+        parts=rows_of(trial.plan),
         whole=np.min(plain, axis=0)[:, 0],
         timed={part: us for part, us in zip(seconds, in_calls, strict=True) if us.any()},
         switched={part: np.min(runs, axis=0)[:, 0] for part, runs in with_other.items()},

@@ -9,7 +9,7 @@ from page_text import bounds, code, fenced, folded, prose, sentence, table, valu
 from evetac_cli.resources import SCENES, schemas
 from evetac_cli.resources import table as packaged
 from evetac_cli.sim.parts import rows_of
-from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, Plan, plan
+from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, Plan, first_plan
 from evetac_cli.text_files import read_toml
 
 Rules = Mapping[str, Any]
@@ -89,7 +89,7 @@ def scene_names() -> list[str]:
 
 def plan_of(name: str, sensor: str = EXAMPLE) -> Plan:
     """What a packaged scene builds with a sensor."""
-    return plan(name, sensor=sensor)
+    return first_plan(name, sensor=sensor)
 
 
 def _scenes() -> str:

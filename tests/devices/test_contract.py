@@ -18,22 +18,22 @@ from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
 
 
 def simulated(made: Made, mode: Mode = "current") -> Rig:
-    return rig(plan(str(made.scene)), np.random.SeedSequence([5, 8, 0]))
+    return rig(first_plan(str(made.scene)), np.random.SeedSequence([5, 8, 0]))
 
 
 def lifted(made: Made, mode: Mode = "current") -> Rig:
-    return rig(plan("lift"), np.random.SeedSequence([5, 8, 0]), lift_s=0.1, balance_s=0.0)
+    return rig(first_plan("lift"), np.random.SeedSequence([5, 8, 0]), lift_s=0.1, balance_s=0.0)
 
 
 def named(camera: str, gripper: str, made: Made, mode: Mode = "current") -> Rig:
     """What the command line opens for these names."""
-    ramp = plan(str(made.scene))
+    ramp = first_plan(str(made.scene))
     seeds = np.random.SeedSequence([5, 8, 0])
     return open_rig(
         cameras.parse(camera), grippers.parse(gripper), CameraSettings(), ramp, seeds, armed=True, mode=mode

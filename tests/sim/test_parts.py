@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 
+from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.parts import rows_of, switched
-from evetac_cli.sim.setup.plan import Plan, plan
-from evetac_cli.sim.setup.scene import Flicker, LightSettings
+from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.sim.setup.scene import Flicker, LightSettings, LightStep, VanishingDots
 from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, ReadoutLimit
 
 NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
@@ -33,7 +34,7 @@ def with_sensor(planned: Plan, **changes: Any) -> Plan:
 @pytest.mark.parametrize("name", NAMES)
 def test_one_part_at_a_time(name: str, sensor: str, gel: str) -> None:
     """Assert that a part is either built or left out, and that switching one changes it and what hangs on it alone."""
-    planned = plan(name, "8", sensor, gel=gel)
+    planned = first_plan(name, "8", sensor, gel=gel)
     assert all((row["built"] is None) != (row["left_out"] is None) for row in rows_of(planned))
     seen_with = {  # what is there only beside another part
         "window": {"cut edge"} if gel == "closed" else set(),
@@ -47,36 +48,36 @@ def test_one_part_at_a_time(name: str, sensor: str, gel: str) -> None:
 
 def test_what_can_be_left_out() -> None:
     """Assert which parts of three scenes can be had otherwise."""
-    assert set(switched(plan("slip"))) == {"window", "cut edge", "noise"}
-    assert set(switched(plan("data-rate", gel="closed"))) == {"pushes", "window", "noise"}
-    assert set(switched(plan("edge"))) == {"contact edges", "cut edge", "noise"}
-    assert "slow pixels" in switched(plan("drop-20g", sensor="randomized:3"))
+    assert set(switched(first_plan("slip"))) == {"window", "cut edge", "noise"}
+    assert set(switched(first_plan("data-rate", gel="closed"))) == {"pushes", "window", "noise"}
+    assert set(switched(first_plan("edge"))) == {"contact edges", "cut edge", "noise"}
+    assert "slow pixels" in switched(first_plan("drop-20g", sensor="randomized:3"))
 
 
 @pytest.mark.parametrize("name", ["lift", "sideways", "drop-20g", "drop-100g"])
 def test_grasps_leave_the_window_out(name: str) -> None:
     """Assert that a grasp builds no texture unless it is asked for, and says how to ask."""
-    assert "window" in left_out(plan(name))
-    assert "window" not in left_out(plan(name, texture="on"))
+    assert "window" in left_out(first_plan(name))
+    assert "window" not in left_out(first_plan(name, texture="on"))
 
 
 def test_parts_of_a_sensor() -> None:
     """Assert that what a sensor's row names is a row, and can be left out without what is named beside it."""
-    uneven = with_sensor(plan("slip"), friction=GelFriction(kinetic_share=0.8, patch_spread=0.1, patch_mm=3.0))
+    uneven = with_sensor(first_plan("slip"), friction=GelFriction(kinetic_share=0.8, patch_spread=0.1, patch_mm=3.0))
     assert built(uneven)["friction that varies over the gel"] == "by 10% over 3 mm"
     creeping = with_sensor(uneven, creep=GelCreep(share=(0.05, 0.02), time_s=(0.3, 5.0)))
     assert built(creeping)["slow creep"] == "5% in 0.3 s, 2% in 5 s"
     assert "slow creep" in left_out(switched(creeping)["slow creep"])
     other = switched(creeping)["friction that varies over the gel"]
     assert other.sensor.friction == GelFriction(kinetic_share=0.8)
-    assert "friction that varies over the gel" in left_out(plan("slip"))
-    tone = replace(plan("vibration"), sensor=creeping.sensor)
+    assert "friction that varies over the gel" in left_out(first_plan("slip"))
+    tone = replace(first_plan("vibration"), sensor=creeping.sensor)
     assert "friction that varies over the gel" in left_out(tone)
 
 
 def test_parts_that_only_some_scenes_name() -> None:
     """Assert that what few scenes have is a row where it is named, and can be left out there."""
-    slip = plan("slip")
+    slip = first_plan("slip")
     light = LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.1))
     flickering = replace(slip, scene=replace(slip.scene, light=light))
     assert built(flickering)["changing light"] == "flickers by 10% at 100 Hz"
@@ -88,8 +89,8 @@ def test_parts_that_only_some_scenes_name() -> None:
 
 def test_how_the_gripper_is_commanded() -> None:
     """Assert that a gripper that follows a current from the start is not said to be in position mode."""
-    assert built(plan("grip-steps"))["gripper"] == "current mode, as the scene names it"
-    assert built(plan("handling"))["gripper"].startswith("position")
+    assert built(first_plan("grip-steps"))["gripper"] == "current mode, as the scene names it"
+    assert built(first_plan("handling"))["gripper"].startswith("position")
 
 
 @pytest.mark.parametrize(
@@ -113,8 +114,8 @@ def test_how_the_gripper_is_commanded() -> None:
 )
 def test_parts_of_a_sensors_camera(part: str, words: str, named: dict[str, Any]) -> None:
     """Assert that each part of the camera is left out unless named, and can be left out alone where it is named."""
-    assert part in left_out(plan("slip"))
-    planned = with_sensor(plan("slip"), **named)
+    assert part in left_out(first_plan("slip"))
+    planned = with_sensor(first_plan("slip"), **named)
     assert built(planned)[part] == words
     other = switched(planned)[part]
     assert left_out(planned) ^ left_out(other) == {part}
@@ -123,6 +124,20 @@ def test_parts_of_a_sensors_camera(part: str, words: str, named: dict[str, Any])
 
 def test_uneven_light_is_seen_only_by_slow_pixels() -> None:
     """Assert that uneven light is left out, in words, where all pixels are equally fast."""
-    planned = with_sensor(plan("slip"), light_gradient=0.3, bandwidth_by_light=True)
+    planned = with_sensor(first_plan("slip"), light_gradient=0.3, bandwidth_by_light=True)
     (row,) = [row for row in rows_of(planned) if row["part"] == "uneven light"]
     assert row["left_out"] == "seen only where bandwidth falls with light"
+
+
+@pytest.mark.parametrize(
+    ("readout", "changes", "says"),
+    [
+        ("dvxplorer", {"vanishing_dots": VanishingDots(dots=((50, 50),), at_s=1.0)}, "vanishing_dots"),
+        ("ideal", {"light": LightSettings(step=LightStep(at_s=1.0, factor=0.5))}, "readout"),
+    ],
+)
+def test_a_scene_that_cannot_be_built_has_no_parts(readout: str, changes: dict[str, Any], says: str) -> None:
+    """Assert that asking for the parts of what cannot be simulated is refused with the scene's name."""
+    planned = first_plan("slip", readout=readout)
+    with pytest.raises(SceneError, match=f"slip: cannot be simulated.*{says}"):
+        rows_of(replace(planned, scene=replace(planned.scene, **changes)))

@@ -12,7 +12,7 @@ from evetac_cli.events import Events
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
-from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.touch_sensor import PUSHER_N_S_M, Touch, TouchSensor
 
 BOX = {"shape": "flat", "static_friction": 1.0}
@@ -38,7 +38,7 @@ def same_events(ones: tuple[Events, ...], others: tuple[Events, ...]) -> bool:
 
 def test_dots_are_those_of_the_shear_scene() -> None:
     """Assert that a face pressed and moved as in the scene moves the dots as there, within 1e-6 px, and as hard."""
-    shear = plan("shear", solver=COARSE)
+    shear = first_plan("shear", solver=COARSE)
     scene = shear.scene
     short = replace(
         scene,
@@ -65,7 +65,7 @@ def test_dots_are_those_of_the_shear_scene() -> None:
 
 def held() -> tuple[GraspSimulation, dict[str, Any]]:
     """Object 8 as it hangs in the gripper, and its contact as a sensor is told of it."""
-    slip = plan("slip", solver=COARSE)
+    slip = first_plan("slip", solver=COARSE)
     scene = slip.scene
     middle = replace(
         scene,

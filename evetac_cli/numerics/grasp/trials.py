@@ -20,8 +20,7 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.plan import plan as planned
+from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, run_grasp
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
@@ -145,7 +144,7 @@ def run_short_grasp(
     `wrap_detector` puts something between the detector and the controller. ValueError where the plan cannot be
     simulated.
     """
-    plan = change_plan(planned(short.scene, str(short.object), short.sensor))
+    plan = change_plan(first_plan(short.scene, str(short.object), short.sensor))
     touch_ms = round(SLICES_S * plan.scene.time.touch_s)
     timing = Timing(
         touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms

@@ -22,7 +22,7 @@ from evetac_cli.numerics.bounds import P99_DOT, SAME_DOTS, WORST_DOT, case_rows,
 from evetac_cli.numerics.extreme_scenes import SLIP_SOON, SLIPS, merge
 from evetac_cli.numerics.rows import Extent
 from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
-from evetac_cli.sim.setup.plan import plan as planned
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.stages.evaluate import Rows
 from evetac_cli.stages.record.simulated import play
 from evetac_cli.stages.trials import SimulatedTrial
@@ -162,7 +162,7 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
 @lru_cache(maxsize=1)
 def _simulated(name: str, seed: int) -> tuple[Floats, float, list[tuple[Columns, Floats]]]:
     """The dots that the tracker is told of, their radius in px, and the slices of a slip with this extreme part."""
-    plan = merge(planned("slip", str(OBJECT)), SLIP_SOON, SLIPS[name])
+    plan = merge(first_plan("slip", str(OBJECT)), SLIP_SOON, SLIPS[name])
     trial = SimulatedTrial((), Path("slip.recording.h5"), 0, seed, plan)
     devices, slices = play(trial)
     try:

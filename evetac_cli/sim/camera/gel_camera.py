@@ -15,7 +15,7 @@ from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.camera.low_pass import LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
-from evetac_cli.sim.setup.scene import CalibrationError, Scene, VanishingDots
+from evetac_cli.sim.setup.scene import CalibrationOffset, Scene, VanishingDots
 from evetac_cli.sim.setup.sensor import Sensor
 
 Floats = NDArray[np.float64]
@@ -75,7 +75,7 @@ def dots_differ(sensor: Sensor, cut: bool) -> tuple[Floats, Floats] | None:
     return radii, contrasts
 
 
-def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: CalibrationError) -> Floats:
+def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: CalibrationOffset) -> Floats:
     """The dots at rest as a calibration has them that is off: turned about the middle of the frame, then moved."""
     angle = np.deg2rad(calibration.turned_deg)
     middle = np.asarray(frame_px) / 2

@@ -1,7 +1,11 @@
 """The simulation of a plan, by the kind of its scene."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
+from evetac_cli.errors import SceneError
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
@@ -17,11 +21,20 @@ Simulation = GraspSimulation | Pressing | Vibration
 def simulation_of(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Simulation:
     """Build what a plan names; mechanics and optics draw from random streams of their own.
 
-    durations: lift_s and balance_s of a scene in which an object is lifted. ValueError where values of the scene do not
-    go together.
+    durations: lift_s and balance_s of a scene in which an object is lifted. SceneError where nothing can be made of it.
     """
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
     driven = DRIVEN.get(plan.scene.kind)
-    if driven is not None:
-        return driven(plan, mechanics, optics)
-    return GraspSimulation(plan, mechanics, optics, **durations)
+    with scene_in_words(plan.scene.name):
+        if driven is not None:
+            return driven(plan, mechanics, optics)
+        return GraspSimulation(plan, mechanics, optics, **durations)
+
+
+@contextmanager
+def scene_in_words(scene: str) -> Iterator[None]:
+    """Each value of a scene has a range, but not all go together: what the kernels then refuse is said of the scene."""
+    try:
+        yield
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        raise SceneError(f"cannot be simulated: {error}", where=f"scene {scene}") from error

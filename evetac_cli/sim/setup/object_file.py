@@ -76,11 +76,11 @@ class ObjectFile(TouchedObject):
     static_friction: float = number("on the gel; what a scene varies at random is a factor on it", 0, 5)
 
 
-def of_table(number_: int) -> TouchedObject:
+def of_number(number: int) -> TouchedObject:
     """An object of the paper's table; InputError if there is no such object."""
-    row = packaged("objects").get(str(number_))
+    row = packaged("objects").get(str(number))
     if row is None:
-        raise InputError("no such object", where="--object", expected="1 to 20", found=str(number_))
+        raise InputError("no such object", where="--object", expected="1 to 20", found=str(number))
     return build(TouchedObject, row)
 
 

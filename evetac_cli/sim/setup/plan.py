@@ -32,6 +32,16 @@ LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 
 Called = int | str | None  # an object, by its number or name; None where a scene has none
+# What the header of a simulated recording says of its plan, beside its sensor.
+OF_HEADER: dict[str, Any] = {
+    "scene": dict,
+    "sensor": str,
+    "readout": str,
+    "object": Called,
+    "object_row": dict | None,
+    "tone_hz": float | None,
+    "sensor_ranges": dict | None,
+}
 
 
 @dataclass(frozen=True)
@@ -71,22 +81,32 @@ class Plan:
 
 def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
     """The plan of a recording, from the parameters of its header; InputError where they hold none."""
-    missing = [key for key in ("scene", "sensor", "sensor_row", "readout") if key not in parameters]
-    if missing:
-        raise InputError("the header holds no plan of a simulated trial", where=where, expected=missing[0])
-    row = parameters.get("object_row")
-    if isinstance(row, dict):
-        row = {"shape": "flat", **row}  # as a face is, of which recordings may say its friction alone
+    for key, type_ in OF_HEADER.items():
+        if not isinstance(parameters.get(key), type_):
+            found = str(parameters.get(key))[:100]
+            raise InputError("the header holds no plan of a simulated trial", where=where, expected=key, found=found)
+    scene, row, tone_hz = parameters["scene"], parameters.get("object_row"), parameters.get("tone_hz")
+    if isinstance(scene.get("tone"), dict):
+        scene = {**scene, "tone": {"frequency_hz": [tone_hz], **scene["tone"]}}
+    if row is not None:
+        row = read_table(TouchedObject, {"shape": "flat", **row}, f"{where}: object in the header")  # as a face is
     return Plan(
-        read_table(Scene, parameters["scene"], f"{where}: scene in the header"),
-        str(parameters["sensor"]),
-        read_table(Sensor, parameters["sensor_row"], f"{where}: sensor in the header"),
-        str(parameters["readout"]),
+        read_table(Scene, scene, f"{where}: scene in the header"),
+        parameters["sensor"],
+        read_sensor(parameters, where),
+        parameters["readout"],
         parameters.get("object"),
-        None if row is None else read_table(TouchedObject, row, f"{where}: object in the header"),
-        parameters.get("tone_hz"),
+        row,
+        tone_hz,
         parameters.get("sensor_ranges"),
     )
+
+
+def read_sensor(parameters: Mapping[str, Any], where: str) -> Sensor:
+    """The sensor that was simulated, from the parameters of a recording; InputError where they do not say."""
+    if "sensor_row" not in parameters:
+        raise InputError("the recording does not say what its sensor was like", where=where)
+    return read_table(Sensor, parameters["sensor_row"], f"{where}: sensor in the header")
 
 
 @dataclass(frozen=True)
@@ -128,10 +148,7 @@ def plans(
     200,300) picks from them. InputError where they do not fit the scene, or it is of none of these kinds.
     """
     scene = scene_file.load(scene_name)
-    try:
-        scene = replace(scene, solver=with_given(scene.solver, solver))
-    except ValueError as error:
-        raise SceneError(f"[solver]: {error}", where=scene_name) from error
+    scene = replace(scene, solver=with_given(scene.solver, solver, scene_name))
     if gel is not None:
         scene = replace(scene, gel=replace(scene.gel, cut=gel == "cut"))
     if texture is not None:
@@ -161,7 +178,7 @@ def plans(
     return [Plans(scene, *named, called, touched) for called, touched in named_objects(objects).items()]
 
 
-def plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
+def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
     """The plan of one trial, with the first of the objects or tones, of a scene of any kind."""
     kinds = more.pop("kinds", tuple(KINDS))
     return plans(scene_name, objects, sensor, kinds, **more)[0].of_trial()
@@ -183,7 +200,7 @@ def named_objects(text: str) -> dict[int | str, TouchedObject]:
     listed: dict[int | str, TouchedObject] = {}
     for part in text.split(","):
         if not part.strip().endswith(object_file.SUFFIX):
-            listed |= {number: object_file.of_table(number) for number in numbers(part)}
+            listed |= {number: object_file.of_number(number) for number in numbers(part)}
             continue
         called, touched = object_file.read(Path(part.strip()))
         if called in listed:

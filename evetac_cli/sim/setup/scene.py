@@ -203,7 +203,7 @@ class VanishingDots:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationError:
+class CalibrationOffset:
     """A calibration that is off: the dots at rest in the recording are turned and moved against the true ones."""
 
     offset_px: tuple[float, float] = numbers(
@@ -236,7 +236,7 @@ class Scene:
     )  # fmt: skip
     light: LightSettings | None = table(LightSettings)
     vanishing_dots: VanishingDots | None = table(VanishingDots)
-    calibration: CalibrationError | None = table(CalibrationError)
+    calibration: CalibrationOffset | None = table(CalibrationOffset)
     rub: Rub | None = table(Rub, needed_in=("rub",), only_in=("rub",))
     tone: Speaker | None = table(Speaker, needed_in=("tone",), only_in=("tone",))
     face: Face | None = table(Face, needed_in=("press",), only_in=("press",))

@@ -68,7 +68,7 @@ def of_row(row: Mapping[str, Any], where: str) -> Sensor:
     """A sensor from a whole row; InputError where a key is missing, or values do not fit together."""
     check(Sensor, row, where, if_missing='`like = "evetac"` takes what is left out from that sensor')
     if "dot_xy_px" not in row and not {"dot_columns_px", "dot_rows_px"} <= row.keys():
-        missing = ", ".join(key for key in GRID if key not in row)
+        missing = ", ".join(key for key in ("dot_columns_px", "dot_rows_px") if key not in row)
         raise InputError("the places of the dots are missing", where=where, expected=f"{missing}, or dot_xy_px")
     if len({len(dots) for dots in row.get("dot_xy_px", [[]])}) != 1:
         expected = "rows of equally many dots; dots in no grid as a list without rows"

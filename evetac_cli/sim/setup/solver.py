@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from evetac_cli.sim.setup.tables import number, whole
+from evetac_cli.errors import InputError, SceneError
+from evetac_cli.sim.setup.tables import number, read_table, whole
 
 HALVINGS = 3  # of a slice at the default tolerance, at most: 1/8 ms
 MOST_HALVINGS = 7
@@ -82,16 +83,21 @@ class Solver:
         return columns, rows
 
 
-def with_given(solver: Solver, given: Mapping[str, Any]) -> Solver:
-    """A scene's settings with those that are given in their place.
+def with_given(solver: Solver, given: Mapping[str, Any], where: str) -> Solver:
+    """A scene's settings with those that are given in their place; SceneError for those that cannot be.
 
-    A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance; ValueError where
-    both are given, or one is out of range.
+    A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance.
     """
     if {"tolerance_um", "step_ms"} <= set(given):
-        raise ValueError("a tolerance or a fixed step (tolerance_um, step_ms), not both")
+        both = "a tolerance or a fixed step (tolerance_um, step_ms), not both"
+        raise SceneError(f"[solver]: {both}", where=where)
+    try:
+        typed = read_table(Solver, dict(given), where)
+    except InputError as error:
+        message = f"[solver] {error.message}"
+        raise SceneError(message, where=where, expected=error.expected, found=error.found, hint=error.hint) from None
     if "step_ms" in given:
         solver = replace(solver, tolerance_um=Solver.tolerance_um)
     if "tolerance_um" in given:
         solver = replace(solver, step_ms=None)
-    return replace(solver, **given)
+    return replace(solver, **{name: getattr(typed, name) for name in given})

@@ -141,8 +141,8 @@ def pairs(low: float, high: float) -> Rules:
     return {"type": "array", "items": _range(low, high, None), "minItems": 2, "maxItems": 2}
 
 
-def _declared(about: About, default: Any) -> Any:
-    metadata = {"about": about}
+def _declared(known: About, default: Any) -> Any:
+    metadata = {"about": known}
     return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
 
 
@@ -190,7 +190,10 @@ def build(type_: type[T], named: Mapping[str, Any]) -> T:
 def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
     """An object from a table of a file; InputError where it is none."""
     check(type_, named, where)
-    return build(type_, named)
+    try:
+        return build(type_, named)
+    except ValueError as error:  # of a step that does not divide a slice
+        raise InputError(str(error), where=where) from None
 
 
 def _value(known: About, value: Any) -> Any:
@@ -202,8 +205,11 @@ def _value(known: About, value: Any) -> Any:
 
 
 def _typed(value: Any, rules: Mapping[str, Any]) -> Any:
+    value = rules.get("const", value)
     if isinstance(value, list | tuple):
         return tuple(_typed(item, rules.get("items", {})) for item in value)
+    if rules.get("type") == "integer" and value == int(value):  # 5.0 is a whole number for JSON schema, too
+        return int(value)
     return float(value) if rules.get("type") == "number" else value
 
 
@@ -327,7 +333,8 @@ def _check_kinds(type_: type[Any], named: Mapping[str, Any], where: str) -> None
             raise InputError(f"{place} is missing", where=where, expected=expected, found=f"kind {kind}")
         if is_named and known.only_in and kind not in known.only_in:
             expected = f"kind {', '.join(known.only_in)}"
-            message = f"{place} is for another kind of scene"
+            of_what = "motion" if place.startswith("motion.") else "scene"
+            message = f"{place} is for another kind of {of_what}"
             raise InputError(message, where=where, expected=expected, found=f"kind {kind}")
 
 
@@ -354,11 +361,13 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
     error = (misspelt or sorted(errors, key=lambda error: list(map(str, error.absolute_path))) or [None])[0]
     if error is None:
         return
+    schema = error.schema
     if error.validator == "anyOf":  # a number, or a range: what is wrong with the one that was meant
         meant = 1 if isinstance(error.instance, list) else 0
         error = next(one for one in error.context if one.schema_path[0] == meant)
+        schema = {"description": schema["description"], **error.schema}
     place = ".".join(str(step) for step in error.absolute_path)
-    given, schema = str(error.instance), error.schema
+    given = str(error.instance)
     if error.validator == "additionalProperties":
         known = list(schema["properties"])
         unknown = next(key for key in error.instance if key not in known)
@@ -376,7 +385,9 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
         )
     if error.validator == "type":
         kind = TYPES[error.validator_value]
-        raise InputError(f"{place or 'here'}: expected {kind}", where=where, expected=_meaning(schema), found=given)
+        raise InputError(
+            f"{place or 'the table'}: expected {kind}", where=where, expected=_meaning(schema), found=given
+        )
     if error.validator in ("minItems", "maxItems"):
         low, high = schema["minItems"], schema["maxItems"]
         count = f"{low}" if low == high else f"{low} to {high:,}"

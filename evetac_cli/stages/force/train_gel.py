@@ -16,7 +16,7 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import Errors
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.params.learning import TrainForce
-from evetac_cli.sim.setup.plan import read_plan, sensor_ranges
+from evetac_cli.sim.setup.plan import read_sensor, sensor_ranges
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import GelModel
@@ -72,10 +72,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress) -> Out
 
 def known_sensor(recording: Recording) -> Sensor:
     """The sensor that was simulated; InputError where the recording does not say."""
-    parameters = recording.header["parameters"]
-    if "sensor_row" not in parameters:
-        raise InputError("the recording does not say what its sensor was like", where=str(recording.path))
-    return read_plan(parameters, str(recording.path)).sensor
+    return read_sensor(recording.header["parameters"], str(recording.path))
 
 
 def measured(model: GelModel, paths: tuple[Path, ...]) -> GelModel:

@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip.control import Control
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.sim.setup.plan import Plan, plans, read_plan
+from evetac_cli.sim.setup.plan import Plan, first_plan, read_plan
 from evetac_cli.stages import live_view
 from evetac_cli.stages.grasp.loop import SLICES_S, Timing
 from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
@@ -46,8 +46,8 @@ def model_path_for(params: Grasp) -> Path | None:
 def make_timing(params: Grasp, plan: Plan | None) -> Timing:
     """When the phases end, and how the controller is timed; without a plan, the scene of the flags says the first."""
     if plan is None:
-        first, *_ = plans(params.scene, params.objects, params.sensor, ("lift",), params.gel, params.readout)
-        plan = first.of_trial()
+        named = (params.scene, params.objects, params.sensor)
+        plan = first_plan(*named, kinds=("lift",), gel=params.gel, readout=params.readout)
     return _timing(params, plan.scene.time.touch_s, params.lift_s, params.balance_s)
 
 

@@ -22,7 +22,7 @@ from evetac_cli.devices.virtual.world import FIRST_MS, VirtualWorld
 from evetac_cli.errors import DeviceError, SceneError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.realtime.shared_time import CREEP
-from evetac_cli.sim.setup.plan import Plan, plan
+from evetac_cli.sim.setup.plan import Plan, first_plan
 from tests.conftest import Made
 
 SLICES = 250
@@ -32,7 +32,7 @@ SHORT_MS = 3000
 
 def short_plan(made: Made) -> Plan:
     """One trial of the short slip scene."""
-    return plan(str(made.scene))
+    return first_plan(str(made.scene))
 
 
 def seeds() -> np.random.SeedSequence:
@@ -201,7 +201,7 @@ def test_servo_without_torque_has_no_force(world: VirtualWorld) -> None:
 def test_scenes_that_cannot_be_built(made: Made) -> None:
     """Assert that what the world's process refuses is raised here in its own words."""
     with pytest.raises(DeviceError, match="needs a scene with a gripper"):
-        VirtualWorld(plan("press"), seeds())
+        VirtualWorld(first_plan("press"), seeds())
     whole = short_plan(made)
     broken = replace(whole, sensor=replace(whole.sensor, shear_modulus_pa=-1.0))
     with pytest.raises((DeviceError, SceneError)):

@@ -19,7 +19,7 @@ from evetac_cli.numerics.grasp.stability import Case, DyingDetector, UnevenSlice
 from evetac_cli.numerics.grasp.trials import GraspResult
 from evetac_cli.params.evaluation import EvaluateStability
 from evetac_cli.sim.gripper import Drive
-from evetac_cli.sim.setup.plan import Plan, plan
+from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.stages.evaluate import Rows
 from tests.numerics.grasp.conftest import CountingDetector
 
@@ -121,7 +121,7 @@ def test_every_case_is_another() -> None:
 
 def test_a_scene_changes_the_plan() -> None:
     """Assert that the tables of a scene come into the plan of its case."""
-    usual = merge(plan("lift"), {"gripper": {"friction_factor": [0.9, 1.1]}})
+    usual = merge(first_plan("lift"), {"gripper": {"friction_factor": [0.9, 1.1]}})
     case = next(case for case in extreme_cases(full=False) if case.name == "gear friction x0.7")
     assert case.change_plan(usual).scene.gripper.friction_factor == (0.7, 0.7)
 

@@ -21,7 +21,7 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.setup import sampling
-from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep
 from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
@@ -32,7 +32,7 @@ from tests.sim.scenes.trials import grasp_of
 
 def world(object_number: int, seed: int = 0, name: str = "slip", sensor: str = "evetac") -> GraspSimulation:
     """A trial of an object touched in its middle: off it, a hanging object swings for seconds, as a pendulum does."""
-    built = plan(name, str(object_number), sensor)
+    built = first_plan(name, str(object_number), sensor)
     built = merge(built, {"randomise": {"touch_mm": None, "lever_mm": None}})
     built = dataclasses.replace(built, touched=dataclasses.replace(built.touched, lever_mm=0.0))
     return grasp_of(built, seed, lift_s=1.5, balance_s=0.0)
@@ -128,7 +128,7 @@ def test_window_dots_do_not_exist() -> None:
 def test_scene_of_the_wrong_kind_is_refused() -> None:
     """Assert that a lift scene cannot be recorded as a ramp."""
     with pytest.raises(SceneError, match="another command"):
-        plan("lift", kinds=("ramp",))
+        first_plan("lift", kinds=("ramp",))
 
 
 @pytest.mark.parametrize("creep", [None, GelCreep(share=(0.05, 0.1), time_s=(0.003, 5.0))])
@@ -215,7 +215,7 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None:
     """Assert that object 20, 12 mm off its centre of mass, does not turn in the grip before the current falls."""
-    held = grasp_of(merge(plan("slip", "20"), {"gripper": {"start_factor": [1.5, 1.5]}}), seed)
+    held = grasp_of(merge(first_plan("slip", "20"), {"gripper": {"start_factor": [1.5, 1.5]}}), seed)
     assert not any(row["truth/slip"] for row in run(held, 900))
     assert abs(held._gel.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
 
@@ -233,7 +233,7 @@ def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_pushes_and_grip_of_the_data_rate_scene() -> None:
     """Assert that a push is a half sine of its force, and that the grip holds by the named force beyond the limit."""
-    planned = plan("data-rate", "18")
+    planned = first_plan("data-rate", "18")
     pushed = grasp_of(planned)
     push, drive = planned.scene.push, pushed.drive
     for after_s, share in ((-1e-3, 0.0), (0.02, np.sqrt(0.5)), (0.04, 1.0), (0.081, 0.0)):
@@ -314,7 +314,7 @@ def test_a_texture_that_nobody_looks_at(sensor: str) -> None:
     """Assert that a grasp without texture has the gel's events and the truth of one with it, and none of the window."""
     seen = {}
     for texture in ("on", "off"):
-        trial = grasp_of(plan("lift", "11", sensor, texture=texture), 5, lift_s=1.0)
+        trial = grasp_of(first_plan("lift", "11", sensor, texture=texture), 5, lift_s=1.0)
         events, rows = [], []
         for ms in range(2300):  # closes, and the hand begins to rise
             if ms % 2 == 0:

@@ -11,7 +11,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.pressing import Pressing
-from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
 from tests.sim.camera.gel_cameras import gel_camera
@@ -24,7 +24,7 @@ def pressing(name: str, tmp_path: Path, **changes: dict[str, object]) -> Pressin
     path = tmp_path / f"{name}.toml"
     path.write_text(as_toml(scene))
     rngs = [np.random.default_rng(part) for part in range(2)]
-    return Pressing(plan(str(path)), *rngs)
+    return Pressing(first_plan(str(path)), *rngs)
 
 
 def run(trial: Pressing) -> list[dict[str, object]]:

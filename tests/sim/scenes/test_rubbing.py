@@ -10,13 +10,13 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.scenes.rubbing import Rubbing
-from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.plan import first_plan
 
 
 def rubbing(object_name: str, sensor: str = "evetac", gel: str = "cut", seed: int = 0, **rub: Any) -> Rubbing:
     """A trial of the scene with an object, and a coarse gel."""
     changes = {"rub": {"objects": [object_name], **rub}, "solver": {"node_pitch_mm": 1.25}}
-    made = merge(plan("edge", sensor=sensor, gel=gel), changes)
+    made = merge(first_plan("edge", sensor=sensor, gel=gel), changes)
     return Rubbing(made, *(np.random.default_rng([seed, part]) for part in range(2)))
 
 
@@ -60,7 +60,7 @@ def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) 
 
 def test_drawn_and_dry() -> None:
     """Assert that the truth says what was sampled, both objects come up, and the parts name the contact edges."""
-    made = plan("edge")
+    made = first_plan("edge")
     samples = [json.loads(str(rig(made, np.random.SeedSequence(seed)).sampled)) for seed in range(8)]
     assert {one["object_name"] for one in samples} == {"finger", "handle"}
     assert all(0.55 <= one["edge_log_contrast"] <= 0.8 and 1.5 <= one["edge_blur_px"] <= 3 for one in samples)

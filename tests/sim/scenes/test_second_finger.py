@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.kernels.grip import paper as grip
 from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.sim.scenes.gripped import FINGER_STIFFNESS_N_M, GRAVITY_M_S2, GraspSimulation
-from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelFriction
 from tests.sim.scenes.trials import NONE, grasp_of, quiet_plan
 
@@ -95,7 +95,7 @@ def test_a_lift_with_different_fingers() -> None:
 
 def test_fingers_differ_where_friction_varies() -> None:
     """Assert that over a second finger friction varies otherwise than over the first, about its own mean."""
-    planned = merge(plan("slip"), {"gripper": {"second_finger": {"friction_factor": 0.6}}})
+    planned = merge(first_plan("slip"), {"gripper": {"second_finger": {"friction_factor": 0.6}}})
     patchy = replace(planned.sensor, friction=GelFriction(patch_spread=0.2, patch_mm=3.0))
     one = grasp_of(replace(planned, sensor=patchy))
     assert one._second is not None

@@ -21,7 +21,7 @@ from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
 from evetac_cli.sim.setup import scene_file
-from evetac_cli.sim.setup.plan import plan, tones_hz
+from evetac_cli.sim.setup.plan import first_plan, tones_hz
 from evetac_cli.stages import record
 from evetac_cli.text_files import as_toml
 
@@ -39,7 +39,7 @@ def changed(tmp_path: Path, time: dict[str, Any], **tone: Any) -> str:
 
 
 def vibration(scene_name: str, hz: float, *, seed: int = 0, sensor: str = "evetac", gel: str = "closed") -> Vibration:
-    planned = plan(scene_name, sensor=sensor, gel=gel, tones=f"{hz:g}")
+    planned = first_plan(scene_name, sensor=sensor, gel=gel, tones=f"{hz:g}")
     return Vibration(planned, *map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.setup.plan import Plan, plan
+from evetac_cli.sim.setup.plan import Plan, first_plan
 
 Changes = Mapping[str, Mapping[str, Any]]  # of the tables of a scene, key by key
 NONE: Changes = MappingProxyType({})
@@ -17,7 +17,7 @@ NONE: Changes = MappingProxyType({})
 
 def quiet_plan(scene_name: str, changes: Changes = NONE) -> Plan:
     """The plan of a trial whose object is touched in its middle, off which it swings, before a camera without noise."""
-    planned = merge(plan(scene_name), changes, {"randomise": {"touch_mm": None}})
+    planned = merge(first_plan(scene_name), changes, {"randomise": {"touch_mm": None}})
     return replace(planned, sensor=replace(planned.sensor, noise_hz=0.0, hot_pixels=0))
 
 

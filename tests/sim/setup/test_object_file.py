@@ -36,7 +36,7 @@ def written(folder: Path, stem: str = "can", /, **keys: Any) -> Path:
 
 def test_objects_are_the_papers() -> None:
     """Assert that the table has 20 objects with the paper's masses."""
-    masses = [object_file.of_table(number).mass_g for number in range(1, 21)]
+    masses = [object_file.of_number(number).mass_g for number in range(1, 21)]
     assert masses == [341, 325, 70, 102, 236, 273, 100, 114, 119, 72, 108, 38, 116, 166, 56, 74, 248, 550, 96, 374]
 
 
@@ -55,7 +55,7 @@ def test_objects_of_the_table_may_be_files(number: str, tmp_path: Path) -> None:
     row = table("objects")[number]
     (tmp_path / "same.toml").write_text(as_toml(row))
     _, again = object_file.read(tmp_path / "same.toml")
-    assert again == object_file.of_table(int(number))
+    assert again == object_file.of_number(int(number))
     assert as_table(again) == row
 
 

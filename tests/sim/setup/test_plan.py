@@ -1,10 +1,13 @@
 """What a trial is made from: which objects, tones and sensors are meant, and what overrides a scene."""
 
+import json
+from typing import Any
+
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.resources import table
-from evetac_cli.sim.setup.plan import numbers, one_sensor, plan, plans
+from evetac_cli.resources import SCENES, table
+from evetac_cli.sim.setup.plan import first_plan, numbers, one_sensor, plans, read_plan
 
 
 @pytest.mark.parametrize(("text", "listed"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])
@@ -45,10 +48,10 @@ def test_which_sensor_is_sampled() -> None:
 
 def test_whether_the_window_shows_a_texture() -> None:
     """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
-    shown, default = (plan("slip", texture=given).parameters() for given in ("on", None))
+    shown, default = (first_plan("slip", texture=given).parameters() for given in ("on", None))
     assert shown == default
     for name, given, says in (("lift", "on", True), ("slip", "off", False)):
-        assert plan(name, texture=given).scene.texture.show is says
+        assert first_plan(name, texture=given).scene.texture.show is says
 
 
 @pytest.mark.parametrize(
@@ -58,4 +61,34 @@ def test_whether_the_window_shows_a_texture() -> None:
 def test_no_texture_to_show(name: str, gel: str | None, texture: str, says: str) -> None:
     """Assert that --texture is refused where it could change nothing."""
     with pytest.raises(InputError, match=f"--texture(.|\n)*{says}"):
-        plan(name, gel=gel, texture=texture)
+        first_plan(name, gel=gel, texture=texture)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.toml")))
+def test_a_header_gives_the_plan_again(name: str) -> None:
+    """Assert that what a recording of each scene says of its plan is that plan."""
+    planned = first_plan(name, sensor="realistic")
+    assert read_plan(json.loads(json.dumps(planned.parameters())), "here") == planned
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("scene", value) for value in (None, 3, [], {}, {"kind": "ramp"})),
+        *(("sensor_row", value) for value in (None, "x", {}, {"seed": 1})),
+        *(("object_row", value) for value in (3, {}, {"shape": "torus"})),
+        *(("sensor", 3), ("readout", []), ("object", {}), ("tone_hz", "x"), ("sensor_ranges", 1)),
+    ],
+)
+def test_a_header_that_holds_no_plan(key: str, value: Any) -> None:
+    """Assert that a header with anything else in a place of the plan is refused with the file's name."""
+    with pytest.raises(InputError, match="file"):
+        read_plan({**first_plan("slip").parameters(), key: value}, "file")
+
+
+def test_a_header_with_a_step_that_divides_nothing() -> None:
+    """Assert that a value within its range that cannot be is refused in words."""
+    parameters = first_plan("slip", solver={"step_ms": 0.5}).parameters()
+    parameters["scene"]["solver"]["step_ms"] = 0.3
+    with pytest.raises(InputError, match=r"file(.|\n)*step_ms"):
+        read_plan(parameters, "file")

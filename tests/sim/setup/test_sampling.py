@@ -34,7 +34,7 @@ def random(seed: int) -> np.random.Generator:
 
 def test_samples_stay_in_their_ranges() -> None:
     """Assert that 200 samples lie in the scene's ranges and fill them."""
-    touched, rng = object_file.of_table(8), random(0)
+    touched, rng = object_file.of_number(8), random(0)
     sampled = [sampling.sample_trial(SLIP, touched, EVETAC, rng) for _ in range(200)]
     friction = np.array([one.static_friction for one in sampled]) / touched.static_friction
     low, high = SLIP.randomise.static_friction
@@ -46,7 +46,7 @@ def test_samples_stay_in_their_ranges() -> None:
 def test_keys_of_a_scene_leave_other_samples() -> None:
     """Assert that touch, lever and kinetic spread change nothing else that is sampled, and lie in their ranges."""
     plain, more = slip(touch_mm=0.0, kinetic_share_spread=None), slip(touch_mm=3.0, lever_mm=3.0)
-    flat, round_ = object_file.of_table(16), object_file.of_table(8)
+    flat, round_ = object_file.of_number(16), object_file.of_number(8)
     for seed in range(50):
         old, new = (sampling.sample_trial(scene, flat, EVETAC, random(seed)) for scene in (plain, more))
         assert old.touch_m == (0.0, 0.0)
@@ -64,7 +64,7 @@ def test_objects_keep_their_kinetic_share() -> None:
     spread = slip(kinetic_share_spread=0.03)
 
     def shares(number: int) -> list[float]:
-        touched = object_file.of_table(number)
+        touched = object_file.of_number(number)
         sampled = [sampling.sample_trial(spread, touched, EVETAC, random(seed), number) for seed in range(30)]
         return [one.kinetic_friction / one.static_friction for one in sampled]
 

@@ -17,7 +17,7 @@ from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.driven import Face
-from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.setup.scene import LightSettings, LightStep
 from evetac_cli.text_files import as_toml
 
@@ -121,7 +121,7 @@ def test_m4_a_motion_without_end_is_refused(name: str, group: str, key: str, val
     """Assert that a face that would take more than a day is refused, and not recorded for ever."""
     odd = named(name)
     odd.setdefault(group, {})[key] = value
-    endless = plan(written(tmp_path, odd), kinds=("press", "rub"))
+    endless = first_plan(written(tmp_path, odd), kinds=("press", "rub"))
     simulation = {"press": Pressing, "rub": Rubbing}[endless.scene.kind]
     with pytest.raises(SceneError, match="too long"):
         simulation(endless, np.random.default_rng(0), np.random.default_rng(1))
@@ -142,7 +142,7 @@ def test_m4_a_scene_that_cannot_be_simulated_is_said(name: str, key: str, value:
     odd = named(name)
     group, inner = key.split(".")
     odd[group][inner] = value
-    planned = plan(written(tmp_path, odd), kinds=("ramp", "press", "tone"))
+    planned = first_plan(written(tmp_path, odd), kinds=("ramp", "press", "tone"))
     with pytest.raises(SceneError, match=odd["name"]):
         rig(planned, np.random.SeedSequence(0))
 
@@ -183,7 +183,7 @@ def test_optional_parts_are_read_and_named(name: str, group: str, keys: dict[str
     """Assert that each part is accepted, said to be built, and said to be left out by the shipped scene."""
     more = named(name)
     more[group] = {**more.get(group, {}), **keys}
-    plans = plan(written(tmp_path, more)), plan(name)
+    plans = first_plan(written(tmp_path, more)), first_plan(name)
     built, as_shipped = ({row["part"] for row in rows_of(one) if row["built"]} for one in plans)
     assert len(built - as_shipped) == 1
 

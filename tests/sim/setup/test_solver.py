@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import SceneError
-from evetac_cli.sim.setup.plan import plan
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.setup.solver import Solver, with_given
 from evetac_cli.sim.setup.tables import as_table
 
@@ -32,15 +32,15 @@ def test_what_makes_no_sense_is_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=name):
         Solver(**settings)
     with pytest.raises(SceneError, match=name):
-        plan("slip", solver=settings)
+        first_plan("slip", solver=settings)
 
 
 def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
     """Assert that of a tolerance and a fixed step the one that is given holds, whatever the scene names."""
-    fixed = with_given(Solver(tolerance_um=0.05), {"step_ms": 0.5})
+    fixed = with_given(Solver(tolerance_um=0.05), {"step_ms": 0.5}, "here")
     assert fixed.step_ms == 0.5
     assert "tolerance_um" not in as_table(fixed)
-    adaptive = with_given(Solver(step_ms=0.5, theta=0.6), {"tolerance_um": 0.05})
+    adaptive = with_given(Solver(step_ms=0.5, theta=0.6), {"tolerance_um": 0.05}, "here")
     assert (adaptive.tolerance_um, adaptive.theta) == (0.05, 0.6)
     assert "step_ms" not in as_table(adaptive)
 
@@ -48,7 +48,7 @@ def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
 def test_a_step_and_a_tolerance_together_are_refused() -> None:
     """Assert that neither is ignored in silence."""
     with pytest.raises(SceneError, match="not both"):
-        plan("slip", solver={"step_ms": 0.5, "tolerance_um": 0.1})
+        first_plan("slip", solver={"step_ms": 0.5, "tolerance_um": 0.1})
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_a_step_and_a_tolerance_together_are_refused() -> None:
 )
 def test_a_plan_says_all_settings(scene: str, given: dict[str, Any], solver: Solver) -> None:
     """Assert that a plan, and so the recipe of a recording, names every setting, also those at their defaults."""
-    planned = plan(scene, solver=given)
+    planned = first_plan(scene, solver=given)
     assert set(planned.parameters()["scene"]["solver"]) == {
         "tolerance_um",
         "theta",

@@ -3,16 +3,17 @@
 import json
 import tomllib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar
 
 import pytest
 
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.resources import SCENES, schemas, table
+from evetac_cli.sim.setup.driven import FaceMotion
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.scene_file import merged
+from evetac_cli.sim.setup.scene_file import load, merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.sim.setup.tables import as_table, between, build, check, number, numbers, one_of, rules_of
@@ -183,3 +184,19 @@ def test_a_part_of_a_table() -> None:
     check(Water, {"warm_c": 20.0}, "here", whole=False)
     with pytest.raises(InputError, match="keys are missing\n  expected: kind, warm_c"):
         check(Water, {}, "here", needed=("warm_c",))
+
+
+@pytest.mark.parametrize(("type_", "key"), [(Solver, "camera_substeps"), (FaceMotion, "count"), (Sensor, "hot_pixels")])
+def test_a_whole_number_with_a_point_is_whole(type_: type[Any], key: str) -> None:
+    """Assert that 5.0, which JSON schema takes for a whole number, is one, and no other recipe than 5."""
+    named = {item.name: 1 for item in fields(type_) if item.default is MISSING and item.name != key}
+    value = getattr(build(type_, {**named, key: 5.0}), key)
+    assert value == 5 and isinstance(value, int)
+
+
+def test_a_key_of_another_kind_of_motion_is_said() -> None:
+    """Assert that what only one kind of motion has is refused as such in another."""
+    motion = {"kind": "strokes", "normal_n": 1.0, "press_s": 1.0, "lines": 2, "speed_mm_s": 1.0, "approach_s": 1.0}
+    scene = {**as_table(load("press")), "motion": {**motion, "pause_s": 1.0}}
+    with pytest.raises(InputError, match=r"motion\.pause_s is for another kind of motion"):
+        check(Scene, scene, "here")

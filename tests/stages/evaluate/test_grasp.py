@@ -7,13 +7,13 @@ import pytest
 
 from evetac_cli.params.evaluation import EvaluateGrasp
 from evetac_cli.resources import table
-from evetac_cli.sim.setup.plan import plan, read_plan
+from evetac_cli.sim.setup.plan import first_plan, read_plan
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
-    **plan("lift").parameters(),
+    **first_plan("lift").parameters(),
     "controller": "paper",
     "gain": 1.0,
     "latency_ms": 0,
@@ -134,8 +134,8 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
         ({}, "paper"),
         ({"controller": "load-proportional"}, "load-proportional"),
         ({"gain": 2.0}, "paper, gain 2"),
-        (plan("drop-20g").parameters(), "paper, drop-20g"),
-        (plan("lift", sensor="second", gel="closed").parameters(), "paper, second, closed gel"),
+        (first_plan("drop-20g").parameters(), "paper, drop-20g"),
+        (first_plan("lift", sensor="second", gel="closed").parameters(), "paper, second, closed gel"),
         ({"latency_ms": 20, "control_hz": 100.0}, "paper, 20 ms late, 100 Hz"),
     ],
 )

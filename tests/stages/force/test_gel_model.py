@@ -20,7 +20,7 @@ from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import pad
-from evetac_cli.sim.setup.plan import one_sensor, plan
+from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages.evaluate import force as evaluate_force
@@ -74,7 +74,7 @@ def trial(
     shift_m = shear_n * HEIGHT_M / (sensor.shear_modulus_pa * area_m2)
     moved_m = shift_m[:, None] + pressed[:, None, None] * spread_m
     dots = (rest_px + moved_m * 1e3 / sensor.mm_per_px).astype(np.float32)
-    planned = replace(plan("press"), sensor=sensor)
+    planned = replace(first_plan("press"), sensor=sensor)
     made = Recipe("recording", 1, {**planned.parameters(), "dots": len(rest_px)}, seed=number, simulated_source=truth)
     frame_px = (640 // smaller, 480 // smaller)
     return write_trial(folder, made, grid / smaller, dots / smaller, normal_n * pressed, shear_n, name, frame_px)
