@@ -63,10 +63,10 @@ def _group(group: Mapping[int, Any]) -> RowGroup:
     return RowGroup(group[ROWS], tuple(_chunk(column[CHUNK]) for column in group[COLUMNS]))
 
 
-def _chunk(found: Mapping[int, int]) -> Chunk:
+def _chunk(numbers: Mapping[int, int]) -> Chunk:
     """Where a column has a table of its values, that is its first page."""
-    first = min(filter(None, (found.get(DICTIONARY_AT), found[DATA_AT])), default=0)
-    return Chunk(found[VALUES], first, found[CHUNK_PACKED])
+    first = min(filter(None, (numbers.get(DICTIONARY_AT), numbers[DATA_AT])), default=0)
+    return Chunk(numbers[VALUES], first, numbers[CHUNK_PACKED])
 
 
 def unpacked_bytes(file: BinaryIO, first: int, packed: int) -> Iterator[int]:

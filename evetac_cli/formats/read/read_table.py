@@ -281,8 +281,8 @@ def _parquet_file(path: Path, where: str) -> Any:
     with open_regular(path) as opened:
         footer = footer_bytes(opened)
     if footer > MOST_FOOTER_BYTES:
-        expected, found = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
-        raise InputError("too many row groups and columns", where=where, expected=expected, found=found, hint=hint)
+        expected, size_mb = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
+        raise InputError("too many row groups and columns", where=where, expected=expected, found=size_mb, hint=hint)
     try:
         return parquet.ParquetFile(path, thrift_container_size_limit=MOST_GROUPS)
     except OSError as error:

@@ -97,8 +97,8 @@ def read(path: Path) -> tuple[str, TouchedObject]:
             found=f"{read_object.held_mm:g} mm",
         )
     if read_object.static_friction < SLIPPERIEST:
-        expected, found = f"{SLIPPERIEST:g} to 5, for fingers to hold it", f"{read_object.static_friction:g}"
-        raise InputError("static_friction: out of range", where=where, expected=expected, found=found)
+        expected, friction = f"{SLIPPERIEST:g} to 5, for fingers to hold it", f"{read_object.static_friction:g}"
+        raise InputError("static_friction: out of range", where=where, expected=expected, found=friction)
     return str(table.get("name", UNNAMED)), read_object
 
 

@@ -83,8 +83,8 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
     """The plan of a recording, from the parameters of its header; InputError where they hold none."""
     for key, type_ in OF_HEADER.items():
         if not isinstance(parameters.get(key), type_):
-            found = str(parameters.get(key))[:100]
-            raise InputError("the header holds no plan of a simulated trial", where=where, expected=key, found=found)
+            given = f"{parameters.get(key)}"[:100]
+            raise InputError("the header holds no plan of a simulated trial", where=where, expected=key, found=given)
     scene, row, tone_hz = parameters["scene"], parameters.get("object_row"), parameters.get("tone_hz")
     if isinstance(scene.get("tone"), dict):
         scene = {**scene, "tone": {"frequency_hz": [tone_hz], **scene["tone"]}}

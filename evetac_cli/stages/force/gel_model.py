@@ -160,8 +160,8 @@ def known_of(sensor: str | None) -> KnownGel:
 def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
     """What a sensor says of its gel, of the keys that are named; it creeps if it says so."""
     arms = sensor.creep or GelCreep(share=(), time_s=())
-    told = KnownGel(sensor.shear_modulus_pa, sensor.normal_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s))
-    return KnownGel(**{name: value for name, value in told._asdict().items() if name in named})
+    whole = KnownGel(sensor.shear_modulus_pa, sensor.normal_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s))
+    return KnownGel(**{name: value for name, value in whole._asdict().items() if name in named})
 
 
 def check_scale(tracks: StageFile, known: KnownGel) -> None:

@@ -26,7 +26,7 @@ def asked(path: Path) -> Iterator[str]:
 def test_nothing_is_asked_by_string() -> None:
     """Assert that no module but those that read files takes a key of a plan, scene, sensor or solver by its name."""
     modules = [path for path in PACKAGE.rglob("*.py") if not str(path.relative_to(PACKAGE)).startswith(DOOR)]
-    assert {str(path): found for path in modules if (found := list(asked(path)))} == {}
+    assert {str(path): places for path in modules if (places := list(asked(path)))} == {}
 
 
 def test_the_search_finds_what_it_is_for(tmp_path: Path) -> None:
