@@ -104,7 +104,8 @@ def _counts(index: Index) -> list[dict[str, Any]]:
     kinds = [row["kind"] for row in rows]
     for name in COUNTED:
         groups = (
-            f"SELECT {name}, kind, COUNT(*) FROM files WHERE {name} IS NOT NULL GROUP BY {name}, kind ORDER BY {name}"
+            f"SELECT {name}, kind, COUNT(*) FROM files WHERE {name} IS NOT NULL AND kind IS NOT NULL"
+            f" GROUP BY {name}, kind ORDER BY {name}"
         )
         by_value: dict[Any, dict[str, Any]] = {}
         for value, kind, files in index.table.execute(groups):

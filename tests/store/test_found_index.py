@@ -183,6 +183,14 @@ def test_rows_of_files_that_are_not_there_are_not_believed(folder: Path) -> None
         assert (opened.read, opened.removed) == (0, 0)
 
 
+def test_a_row_without_a_kind_is_counted_under_none(folder: Path) -> None:
+    """Assert that `info` of a folder whose index says an outcome of what is no file of ours ends in its tables."""
+    changed("UPDATE files SET kind = NULL, outcome = 'x' WHERE path = 'a.recording.h5'")(folder / index.NAME)
+    run = CliRunner().invoke(app, ["info", str(folder), "--json"])
+    assert run.exit_code == 0, run.output
+    assert all(None not in row and "null" not in row for row in json.loads(run.stdout)["rows"])
+
+
 def test_any_damage_to_an_index(folder: Path) -> None:
     """Assert that whatever bytes are changed, the answer is right, in words and in the end."""
     right = rows(folder)
