@@ -41,7 +41,7 @@ def of_table(table: Mapping[str, Any], where: str) -> Scene:
     check(Scene, table, where, error=SceneError)
     try:
         scene = build(Scene, table)
-    except ValueError as error:  # what a step must divide
+    except ValueError as error:  # a fixed step that does not divide a slice
         raise SceneError(f"solver: {error}", where=where) from None
     if scene.gripper.current is not None:
         _check_current(scene, scene.gripper.current, table["gripper"], where)

@@ -32,7 +32,7 @@ TYPES = {
 
 
 class About(NamedTuple):
-    """What is known of a field beside its type.
+    """What a field says of itself beside its type.
 
     rules: of JSON schema. table: the type of a table within. needed_in, only_in: kinds of scene (of motion, in its
     table) that cannot do without it, and that alone can have it. order: "pair" (the lower end first), "rising" or
@@ -76,7 +76,7 @@ def words(meaning: str, most: int, *, pattern: str = "", default: Any = MISSING)
 
 
 def constant(meaning: str, value: Any) -> Any:
-    """What has one value, which has to be named all the same."""
+    """A value that must be named and can only be this one."""
     return _declared(About({"description": meaning, "const": value}), MISSING)
 
 
@@ -157,7 +157,7 @@ def _list(meaning: str, items: Rules, count: int | tuple[int, int], unique: bool
 
 
 def about(item: Field[Any]) -> About:
-    """What is known of a field."""
+    """What a field says of itself."""
     known: About = item.metadata["about"]
     return known
 
@@ -192,7 +192,7 @@ def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
     check(type_, named, where)
     try:
         return build(type_, named)
-    except ValueError as error:  # of a step that does not divide a slice
+    except ValueError as error:  # a fixed step within its range that does not divide a slice
         raise InputError(str(error), where=where) from None
 
 

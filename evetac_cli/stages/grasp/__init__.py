@@ -50,8 +50,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
 
         return real_time.jobs(camera, gripper, params, out)
     trials = simulated_trials(("lift",), params, out)
-    for trial in trials[:1]:
-        make_timing(params, trial.plan)  # refuses a rate that cannot be kept
+    make_timing(params, trials[0].plan)  # refuses a rate that cannot be kept
     return trials
 
 
