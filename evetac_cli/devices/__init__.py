@@ -1,8 +1,8 @@
-"""Cameras and grippers: three small protocols, and behind them simulated, replayed or real devices alike.
+"""Cameras and grippers: two small protocols, and behind them simulated, replayed or real devices alike.
 
-A camera hands out slices in order, empty ones included, and paces whoever reads it. A gripper takes one command and
-gives one reading a cycle. A clock tells device time. What a device lost or dropped it counts, by plain names. Truth
-comes only from a simulation and goes only into the file.
+A camera hands out slices in order, empty ones included, paces whoever reads it, and tells device time. A gripper takes
+one command and gives one reading a cycle. What a device lost or dropped it counts, by plain names. Truth comes only
+from a simulation and goes only into the file.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,11 +12,11 @@ from math import inf, nan
 from typing import Any, NamedTuple, Protocol
 
 from evetac_cli.events import Events
-from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.realtime.shared_time import TimeSource
 
 
 class EventCamera(Protocol):
-    """A source of slices, one for every millisecond."""
+    """A source of slices, one for every millisecond, and the clock of its recording."""
 
     @property
     def sensor(self) -> Mapping[str, Any]:
@@ -25,6 +25,23 @@ class EventCamera(Protocol):
     @property
     def counted(self) -> Mapping[str, int]:
         """Losses so far by plain name, such as events_dropped; nothing from a camera that cannot lose any."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know about this camera, in sentences; usually nothing."""
+
+    @property
+    def time(self) -> TimeSource:
+        """The time by which the camera and the loops around it run: HOST_TIME, unless what it sees has its own."""
+
+    def now_us(self) -> int:
+        """Device time in us since the start of the recording."""
+
+    def host_us(self, device_us: float) -> float:
+        """The time of `time`, in us, at this time of the recording; NaN where the camera does not know it.
+
+        By it the lateness of slices is measured, and the clocks of two cameras are compared.
+        """
 
     def read(self) -> Events | None:
         """The next slice of 1 ms (t in us, absolute), or None once the stream has ended; DeviceError if it broke."""
@@ -64,6 +81,10 @@ class Gripper(Protocol):
     def counted(self) -> Mapping[str, int]:
         """Losses so far by plain name, such as answers_lost; nothing from a gripper that cannot lose any."""
 
+    @property
+    def release_words(self) -> str:
+        """What is known about torque, and once the gripper is closed, what was read back; empty if it has no torque."""
+
     def read(self) -> GripperReading:
         """Measured current and position; DeviceError if it does not answer."""
 
@@ -73,36 +94,30 @@ class Gripper(Protocol):
     def write_position(self, goal_ticks: int) -> None:
         """Set the goal position register (integer ticks) in current-based position mode."""
 
+    def emergency_open(self) -> None:
+        """Open it at bounded current for a bounded time, then close the driver."""
+
     def close(self) -> None:
         """Current zero and torque off; a second call does nothing."""
 
 
-class Clock(Protocol):
-    """The time of a device, from the start of its recording."""
+class Peer(Protocol):
+    """What is behind a virtual device."""
 
-    def now_us(self) -> int:
-        """Microseconds since the start of the recording."""
-
-
-def camera_time(camera: EventCamera) -> TimeSource:
-    """The time by which a camera runs, and loops with it: the host's, unless it says otherwise."""
-    return getattr(camera, "time", HOST_TIME)
-
-
-class Closable(Protocol):
-    """A device, or what is behind one, that has to be closed at the end."""
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Losses so far by plain name."""
 
     def close(self) -> None:
-        """Close it; a second call does nothing."""
+        """End it; a second call does nothing."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Camera, gripper and clock of one trial, and what is known of them."""
+    """Camera and gripper of one trial, and what is known of them."""
 
     camera: EventCamera
     gripper: Gripper | None
-    clock: Clock
     truth: Callable[[], Mapping[str, Any]] | None = None  # one row per slice just read; simulations only
     holding_ma: float = 0.0  # the current that holds the object stably; 0 where it is not known
     slices: int = 0  # how many there are at most; 0 where nobody knows. Simulations only, for the progress shown
@@ -112,7 +127,7 @@ class Rig:
     setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON
     simulated: bool = True  # what the camera sees comes from a simulation
     parents: tuple[dict[str, Any], ...] = ()  # headers of the files that the camera plays
-    peers: tuple[Closable, ...] = ()  # what the devices need, such as the virtual ones behind the wire
+    peers: tuple[Peer, ...] = ()  # what the devices need, such as the virtual ones behind the wire
 
     @property
     def watchdog_ms(self) -> float:
@@ -127,8 +142,12 @@ class Rig:
     def counted(self) -> dict[str, int]:
         """What was lost so far, as camera.REASON and gripper.REASON."""
         named = [("camera", self.camera), ("gripper", self.gripper), *(("world", peer) for peer in self.peers)]
-        counts = {name: getattr(device, "counted", {}) for name, device in named if device is not None}
-        return {f"{name}.{why}": count for name, reasons in counts.items() for why, count in reasons.items()}
+        return {
+            f"{name}.{why}": count
+            for name, device in named
+            if device is not None
+            for why, count in device.counted.items()
+        }
 
     def close(self) -> None:
         """Close all devices, the gripper first, then what is behind them; an error in one does not keep the others."""

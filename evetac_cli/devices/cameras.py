@@ -8,11 +8,11 @@ needed.
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from evetac_cli.devices import Clock, EventCamera
+from evetac_cli.devices import EventCamera
 from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, no_such_device, options, parse_number
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
@@ -44,14 +44,10 @@ class CameraSettings:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-class RunningCamera(EventCamera, Clock, Protocol):
-    """A camera that is running, and its clock."""
-
-
 class OpenedCamera(NamedTuple):
     """A camera that was opened, what it is and how it is set (for a header), and headers of the files that it plays."""
 
-    camera: RunningCamera
+    camera: EventCamera
     setup: dict[str, Any]
     parents: tuple[Header, ...] = ()
 

@@ -17,6 +17,7 @@ from evetac_cli.devices.device_slices import DeviceSlices
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.errors import DeviceError, missing_extra
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 POLL_S = 0.0005
 QUIET_MS = 1000  # without an event: a sensor in the dark still has noise
@@ -24,10 +25,13 @@ PATIENCE_US = 10_000  # on top of the flush time: two threads of the library, wh
 
 
 class DvCamera:
-    """A running camera of dv-processing; an EventCamera, and the Clock of its recording.
+    """A running camera of dv-processing; an EventCamera.
 
     serial: which camera, None for the first; library: dv_processing, or what stands in for it. DeviceError, in words.
     """
+
+    notes: tuple[str, ...] = ()
+    time: TimeSource = HOST_TIME
 
     def __init__(
         self, serial: str | None = None, settings: DvxplorerSettings | None = None, library: Any = None

@@ -97,7 +97,6 @@ def open_rig(
     return Rig(
         running,
         driver,
-        running,
         holding_ma=world.holding_ma if world else 0.0,
         sampled=world.sampled if world else "",
         sensor=world.sensor if world else {},

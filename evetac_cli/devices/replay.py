@@ -5,7 +5,7 @@ an hour without events is cut a second at a time.
 Paced, a slice comes when as much time has passed since the first as in the recording: a stand-in for a device.
 """
 
-import time
+import math
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, Slicer
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import open_recording
 
@@ -25,6 +26,8 @@ class ReplayCamera:
     """A camera whose slices come from a recording; also its clock."""
 
     counted: Mapping[str, int] = MappingProxyType({})
+    notes: tuple[str, ...] = ()
+    time: TimeSource = HOST_TIME
 
     def __init__(self, path: Path, *, paced: bool = False) -> None:
         self._recording = open_recording(path)
@@ -52,8 +55,9 @@ class ReplayCamera:
         if not self._open or not self._ready:
             return None
         if self._paced:
-            self._started_us = self._started_us or _host_us()
-            time.sleep(max(0.0, self.host_us((self._handed_out + 1) * SLICE_US) - _host_us()) * 1e-6)
+            now_us = self.time.now_s() * 1e6
+            self._started_us = self._started_us or now_us
+            self.time.sleep(max(0.0, self.host_us((self._handed_out + 1) * SLICE_US) - now_us) * 1e-6)
         self._handed_out += 1
         return self._ready.popleft()
 
@@ -76,14 +80,10 @@ class ReplayCamera:
         return self._handed_out * SLICE_US
 
     def host_us(self, device_us: float) -> float:
-        """time.monotonic() in us at which a paced replay is at this time of the recording."""
-        return self._started_us + device_us
+        """Host time in us at which a paced replay is at this time of the recording."""
+        return self._started_us + device_us if self._paced else math.nan
 
     def close(self) -> None:
         """Close the file."""
         self._open = False
         self._recording.close()
-
-
-def _host_us() -> float:
-    return time.monotonic() * 1e6

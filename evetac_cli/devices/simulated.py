@@ -1,5 +1,6 @@
 """Camera, gripper and clock of a simulated scene: reading a slice is what makes its time pass."""
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.events import SLICE_US, Events
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan
@@ -18,6 +20,8 @@ class SimulatedCamera:
     """The camera of a simulated scene, and the clock of that scene."""
 
     counted: Mapping[str, int] = MappingProxyType({})
+    notes: tuple[str, ...] = ()
+    time: TimeSource = HOST_TIME
 
     def __init__(self, simulation: Simulation, scene: str, name: str, sensor: Sensor) -> None:
         self._simulation: Simulation | None = simulation
@@ -45,6 +49,10 @@ class SimulatedCamera:
         """End of the slice that was read last."""
         return self._now_us
 
+    def host_us(self, device_us: float) -> float:
+        """NaN: a scene's time passes as its slices are read."""
+        return math.nan
+
     def close(self) -> None:
         """End the simulation."""
         self._simulation = None
@@ -54,6 +62,7 @@ class SimulatedGripper:
     """The gripper of a simulated scene; as on the real one, a command holds until the next."""
 
     counted: Mapping[str, int] = MappingProxyType({})
+    release_words = ""
 
     def __init__(self, simulation: GraspSimulation) -> None:
         self.simulation = simulation
@@ -71,6 +80,10 @@ class SimulatedGripper:
         """Command a position, from the next slice on."""
         self.simulation.command = ("position", goal_ticks)
 
+    def emergency_open(self) -> None:
+        """Let go: nothing real is in the fingers."""
+        self.close()
+
     def close(self) -> None:
         """Command no current."""
         self.simulation.command = ("current", 0)
@@ -85,11 +98,10 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Rig:
     camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
     slices, sampled = simulation.slices_in_all, simulation.sampled.as_json()
     if not isinstance(simulation, GraspSimulation):
-        return Rig(camera, None, camera, simulation.truth, slices=slices, sampled=sampled)
+        return Rig(camera, None, simulation.truth, slices=slices, sampled=sampled)
     return Rig(
         camera,
         SimulatedGripper(simulation),
-        camera,
         simulation.truth,
         simulation.holding_ma(),
         slices,

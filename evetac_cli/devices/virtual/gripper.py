@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, suppress
+from types import MappingProxyType
 from typing import Any
 
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
@@ -26,6 +27,8 @@ END_S = 5.0
 
 class VirtualGripper(AbstractContextManager["VirtualGripper"]):
     """A servo on a pseudo terminal; `port` is its path."""
+
+    counted: Mapping[str, int] = MappingProxyType({})
 
     def __init__(
         self,

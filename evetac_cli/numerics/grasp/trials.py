@@ -4,8 +4,8 @@ The hand rises as in the scene, but the lift ends soon after 50 mm, and the bala
 """
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, first_plan
-from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, run_grasp
+from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, grasp_slices
 from evetac_cli.stages.grasp.setup import open_detector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.trial_writer import TrialBuffer
@@ -79,34 +79,6 @@ def ground_truth_detector(detector: SlipDetector, devices: Rig) -> SlipDetector:
     return FixedDetector(detector, lambda: bool(truth()["truth/slip"]))
 
 
-@dataclass
-class CameraUntilLost:
-    """A camera whose stream ends once the object has moved too far in the gripper, from where it would slide on."""
-
-    devices: Rig
-    mm_per_px: float
-
-    @property
-    def sensor(self) -> Mapping[str, Any]:
-        """What is known of the sensor."""
-        return self.devices.camera.sensor
-
-    @property
-    def counted(self) -> Mapping[str, int]:
-        """The camera's counts of lost and damaged data."""
-        return self.devices.camera.counted
-
-    def read(self) -> Events | None:
-        """The next slice; None once the object is lost."""
-        assert self.devices.truth is not None
-        moved_px = self.devices.truth()["truth/object_xy_px"]
-        return None if float(np.hypot(*moved_px)) * self.mm_per_px > LOST_MM else self.devices.camera.read()
-
-    def close(self) -> None:
-        """Close the camera."""
-        self.devices.camera.close()
-
-
 @dataclass(frozen=True)
 class ShortGrasp:
     """A grasp to simulate: the object, the controller and its timing."""
@@ -159,10 +131,12 @@ def run_short_grasp(
                     open_detector(file, devices.camera.sensor, Grasp().tracker, Grasp().slip_threshold), devices
                 )
             )
-        watched = replace(devices, camera=CameraUntilLost(devices, plan.sensor.mm_per_px))
-        run_grasp(watched, detector, control, timing, lambda _, rows: buffer.append_rows(rows), lambda _: None)
+        for _, rows in grasp_slices(devices, detector, control, timing):
+            buffer.append_rows(rows)
+            if float(np.hypot(*rows["truth/object_xy_px"])) * plan.sensor.mm_per_px > LOST_MM:
+                break  # it would slide on from there
     finally:
         devices.close()
-    rows = buffer.row_arrays()
-    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, timing.end_ms)
-    return GraspResult(figures, rows, np.array(detector.took_us))
+    arrays = buffer.row_arrays()
+    figures = grasp_outcome.outcome(arrays, plan.sensor.mm_per_px, timing.end_ms)
+    return GraspResult(figures, arrays, np.array(detector.took_us))

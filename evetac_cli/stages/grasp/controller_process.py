@@ -22,7 +22,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from evetac_cli import console
 from evetac_cli.devices import Gripper
@@ -70,17 +70,6 @@ class ControllerSettings:
     watchdog_ms: int
     most_s: float  # that the grasp may take, whatever the camera's clock says
     time: TimeSource = HOST_TIME  # by which the controller goes
-
-
-class HeldGripper(Gripper, Protocol):
-    """A gripper that says what torque it was left with, and that an emergency key opens."""
-
-    @property
-    def release_words(self) -> str:
-        """What is known of torque; once it is closed, what was read back."""
-
-    def emergency_open(self) -> None:
-        """Open it at bounded current for a stated time, then close."""
 
 
 class GripperReady(NamedTuple):
@@ -247,7 +236,7 @@ def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:
 
 
 def command_grasp(
-    gripper: HeldGripper,
+    gripper: Gripper,
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
@@ -283,7 +272,7 @@ def command_grasp(
 
 
 def _command(
-    gripper: HeldGripper,
+    gripper: Gripper,
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,

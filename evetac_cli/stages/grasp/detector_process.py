@@ -6,6 +6,7 @@ recorder in batches, without waiting for it.
 
 import contextlib
 import gc
+import math
 import os
 import signal
 import sys
@@ -19,8 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.devices import camera_time
-from evetac_cli.devices.cameras import CameraSettings, NamedCamera, RunningCamera
+from evetac_cli.devices import EventCamera
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.kernels.grip.control import SlipSignal
@@ -159,7 +160,7 @@ def run_detector(
         gc.collect()  # which takes long, and once the camera runs its slices wait
         scheduling = set_niceness(NICE)  # before the camera's thread, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
-        outbox.put(CameraReady(camera.sensor, setup, getattr(camera, "notes", ()), scheduling))
+        outbox.put(CameraReady(camera.sensor, setup, camera.notes, scheduling))
         gc.freeze()
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)
@@ -186,7 +187,7 @@ def _raise_if_ended(ending: Sequence[int]) -> None:
 
 
 def detect(
-    camera: RunningCamera,
+    camera: EventCamera,
     detector: SlipDetector | None,
     status: SharedStatus,
     outbox: MessageWriter,
@@ -200,10 +201,9 @@ def detect(
     because those that wait in the meantime would have to be caught up with, while the gripper moves by old ones.
     DeviceError where the stream ends before, the recorder cannot keep up, or a signal came (`ending`).
     """
-    host_us = getattr(camera, "host_us", None)
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
     parent = os.getppid()
-    clock = camera_time(camera)
+    clock = camera.time
     events_us = clock.now_s() * 1e6  # when the camera last gave an event
     slips = slices = 0
     moves = False
@@ -220,7 +220,9 @@ def detect(
         now_us = clock.now_s() * 1e6
         if events.size:
             events_us = now_us
-        zero_us = now_us - slices * SLICE_US if host_us is None else host_us(0.0)
+        zero_us = camera.host_us(0.0)
+        if math.isnan(zero_us):
+            zero_us = now_us - slices * SLICE_US
         if signal.slips > slips:
             slips = signal.slips
             slip_us.append(zero_us + (float(events.t[0]) if events.size else (slices - 1) * SLICE_US))

@@ -101,7 +101,7 @@ def grasp_slices(
             reading = gripper.read()
             goal = control.step(phase, signal, reading.position_ticks)
             gripper.write_position(goal)
-            rows |= control_row(control, phase, signal, reading, goal, devices.clock.now_us())
+            rows |= control_row(control, phase, signal, reading, goal, devices.camera.now_us())
         yield events, rows
         slice_ += 1
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.devices import Clock, GripperReading, Rig
+from evetac_cli.devices import EventCamera, GripperReading, Rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
@@ -33,12 +33,13 @@ METHOD = 2
 
 
 class RecordedGripper:
-    """A gripper that was where a recording says, at the time of a clock; commands have no effect."""
+    """A gripper that was where a recording says, at the time of the camera; commands have no effect."""
 
     counted: Mapping[str, int] = MappingProxyType({})
+    release_words = ""
 
-    def __init__(self, recording: Recording, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, recording: Recording, camera: EventCamera) -> None:
+        self._camera = camera
         self._t_us = np.zeros(1, np.int64)
         self._ticks, self._current_ma = np.zeros(1, np.int32), np.zeros(1, np.float32)
         if recording.has("gripper") and recording.length("gripper/t_us"):
@@ -48,13 +49,16 @@ class RecordedGripper:
 
     def read(self) -> GripperReading:
         """The last reading before now; zeros if there was none."""
-        at = max(int(np.searchsorted(self._t_us, self._clock.now_us(), side="right")) - 1, 0)
+        at = max(int(np.searchsorted(self._t_us, self._camera.now_us(), side="right")) - 1, 0)
         return GripperReading(float(self._current_ma[at]), int(self._ticks[at]))
 
     def write_current(self, current_ma: int) -> None:
         """Without effect: the finger is where it was recorded."""
 
     def write_position(self, goal_ticks: int) -> None:
+        """Without effect: the finger is where it was recorded."""
+
+    def emergency_open(self) -> None:
         """Without effect: the finger is where it was recorded."""
 
     def close(self) -> None:
@@ -110,7 +114,7 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
         if not slices:
             raise InputError("there is not a single slice", where=str(trial.inputs[0]))
         camera = ReplayCamera(trial.inputs[0])
-        devices = Rig(camera, RecordedGripper(recording, camera), camera)
+        devices = Rig(camera, RecordedGripper(recording, camera))
         steps = steps_with_slip = 0
 
         def blocks() -> Iterator[dict[str, Any]]:

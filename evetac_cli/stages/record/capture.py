@@ -24,7 +24,7 @@ from uuid import uuid4
 import numpy as np
 
 from evetac_cli import console
-from evetac_cli.devices import EventCamera, GripperReading, Rig, camera_time
+from evetac_cli.devices import EventCamera, GripperReading, Rig
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.losses import LossNews
 from evetac_cli.devices.opening import open_rig
@@ -93,7 +93,7 @@ class SliceThread:
         try:
             while self._running and (events := self._camera.read()) is not None:
                 with self._lock:
-                    self._slices.append((events, camera_time(self._camera).now_s()))
+                    self._slices.append((events, self._camera.time.now_s()))
                     self._waiting += events.size
                 while self._running and (self._waiting > WAITING_EVENTS or len(self._slices) > WAITING_SLICES):
                     time.sleep(1e-3)
@@ -128,9 +128,8 @@ class CameraRecording:
         self.last_s = came_s
         self.slices += 1
         self.events += events.size
-        host_us = getattr(self.rig.camera, "host_us", None)
-        if host_us is not None:
-            self.late_us = came_s * 1e6 - host_us(self.slices * SLICE_US)
+        self.late_us = came_s * 1e6 - self.rig.camera.host_us(self.slices * SLICE_US)
+        if not math.isnan(self.late_us):
             self.delays.add(self.late_us)
             self.late_slices.add(self.late_us, events.size)
         self.writer.append(events)
@@ -152,10 +151,9 @@ class CameraRecording:
             command_us = self.loop.cycle_us.spread()
             if command_us is not None:
                 rows["capture/command_us"] = command_us
-        clocks = [getattr(rig.camera, "host_us", None) for rig in (self.rig, first)]
-        if self.rig is not first and all(clocks):
-            ours_us, theirs_us = (clock(0) for clock in clocks if clock)
-            rows["capture/clock_offset_us"] = np.float64(ours_us - theirs_us)
+        offset_us = self.rig.camera.host_us(0.0) - first.camera.host_us(0.0)
+        if self.rig is not first and not math.isnan(offset_us):
+            rows["capture/clock_offset_us"] = np.float64(offset_us)
         return rows
 
 
@@ -181,7 +179,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
             gripper = NoGripper() if place else trial.gripper
             rig = open_rig(camera, gripper, settings(params), trial.plan, seeds, armed=params.arm)
             opened.callback(rig.close)
-            for note in getattr(rig.camera, "notes", ()):
+            for note in rig.camera.notes:
                 console.say(note)
             recordings.append(_begin(trial, params, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
@@ -333,8 +331,8 @@ def _write(
             target_ma = step(state, law, reading, rng)
             return target_ma, state.ended
 
-        pace, watchdog_ms = camera_time(first.rig.camera), first.rig.watchdog_ms
-        first.loop = GripperLoop(first.rig.gripper, act, first.rig.clock.now_us, pace, watchdog_ms, key)
+        camera, watchdog_ms = first.rig.camera, first.rig.watchdog_ms
+        first.loop = GripperLoop(first.rig.gripper, act, camera.now_us, camera.time, watchdog_ms, key)
     for recording in recordings[1:]:
         recording.thread = SliceThread(recording.rig.camera)
     most = round(1000 * params.seconds) if params.seconds is not None else None
@@ -387,7 +385,7 @@ def _follow(
         if first.slices == 0 and loop is not None:
             loop.start()
         _fetch(recordings, view)
-        first.append(events, camera_time(first.rig.camera).now_s())
+        first.append(events, first.rig.camera.time.now_s())
         if view is not None:
             view.add_slice(events, first.late_us)
         failed = [part.error for part in (loop, *(each.thread for each in recordings)) if part and part.error]
@@ -443,7 +441,7 @@ def _result(
     simulated = any(recording.recipe.simulated for recording in recordings)
     result = Outcome([_row(trial, recording, rows) for recording, rows in saved], simulated)
     first = recordings[0]
-    torque = getattr(first.rig.gripper, "release_words", "")
+    torque = first.rig.gripper.release_words if first.rig.gripper is not None else ""
     session.raise_end(first.error, first.ended, files or "nothing was recorded", result, torque)
     return result
 

@@ -216,8 +216,7 @@ class GripperLoop:
     def _open(self) -> None:
         """What the emergency key does."""
         self._alive_s += OPENING_S
-        emergency_open: Callable[[], None] = getattr(self._gripper, "emergency_open", self._gripper.close)
-        emergency_open()
+        self._gripper.emergency_open()
         self.ended = OPENED
 
     def _let_go(self, error: Exception) -> None:
@@ -226,7 +225,7 @@ class GripperLoop:
             self._gripper.close()
         except DeviceError as failed:
             error = failed if not isinstance(error, DeviceError) else error
-        torque = getattr(self._gripper, "release_words", "")
+        torque = self._gripper.release_words
         if isinstance(error, EvetacError) and torque not in str(error):
             error.message += f"; {torque}"
         self._error = error

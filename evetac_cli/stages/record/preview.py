@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
 
-from evetac_cli.devices import Rig, camera_time, cameras, losses
+from evetac_cli.devices import Rig, cameras, losses
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.events import SLICE_US
@@ -64,11 +64,11 @@ def _watch(rig: Rig, view: LiveView, most: int | None, *, paced: bool) -> dict[s
     """Read and show; `paced` holds a simulation back to real time."""
     slices = total = 0
     began_s = time.monotonic()
-    host_us, now_s = getattr(rig.camera, "host_us", None), camera_time(rig.camera).now_s
-    while slices != most and (events := rig.camera.read()) is not None:
+    camera = rig.camera
+    while slices != most and (events := camera.read()) is not None:
         slices += 1
         total += events.size
-        view.add_slice(events, float("nan") if host_us is None else now_s() * 1e6 - host_us(slices * SLICE_US))
+        view.add_slice(events, camera.time.now_s() * 1e6 - camera.host_us(slices * SLICE_US))
         if paced:
             time.sleep(max(0.0, began_s + slices * 1e-3 - time.monotonic()))
         if slices % NEWS_SLICES == 0:

@@ -145,7 +145,7 @@ def _slices(
         if devices.gripper is not None and due:
             if course is None and number > schedule.ramp_ms:
                 target_ma += rng.uniform(*RAMP_MA)
-            now_us = devices.clock.now_us()
+            now_us = devices.camera.now_us()
             rows |= _command(devices.gripper, now_us, target_ma, number, schedule)
         yield events, rows
         number += 1

@@ -36,6 +36,7 @@ from evetac_cli.stages.grasp.controller_process import (
 )
 from evetac_cli.stages.grasp.loop import Timing
 from evetac_cli.stages.session import OPENED
+from tests.devices.stand_ins import StillGripper
 
 PERIOD_S = 0.002
 READ_S, WRITE_S = 400e-6, 100e-6
@@ -132,7 +133,7 @@ def test_watch_counts_only_while_it_runs_but_not_for_ever() -> None:
     assert "detector" in watch.fault(status, 1e6, 1.091e6)[0]
 
 
-class Hand:
+class Hand(StillGripper):
     """A gripper whose finger is where it was commanded to be, and which takes its time; fails at a step."""
 
     def __init__(self, clock: Clock) -> None:

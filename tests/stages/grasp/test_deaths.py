@@ -25,13 +25,14 @@ from evetac_cli.stages.grasp import recorder
 from evetac_cli.stages.grasp.controller_process import ControllerEnded
 from evetac_cli.stages.grasp.detector_process import DetectorEnded, DetectorSettings, SliceBatch, joined, run_detector
 from evetac_cli.stages.grasp.recorder import RecordedGrasp
+from tests.devices.stand_ins import StillCamera
 from tests.quick import few
 
 GOOD_SLICES = 20
 PATIENCE_S = 60.0
 
 
-class Camera:
+class Camera(StillCamera):
     """Empty slices, and then what a test wants."""
 
     sensor: dict[str, Any] = {}

@@ -15,9 +15,10 @@ from evetac_cli.realtime import processes
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.detector_process import BATCH_MS, SliceBatch, detect, noise
+from tests.devices.stand_ins import StillCamera
 
 
-class Camera:
+class Camera(StillCamera):
     """Slices of noise, every fifth of them empty; its clock is 7 s behind the host's."""
 
     def __init__(self, slices: int) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import InputError
-from evetac_cli.events import empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
 from evetac_cli.kernels.grip.paper import Phase
@@ -23,6 +22,7 @@ from evetac_cli.stages.grasp.online_detector import known_dots
 from evetac_cli.stages.slip_detectors import load_detector, read_horizon_ms
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.trial_writer import TrialBuffer
+from tests.devices.stand_ins import StillCamera, StillGripper
 
 SHORT = {"lift_s": 1.0, "balance_s": 0.1}
 
@@ -154,39 +154,27 @@ def test_a_closed_gel_is_felt_by_the_network_for_a_cut_one(tmp_path: Path) -> No
     assert row["slices_with_slip"] > 0
 
 
-class Silence:
-    """A camera of so many empty slices, and its clock."""
+class Silence(StillCamera):
+    """A camera of so many empty slices."""
 
     def __init__(self, slices: int) -> None:
-        self.sensor, self.counted, self.left, self.now_ms = {}, {}, slices, 0
+        self.most = slices
 
     def read(self):
-        if not self.left:
-            return None
-        self.left, self.now_ms = self.left - 1, self.now_ms + 1
-        return empty()
-
-    def now_us(self) -> int:
-        return 1000 * self.now_ms
-
-    def close(self) -> None: ...
+        return None if self.slices == self.most else super().read()
 
 
-class Still:
+class Still(StillGripper):
     """A gripper whose fingers do not move, with a log of its commands."""
 
     def __init__(self, camera: Silence) -> None:
-        self.camera, self.counted, self.goals = camera, {}, []
+        self.camera, self.goals = camera, []
 
     def read(self) -> GripperReading:
         return GripperReading(0.0, 100)
 
     def write_position(self, goal_ticks: int) -> None:
-        self.goals.append((self.camera.now_ms, goal_ticks))
-
-    def write_current(self, current_ma: int) -> None: ...
-
-    def close(self) -> None: ...
+        self.goals.append((self.camera.slices, goal_ticks))
 
 
 class SlipsAt:
@@ -206,7 +194,7 @@ def held(timing: Timing, slips_at: int) -> list[tuple[int, int]]:
     still = Still(camera)
     buffer = TrialBuffer()
     control = Control(make_law("paper"), timing.control_hz)
-    slices = run_grasp(Rig(camera, still, camera), SlipsAt(slips_at), control, timing, buffer.append, lambda _: None)
+    slices = run_grasp(Rig(camera, still), SlipsAt(slips_at), control, timing, buffer.append, lambda _: None)
     assert slices == timing.end_ms == len(buffer.events)
     assert len(buffer.rows["control/t_us"]) == len(still.goals)
     return still.goals

@@ -30,6 +30,7 @@ from evetac_cli.store import disk, segments
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
+from tests.devices.stand_ins import StillCamera, StillGripper
 from tests.patience import PATIENCE_S, until
 from tests.small_files import recording_of
 from tests.stages.live_view.fake_view import FakeView
@@ -37,7 +38,7 @@ from tests.stages.live_view.fake_view import FakeView
 ARMED = {"gripper": "/dev/ttyUSB0", "arm": True}
 
 
-class Camera:
+class Camera(StillCamera):
     """A camera that makes ten events in every slice, and fails or ends after a number of slices."""
 
     SLICE_S = 2e-4  # that it takes at least
@@ -72,7 +73,7 @@ class Camera:
         self.closed = True
 
 
-class Hand:
+class Hand(StillGripper):
     """A gripper that stands still, and fails after a number of commands, and once a camera has made some slices."""
 
     def __init__(self, fails_at: int = 10**9, beside: Camera | None = None, slices: int = 0) -> None:
@@ -103,7 +104,7 @@ def rig_is(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Rig]:
 
     def put(camera: Camera, hand: Hand | None = None, serial: str = "T1", holding_ma: float = 0.0) -> Rig:
         setup = {"camera": {"serial": serial}, "gripper": "none"}
-        rig = Rig(camera, hand, camera, holding_ma=holding_ma, setup=setup, simulated=False)
+        rig = Rig(camera, hand, holding_ma=holding_ma, setup=setup, simulated=False)
         monkeypatch.setattr(capture, "open_rig", lambda *named, **more: rig)
         return rig
 
@@ -591,7 +592,7 @@ def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
 def test_two_cameras_end_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Assert that when the second camera is unplugged, both files are valid, and the gripper is let go of."""
     hand = Hand()
-    rigs = [Rig(Camera(), hand, Camera()), Rig(Camera(fails_at=50), None, Camera())]
+    rigs = [Rig(Camera(), hand), Rig(Camera(fails_at=50), None)]
     monkeypatch.setattr(capture, "open_rig", lambda *named, **more: rigs.pop(0))
     opened = list(rigs)
     params = Record(camera="dvxplorer:A,dvxplorer:B", gripper="/dev/ttyUSB0", arm=True, expected_event_rate=1e4)
@@ -643,6 +644,7 @@ SMALL_DISK = """
 import resource
 from evetac_cli.cli.main import main
 from evetac_cli.store import segments
+from tests.devices.stand_ins import StillCamera, StillGripper
 segments.SEGMENT_S, segments.SEGMENT_EVENTS = 1e9, 4000
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY))
 main()

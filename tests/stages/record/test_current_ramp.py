@@ -24,6 +24,7 @@ from evetac_cli.stages.record.current_ramp import (
     step,
 )
 from evetac_cli.stages.session import OPENED
+from tests.devices.stand_ins import StillGripper
 from tests.patience import until
 
 HOLD = Hold(closing_ma=10, holding_ma=40.0, hold_s=0.02, lowest_ma=-50.0)
@@ -87,7 +88,7 @@ def test_nothing_between_the_fingers() -> None:
         step(state, HOLD, GripperReading(0.0, ClosingSettings().last_tick), rng)
 
 
-class LoggingGripper:
+class LoggingGripper(StillGripper):
     """A gripper that answers after a time, and remembers its commands."""
 
     def __init__(self, read_s: float = 0.0, fails_at: int = 10**9) -> None:
