@@ -141,7 +141,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Put an object down and touch it lightly; a seed decides all that is drawn."""
         from evetac_cli.devices.simulated import SimulatedGripper, rig
-        from evetac_cli.stages.grasp.setup import open_detector
+        from evetac_cli.kernels.tracking import tracker
+        from evetac_cli.stages.grasp.online_detector import open_detector
         from evetac_cli.stages.slip_detectors import require_useful
 
         super().reset(seed=seed)
@@ -160,7 +161,9 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._gripper = devices.gripper
         with StageFile(self._model, "model") as model:
             require_useful(model)
-            self._detector = open_detector(model, devices.camera.sensor, "stable", Grasp.slip_threshold)
+            self._detector = open_detector(
+                model, devices.camera.sensor, tracker.PRESETS["stable"], Grasp.slip_threshold
+            )
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
         self._drawn = {"object": called, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}

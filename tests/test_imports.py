@@ -14,7 +14,9 @@ from tests.patience import PATIENCE_S
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
-GROUND = frozenset({"errors", "events", "jobs", "params", "console", "resources", "kernel_cache", "text_files"})
+GROUND = frozenset(
+    {"names", "errors", "events", "jobs", "params", "console", "resources", "kernel_cache", "text_files"}
+)
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
     "api": GROUND | {"stages", "devices", "store", "sim", "kernels"},
@@ -22,20 +24,21 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "inspect": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "numerics": GROUND | {"stages", "devices", "store", "sim", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "realtime", "kernels"},
-    "devices": frozenset({"console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
+    "devices": frozenset({"names", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
     "formats": frozenset({"errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
     "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
     "sim": frozenset({"errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"errors", "events", "kernels"}),
     "kernels": frozenset({"errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
-    "params": frozenset(),
+    "params": frozenset({"names"}),
     "resources": frozenset({"errors"}),
     "kernel_cache": frozenset({"errors"}),
     "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),
     "errors": frozenset(),
+    "names": frozenset(),
 }
 
 # Libraries that only some modules may import.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evetac_cli.stages.grasp.setup import model_path_for
 from typer.testing import CliRunner
 
 import evetac_cli as evetac
@@ -23,7 +24,6 @@ from evetac_cli.resources import FORCE_MODEL, MODEL, SHIPPED, model_file, with_s
 from evetac_cli.stages import train
 from evetac_cli.stages.evaluate import force, slip
 from evetac_cli.stages.force import predict_force, train_force
-from evetac_cli.stages.grasp.setup import model_path_for
 from tests.conftest import Made
 
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT)}

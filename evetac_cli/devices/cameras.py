@@ -17,6 +17,7 @@ from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, no_such_device, optio
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.events import FRAME_PX
+from evetac_cli.names import Capability
 from evetac_cli.store.provenance import Header
 from evetac_cli.store.read import open_recording
 
@@ -54,20 +55,19 @@ class OpenedCamera(NamedTuple):
 
 @dataclass(frozen=True)
 class NamedCamera:
-    """A camera as it was named, before it is opened; the class variables say what commands may expect of its kind."""
+    """A camera as it was named, before it is opened."""
 
     name: ClassVar[str]
-    is_stepped: ClassVar[bool] = False  # its time passes as slices are read: a simulation that is not in real time
-    is_simulated: ClassVar[bool] = False  # what it sees is simulated now; a replay may show an earlier simulation
-    is_hardware: ClassVar[bool] = False  # a person puts the object in place
-    is_adjustable: ClassVar[bool] = False  # thresholds and readout rate can be set
-    is_replay: ClassVar[bool] = False
     own_gripper: ClassVar[str] = "none"  # the gripper that belongs to it where none is named
 
     @property
-    def simulates_scene(self) -> bool:
-        """Whether a scene is simulated in front of it."""
-        return False
+    def capabilities(self) -> frozenset[Capability]:
+        """What commands may expect of it; SIMULATED: what it sees is simulated now (a replay may show it again)."""
+        return frozenset({Capability.DEVICE})
+
+    def has(self, capability: Capability) -> bool:
+        """Whether commands may expect this of it."""
+        return capability in self.capabilities
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -96,7 +96,7 @@ class NamedCamera:
 
     def shows_simulation(self) -> bool:
         """Whether what it sees is, or once was, simulated."""
-        return self.is_simulated or any(header["simulated"] for header in self.parents())
+        return self.has(Capability.SIMULATED) or any(header["simulated"] for header in self.parents())
 
     def open(
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
@@ -115,13 +115,11 @@ class Simulated(NamedCamera):
 
     name = "sim"
     own_gripper = "sim"
-    is_stepped = True
-    is_simulated = True
 
     @property
-    def simulates_scene(self) -> bool:
-        """A scene is all that it can show."""
-        return True
+    def capabilities(self) -> frozenset[Capability]:
+        """A scene is all that it can show; its time passes as slices are read."""
+        return frozenset({Capability.STEPPED, Capability.SCENE, Capability.SIMULATED})
 
 
 @dataclass(frozen=True)
@@ -130,8 +128,6 @@ class Virtual(NamedCamera):
 
     name = "virtual"
     own_gripper = "virtual"
-    is_simulated = True
-    is_adjustable = True
     faults: tuple[str, ...] = ()  # such as `unplug@2.0`
     prepared_events_s: float | None = None  # plays prepared words of this rate instead of a simulated scene
     firmware: int = FIRMWARE
@@ -155,9 +151,10 @@ class Virtual(NamedCamera):
         return cls(tuple(faults), rate, FIRMWARE if firmware is None else firmware)
 
     @property
-    def simulates_scene(self) -> bool:
-        """False where it plays prepared words."""
-        return self.prepared_events_s is None
+    def capabilities(self) -> frozenset[Capability]:
+        """A device in front of a scene, unless it plays prepared words."""
+        device = frozenset({Capability.DEVICE, Capability.ADJUSTABLE, Capability.SIMULATED})
+        return device if self.prepared_events_s is not None else device | {Capability.SCENE}
 
     def open(
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
@@ -175,9 +172,12 @@ class Dvxplorer(NamedCamera):
     """`dvxplorer[:SERIAL]`: a DVXplorer Mini, by our driver."""
 
     name = "dvxplorer"
-    is_hardware = True
-    is_adjustable = True
     serial: str | None = None
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        """A real camera, whose thresholds and readout rate can be set."""
+        return frozenset({Capability.DEVICE, Capability.HARDWARE, Capability.ADJUSTABLE})
 
     def __str__(self) -> str:
         return f"{self.name}:{self.serial}" if self.serial else self.name
@@ -218,8 +218,12 @@ class Replay(NamedCamera):
     """`replay:FILE`: a recording, handed out at the pace at which it was made."""
 
     name = "replay"
-    is_replay = True
     path: Path
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        """A device whose stream ends, and which cannot be set up."""
+        return frozenset({Capability.DEVICE, Capability.REPLAY})
 
     def __str__(self) -> str:
         return f"{self.name}:{self.path}"

@@ -14,6 +14,7 @@ from evetac_cli.devices.naming import no_such_device, number, options, parse_num
 from evetac_cli.devices.rh_p12_rn.control_table import LAST_ID, SDK_RATES
 from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.errors import InputError
+from evetac_cli.names import Capability
 
 if TYPE_CHECKING:
     from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
@@ -34,13 +35,15 @@ Mode = Literal["current", "position"]
 
 @dataclass(frozen=True)
 class NamedGripper:
-    """A gripper as it was named, before it is opened; the class variables say what commands may expect of its kind."""
+    """A gripper as it was named, before it is opened."""
 
     name: ClassVar[str]
-    is_stepped: ClassVar[bool] = False  # part of a simulation whose time passes as slices are read
-    is_hardware: ClassVar[bool] = False  # it moves real fingers
-    is_moved: ClassVar[bool] = True  # commands move it
+    capabilities: ClassVar[frozenset[Capability]] = frozenset({Capability.MOVED})  # what commands may expect of it
     watchdog_ms: int | None = field(default=None, kw_only=True)  # asked for; None: the driver's
+
+    def has(self, capability: Capability) -> bool:
+        """Whether commands may expect this of it."""
+        return capability in self.capabilities
 
     @property
     def port(self) -> str:
@@ -91,7 +94,7 @@ class NoGripper(NamedGripper):
     """`none`: a camera alone."""
 
     name = "none"
-    is_moved = False
+    capabilities = frozenset()
 
     def open(self, mode: Mode, port: str) -> tuple[Gripper | None, Any]:
         """There is nothing to open."""
@@ -103,7 +106,7 @@ class Simulated(NamedGripper):
     """`sim`: the gripper of a simulated scene; devices.simulated builds it together with the camera."""
 
     name = "sim"
-    is_stepped = True
+    capabilities = frozenset({Capability.STEPPED})
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ class Serial(NamedGripper):
     """`PORT[:ID][@BAUD]`: a ROBOTIS RH-P12-RN(A) at a serial port."""
 
     name = "port"
-    is_hardware = True
+    capabilities = frozenset({Capability.MOVED, Capability.HARDWARE})
     port: str = ""
     baud: int = BAUD
     id: int = ID

@@ -12,6 +12,7 @@ from evetac_cli.devices import Rig
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import Mode, NamedGripper
 from evetac_cli.errors import InputError
+from evetac_cli.names import Capability
 from evetac_cli.sim.setup.plan import Plan
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ class Peers(NamedTuple):
 
 def require_arm(gripper: NamedGripper, *, armed: bool, plan: str = "", hint: str = "") -> None:
     """InputError where real fingers would be moved without --arm; plan: what would be done with them, in words."""
-    if gripper.is_hardware and not armed:
+    if gripper.has(Capability.HARDWARE) and not armed:
         raise InputError(
             "this would move a real gripper",
             where=str(gripper),
@@ -56,7 +57,7 @@ def open_peers(
     """
     require_arm(gripper, armed=armed)
     world = None
-    if plan is not None and camera.simulates_scene:
+    if plan is not None and camera.has(Capability.SCENE):
         from evetac_cli.devices.virtual.world import VirtualWorld
 
         world = VirtualWorld(plan, seeds, tells_truth=tells_truth, **durations)
@@ -82,7 +83,7 @@ def open_rig(
     plan: what a simulated scene is made of; armed: whether a real gripper may be moved; mode: of the gripper.
     InputError where it may not; DeviceError if a device cannot be opened; what was opened until then is closed again.
     """
-    if camera.is_stepped:
+    if camera.has(Capability.STEPPED):
         from evetac_cli.devices.simulated import rig
 
         assert plan is not None
@@ -101,7 +102,7 @@ def open_rig(
         sampled=world.sampled if world else "",
         sensor=world.sensor if world else {},
         setup={"camera": camera_setup, "gripper": gripper_setup},
-        simulated=camera.is_simulated,
+        simulated=camera.has(Capability.SIMULATED),
         parents=parents,
         peers=tuple(peer for peer in (servo, world) if peer is not None),
     )

@@ -42,6 +42,7 @@ from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Outcome
+from evetac_cli.names import Capability
 from evetac_cli.params.inspection import Doctor
 from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.provenance import made
@@ -91,11 +92,12 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
         raise InputError("nothing to try", where="--hardware", expected="--gripper PORT, --camera NAME, or both")
     camera = named_cameras.parse(params.camera) if params.camera is not None else None
     gripper = named_grippers.parse(params.gripper or "none")
-    if gripper.is_stepped or (camera is not None and (camera.is_stepped or camera.is_replay)):
+    no_devices = {Capability.STEPPED, Capability.REPLAY}
+    if no_devices & (gripper.capabilities | (frozenset() if camera is None else camera.capabilities)):
         raise InputError("no device", where="--camera, --gripper", expected="a real or a virtual one", found="sim")
     plan = f"closes and opens with {CURRENT_MA} mA, {MOVE_S:g} s each"
     require_arm(gripper, armed=params.arm, plan=plan, hint="doctor without --hardware moves nothing")
-    if gripper.is_hardware and not params.yes and ask is None:
+    if gripper.has(Capability.HARDWARE) and not params.yes and ask is None:
         if not sys.stdin.isatty():
             raise InputError("nobody can be asked before it moves", where="--hardware", expected="a terminal, or --yes")
         ask = _ask
@@ -105,13 +107,14 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
     except OSError as error:
         raise InputError("the report cannot be written", where=str(path), found=error.strerror or str(error)) from None
     steps, registers = Steps(), dict[str, int]()
-    simulated = bool(camera is not None and camera.is_simulated) or (gripper.is_moved and not gripper.is_hardware)
+    moves_virtual = gripper.has(Capability.MOVED) and not gripper.has(Capability.HARDWARE)
+    simulated = moves_virtual or (camera is not None and camera.has(Capability.SIMULATED))
     interrupted = True
     try:
         if camera is not None:
             _try_camera(steps, camera)
-        if gripper.is_moved:
-            _try_gripper(steps, gripper, None if params.yes or not gripper.is_hardware else ask, registers)
+        if gripper.has(Capability.MOVED):
+            _try_gripper(steps, gripper, None if params.yes or not gripper.has(Capability.HARDWARE) else ask, registers)
         interrupted = False
     except NotAsExpected:
         interrupted = False

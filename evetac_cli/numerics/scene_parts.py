@@ -1,7 +1,6 @@
 """The part `scenes`: what the parts of three scenes cost a slice on this machine, each scene with and without them."""
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +33,11 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     return rows
 
 
-def _trials(seed: int) -> Iterator[tuple[str, SimulatedTrial, Play]]:
+def _trials(seed: int) -> Iterator[tuple[str, SimulatedTrial, Play[Any]]]:
     """Slip, lift with the package's detector, and rubbed edges: the scenes that are slow for different reasons."""
-    recorded = [Record(scene=name, seed=seed) for name in ("slip", "edge")]
-    lifted = Grasp(seed=seed)
-    stages: list[tuple[Any, Any, Play]] = [(record, params, play_through) for params in recorded]
-    stages.insert(1, (grasp, lifted, partial(play_grasp, params=lifted)))
+    slip, edge = (Record(scene=name, seed=seed) for name in ("slip", "edge"))
+    lift: tuple[Any, Any, Play[Any]] = (grasp, Grasp(seed=seed), play_grasp)
+    stages = [(record, slip, play_through), lift, (record, edge, play_through)]
     for stage, params, play in stages:
         (trial,) = stage.jobs([], params, None)
         yield params.scene, trial, play

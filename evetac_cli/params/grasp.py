@@ -3,14 +3,17 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli.names import Capability
+from evetac_cli.params.devices import DEVICES, Devices
 from evetac_cli.params.parameter import parameter
-from evetac_cli.params.trials import Trials
+from evetac_cli.params.trials import SIMULATED, Trials
 
-DEVICES, GRIP = "Devices", "Grip and detector"  # panels of --help
+GRIP = "Grip and detector"  # panel of --help
+WITH_DEVICES = (Capability.GRASPED,)
 
 
 @dataclass(frozen=True)
-class Grasp(Trials):
+class Grasp(Devices, Trials):
     """Lift an object with slip feedback: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
     scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
@@ -18,6 +21,7 @@ class Grasp(Trials):
         "11",
         "Objects of the paper's table, 1 to 20, as in `11` or `10-18`; or a TOML file.",
         flag="--object",
+        needs=SIMULATED,
     )
     model: Path | None = parameter(
         None,
@@ -56,28 +60,6 @@ class Grasp(Trials):
     )
     lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0, panel=GRIP)
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
-    camera: str = parameter(
-        "sim",
-        "Camera: sim; virtual, a simulated world behind the real driver; dvxplorer or dvxplorer:SERIAL; dv or"
-        " dv:SERIAL; replay:RECORDING, what the controller would have done.",
-        recipe=False,
-    )
-    gripper: str | None = parameter(
-        None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); or"
-        " PORT[:ID][@BAUD], as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the"
-        " camera.",
-        recipe=False,
-    )
-    calibration: Path | None = parameter(
-        None, "Dot grid (JSON) of the sensor; default: what a virtual world says.", recipe=False, panel=DEVICES
-    )
-    arm: bool = parameter(
-        False,
-        "Move a real gripper. Torque goes off at the end and if anything fails: what is held then falls.",
-        recipe=False,
-        consent=True,
-    )
     max_current_ma: int = parameter(
         100,
         "The gripper's motor current never exceeds this.",
@@ -86,16 +68,8 @@ class Grasp(Trials):
         high=2000,
         recipe=False,
         panel=DEVICES,
+        needs=WITH_DEVICES,
     )
     max_seconds: float = parameter(
-        60.0, "No grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False, panel=DEVICES
-    )
-    watchdog_ms: int = parameter(
-        60,
-        "Torque is switched off if detector, camera or computer are silent for so long; a multiple of 20.",
-        unit="ms",
-        low=20,
-        high=500,
-        recipe=False,
-        panel=DEVICES,
+        60.0, "No grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False, panel=DEVICES, needs=WITH_DEVICES
     )

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli.names import Prediction, Training
 from evetac_cli.params.parameter import parameter
 
 OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
@@ -221,6 +222,7 @@ class TrainForce:
         " and normal force and contact for any dot grid and gel, from simulated contacts, its errors measured on the"
         " files.",
         choices=("paper", "gel"),
+        needs=(Training.PAPER, Training.GEL),
     )
     adapt: str = parameter(
         "",
@@ -232,22 +234,39 @@ class TrainForce:
         None,
         "With --adapt: your sensor's file as `evetac identify` writes it, or a sensor's name; default: unknown.",
         recipe=False,
+        needs=(Training.ADAPTATION,),
     )
     stiffness_error: float = parameter(
-        0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
+        0.1,
+        "With --sensor: relative error of its moduli, one standard deviation.",
+        low=0.0,
+        high=2.0,
+        needs=(Training.SENSOR,),
     )
-    contacts: int = parameter(4000, "Of method gel: contacts that are simulated.", low=10, high=1000000)
+    contacts: int = parameter(
+        4000, "Of method gel: contacts that are simulated.", low=10, high=1000000, needs=(Training.GEL,)
+    )
     samples: int = parameter(
-        200, "Of method paper: samples of each trajectory, evenly spread over the contact.", low=3, high=100000
+        200,
+        "Of method paper: samples of each trajectory, evenly spread over the contact.",
+        low=3,
+        high=100000,
+        needs=(Training.PAPER,),
     )
     noise_n: float = parameter(
-        0.05, "Noise of the force sensor that is fitted to, sd; not of method gel.", unit="N", low=0.0, high=100.0
+        0.05,
+        "Noise of the force sensor that is fitted to, sd; not of method gel.",
+        unit="N",
+        low=0.0,
+        high=100.0,
+        needs=(Training.PAPER, Training.ADAPTATION),
     )
     epochs: int = parameter(
         50,
         "Passes over the samples; of the paper's network the best on the last file is kept. Not with --adapt.",
         low=1,
         high=100000,
+        needs=(Training.PAPER, Training.GEL),
     )
     seed: int = parameter(0, "Seed of the noise, the first weights and the order of samples.", low=0, high=2**31 - 1)
 
@@ -268,5 +287,9 @@ class PredictForce:
         recipe=False,
     )
     stiffness_error: float = parameter(
-        0.1, "With --sensor: relative error of its moduli, one standard deviation.", low=0.0, high=2.0
+        0.1,
+        "With --sensor: relative error of its moduli, one standard deviation.",
+        low=0.0,
+        high=2.0,
+        needs=(Prediction.SENSOR,),
     )

@@ -22,15 +22,17 @@ def parameter(
     consent: bool = False,
     flag: str = "",
     panel: str = "",
+    needs: tuple[str, ...] = (),
 ) -> Any:
     """A dataclass field that knows its help text, unit and range (both ends included).
 
     consent: whether it lets something happen that a person has to want now, such as that a gripper moves: it is typed
     each time, and no file can give it. panel: under which heading `--help` shows it; those that most people need have
-    none, and come first.
+    none, and come first. needs: the option has an effect only in a run that has one of these (names.py), and is refused
+    in any other; without, it has an effect in every run, or its stage checks it.
     """
     about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high}
-    how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel}
+    how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel, "needs": needs}
     return field(default=default, metadata={**about, **how})
 
 

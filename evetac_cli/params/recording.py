@@ -3,10 +3,15 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli.names import Capability
+from evetac_cli.params.devices import DEVICES, Devices
 from evetac_cli.params.parameter import parameter
-from evetac_cli.params.trials import SCENE, VIEW, Trials
+from evetac_cli.params.trials import SCENE, SERIES, SIMULATED, VIEW, Trials
 
-DEVICES, IMPORT = "Devices", "Import"  # panels of --help
+IMPORT = "Import"  # panel of --help
+IMPORTED, RECORDED, MOVED, ADJUSTABLE = (
+    (capability,) for capability in (Capability.IMPORT, Capability.RECORDED, Capability.MOVED, Capability.ADJUSTABLE)
+)
 
 READOUT_RATES = (
     *("constant-100", "constant-200", "constant-500", "constant-1000", "lossy-2000", "lossy-5000", "lossy-10000"),
@@ -15,18 +20,20 @@ READOUT_RATES = (
 
 
 @dataclass(frozen=True)
-class Record(Trials):
+class Record(Devices, Trials):
     """Record events: simulate a scene, record from devices, or import a foreign event file."""
 
     scene: str = parameter(
         "slip",
         "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
         " vibration-randomized, or a TOML file.",
+        needs=SIMULATED,
     )
     objects: str = parameter(
         "8",
         "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`; or a TOML file.",
         flag="--object",
+        needs=SIMULATED,
     )
     tones: str | None = parameter(
         None,
@@ -34,6 +41,7 @@ class Record(Trials):
         unit="Hz",
         flag="--tone",
         panel=SCENE,
+        needs=(Capability.STEPPED,),
     )
     source: Path | None = parameter(
         None,
@@ -48,14 +56,19 @@ class Record(Trials):
         " holds all events.",
         unit="px",
         panel=IMPORT,
+        needs=IMPORTED,
     )
     sort: bool = parameter(
         False,
         "Sort imported events by time, instead of refusing a file whose time goes back by 1 ms or more.",
         panel=IMPORT,
+        needs=IMPORTED,
     )
     drop_late: bool = parameter(
-        False, "Leave out imported events that come 1 ms or more after a later one, instead of refusing.", panel=IMPORT
+        False,
+        "Leave out imported events that come 1 ms or more after a later one, instead of refusing.",
+        panel=IMPORT,
+        needs=IMPORTED,
     )
     from_restart: int | None = parameter(
         None,
@@ -63,12 +76,19 @@ class Record(Trials):
         low=0,
         high=1000,
         panel=IMPORT,
+        needs=IMPORTED,
     )
     stream: str | None = parameter(
-        None, "Which event stream, topic, camera or array of the imported file, where it has several.", panel=IMPORT
+        None,
+        "Which event stream, topic, camera or array of the imported file, where it has several.",
+        panel=IMPORT,
+        needs=IMPORTED,
     )
     columns: str | None = parameter(
-        None, "Order of four columns of the imported file that have no names, as in `x y t p`.", panel=IMPORT
+        None,
+        "Order of four columns of the imported file that have no names, as in `x y t p`.",
+        panel=IMPORT,
+        needs=IMPORTED,
     )
     time_unit: str | None = parameter(
         None,
@@ -76,31 +96,13 @@ class Record(Trials):
         " if all times are whole, s otherwise.",
         choices=("s", "ms", "us", "ns"),
         panel=IMPORT,
+        needs=IMPORTED,
     )
     frames: bool = parameter(
         False,
         "Keep the frames of the imported file, AEDAT4 or a bag, too; IMU samples and triggers are always kept.",
         panel=IMPORT,
-    )
-    calibration: Path | None = parameter(
-        None,
-        "Dot grid (JSON) to store with a recording that is imported or from a device.",
-        recipe=False,
-        panel=IMPORT,
-    )
-    camera: str = parameter(
-        "sim",
-        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2"
-        " (docs/hardware.md lists them);"
-        " dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing; replay:FILE.",
-        recipe=False,
-    )
-    gripper: str | None = parameter(
-        None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); none; or"
-        " PORT[:ID][@BAUD], as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera,"
-        " or none.",
-        recipe=False,
+        needs=IMPORTED,
     )
     seconds: float | None = parameter(
         None,
@@ -110,9 +112,7 @@ class Record(Trials):
         high=86400.0,
         recipe=False,
         panel=DEVICES,
-    )
-    arm: bool = parameter(
-        False, "Move a real gripper. Torque goes off at the end: what is held then falls.", recipe=False, consent=True
+        needs=(Capability.DEVICE, Capability.PREVIEW),
     )
     closing_ma: int = parameter(
         10,
@@ -122,6 +122,7 @@ class Record(Trials):
         high=500,
         recipe=False,
         panel=DEVICES,
+        needs=MOVED,
     )
     holding_ma: float | None = parameter(
         None,
@@ -131,6 +132,7 @@ class Record(Trials):
         high=1000.0,
         recipe=False,
         panel=DEVICES,
+        needs=MOVED,
     )
     hold_s: float = parameter(
         1.0,
@@ -140,6 +142,7 @@ class Record(Trials):
         high=3600.0,
         recipe=False,
         panel=DEVICES,
+        needs=MOVED,
     )
     lowest_ma: float = parameter(
         -50.0,
@@ -149,6 +152,7 @@ class Record(Trials):
         high=1000.0,
         recipe=False,
         panel=DEVICES,
+        needs=MOVED,
     )
     current_of: str | None = parameter(
         None,
@@ -156,15 +160,7 @@ class Record(Trials):
         " holding and letting it fall.",
         recipe=False,
         panel=DEVICES,
-    )
-    watchdog_ms: int = parameter(
-        100,
-        "The gripper lets go if it gets no command for so long, or nobody records; a multiple of 20.",
-        unit="ms",
-        low=20,
-        high=500,
-        recipe=False,
-        panel=DEVICES,
+        needs=MOVED,
     )
     threshold_on: int | None = parameter(
         None,
@@ -173,9 +169,16 @@ class Record(Trials):
         high=17,
         recipe=False,
         panel=DEVICES,
+        needs=ADJUSTABLE,
     )
     threshold_off: int | None = parameter(
-        None, "Contrast threshold of darker; default: the driver's.", low=0, high=17, recipe=False, panel=DEVICES
+        None,
+        "Contrast threshold of darker; default: the driver's.",
+        low=0,
+        high=17,
+        recipe=False,
+        panel=DEVICES,
+        needs=ADJUSTABLE,
     )
     readout_rate: str | None = parameter(
         None,
@@ -183,6 +186,7 @@ class Record(Trials):
         choices=READOUT_RATES,
         recipe=False,
         panel=DEVICES,
+        needs=ADJUSTABLE,
     )
     expected_event_rate: float = parameter(
         1e6,
@@ -192,9 +196,27 @@ class Record(Trials):
         high=1e9,
         recipe=False,
         panel=DEVICES,
+        needs=RECORDED,
     )
-    resume: bool = parameter(False, "Go on with a series, made with the same set-up.", recipe=False, panel=DEVICES)
-    preview: bool = parameter(False, "Show what the camera sees; write and move nothing.", recipe=False, panel=VIEW)
+    resume: bool = parameter(
+        False,
+        "Go on with a series, made with the same set-up.",
+        recipe=False,
+        panel=DEVICES,
+        needs=RECORDED,
+    )
+    preview: bool = parameter(
+        False,
+        "Show what the camera sees; write and move nothing.",
+        recipe=False,
+        panel=VIEW,
+        needs=SERIES,
+    )
+
+    @property
+    def shown_in(self) -> str | None:
+        """As of any trial; a preview is always shown."""
+        return self.live_in if self.live or self.preview else None
 
 
 @dataclass(frozen=True)

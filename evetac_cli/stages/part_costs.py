@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from time import thread_time
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,8 @@ MOST_FILES = 5  # that a plan with devices names on a terminal
 SURE = 2.0  # a difference is noise that is smaller than so many standard errors of its mean over the blocks
 
 Append = Callable[[Events, dict[str, Any]], None]
-Play = Callable[[SimulatedTrial, Append], Any]  # runs a trial and hands over every slice and its rows
+SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
+Play = Callable[[SomeTrial, Append], Any]  # runs a trial and hands over every slice and its rows
 Timer = tuple[str, Any, str]  # a part, and the function or method that is timed: what it belongs to, and its name
 Floats = NDArray[np.float64]
 
@@ -113,7 +114,7 @@ BESIDE_SCENE = {
 
 
 def dry_run(
-    trials: Sequence[SimulatedTrial], play: Play, more_timers: Sequence[Timer] = (), progress: Progress = silent
+    trials: Sequence[SomeTrial], play: Play[SomeTrial], more_timers: Sequence[Timer] = (), progress: Progress = silent
 ) -> Outcome:
     """What the first trial builds and leaves out, and what each part of it costs here."""
     costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
@@ -174,8 +175,8 @@ def _in_words(row: dict[str, Any], figure: str) -> str | None:
 
 
 def measure(
-    trial: SimulatedTrial,
-    play: Play,
+    trial: SomeTrial,
+    play: Play[SomeTrial],
     repeats: int,
     more_timers: Sequence[Timer] = (),
     *,
@@ -212,7 +213,7 @@ def measure(
     )
 
 
-def _slices_within(trial: SimulatedTrial, play: Play, slices: int, most_s: float) -> int:
+def _slices_within(trial: SomeTrial, play: Play[SomeTrial], slices: int, most_s: float) -> int:
     """As many of the first slices of a trial as it runs in `most_s`; at least a block."""
     if math.isinf(most_s):
         return slices
@@ -238,7 +239,9 @@ class _Enough(Exception):
     """As many slices as were asked for."""
 
 
-def _run(trial: SimulatedTrial, play: Play, slices: int, seconds: dict[str, float], most_s: float = math.inf) -> Floats:
+def _run(
+    trial: SomeTrial, play: Play[SomeTrial], slices: int, seconds: dict[str, float], most_s: float = math.inf
+) -> Floats:
     """Microseconds a slice of each block, (blocks, 1 + timers): in all, and what each timer in `seconds` counted.
 
     It ends before a block that begins later than `most_s`.

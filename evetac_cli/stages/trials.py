@@ -6,7 +6,7 @@ time (real ones, or virtual ones in front of a simulated scene), or on a recordi
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
+from evetac_cli.names import Capability
 from evetac_cli.params.trials import Trials
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import Plan, plans
@@ -28,17 +29,41 @@ FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset d
 
 
 @dataclass(frozen=True)
+class View:
+    """How a trial is shown while it is made.
+
+    where: auto, browser or terminal; model: of the slip detector that is shown, None for the package's; threshold: of
+    its slip, None for the model's own; preset: of the tracker.
+    """
+
+    where: str
+    model: Path | None = None
+    threshold: float | None = None
+    preset: str = "stable"
+
+
+@dataclass(frozen=True)
 class Trial(Job):
-    """One of a series of trials: its number, the seed of the series, and the scene, None where none is simulated."""
+    """One of a series of trials.
+
+    number: of the trial; seed: of the series; plan: of the scene, None where none is simulated; view: None where the
+    trial is not shown.
+    """
 
     number: int
     seed: int
     plan: Plan | None
+    view: View | None = field(default=None, kw_only=True)
 
     @property
     def outputs(self) -> tuple[Path, ...]:
         """All files that the trial makes."""
         return (self.output,)
+
+    @property
+    def shows_simulation(self) -> bool:
+        """Whether what is seen is, or once was, simulated; for the title of a view."""
+        return self.plan is not None
 
     def seeds(self) -> np.random.SeedSequence:
         """The seeds of this trial, which depend on no other trial."""
@@ -74,12 +99,22 @@ class DeviceTrial(Trial):
         """A file for each camera."""
         return self.files
 
+    @property
+    def shows_simulation(self) -> bool:
+        """Whether what the first camera sees is, or once was, simulated."""
+        return self.cameras[0].shows_simulation()
+
 
 @dataclass(frozen=True)
 class ReplayTrial(Trial):
     """A trial on a recording, its only input, in which nothing moves."""
 
     camera: NamedCamera
+
+
+def view_of(params: Trials) -> View | None:
+    """How the trials are shown, if the flags say so."""
+    return None if params.shown_in is None else View(params.shown_in)
 
 
 def simulated_trials(
@@ -90,6 +125,7 @@ def simulated_trials(
     They are named <prefix><scene>[-obj<number> or -<name>][-<tone>hz]-s<seed>-<trial>.recording.h5.
     """
     trials = []
+    view = view_of(params)
     named = (params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones)
     for each in plans(*named, solver=params.solver(), texture=params.texture):
         called = each.called
@@ -99,7 +135,7 @@ def simulated_trials(
             name = f"{prefix}{each.scene.name}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
             output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
             plan = each.of_trial((params.seed, seed_of(called), number))
-            trials.append(SimulatedTrial((), output, number, params.seed, plan))
+            trials.append(SimulatedTrial((), output, number, params.seed, plan, view=view))
     one_file(trials, out)
     return trials
 
@@ -119,7 +155,7 @@ def device_trials(
     """
     numbered: list[tuple[int, Plan | None]]
     outputs: list[tuple[Path, ...]]
-    if cameras[0].simulates_scene:
+    if cameras[0].has(Capability.SCENE):
         simulated = simulated_trials(kinds, params, out, prefix="virtual-")
         numbered = [(trial.number, trial.plan) for trial in simulated]
         outputs = [trial.outputs for trial in simulated]
@@ -130,7 +166,10 @@ def device_trials(
     inputs = tuple(path for camera in cameras for path in camera.files)
     taken = tuple(path for files in outputs for path in files if _is_taken(path))
     return [
-        DeviceTrial(inputs, files[0], number, params.seed, plan, cameras, gripper, files, tuple(outputs), taken)
+        DeviceTrial(
+            *(inputs, files[0], number, params.seed, plan, cameras, gripper, files, tuple(outputs), taken),
+            view=view_of(params),
+        )
         for (number, plan), files in zip(numbered, outputs, strict=True)
     ]
 

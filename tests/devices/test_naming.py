@@ -14,6 +14,7 @@ from evetac_cli.devices.opening import open_rig
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.names import Capability
 from tests.conftest import Made
 
 CAMERAS: dict[str, NamedCamera] = {
@@ -73,7 +74,7 @@ def test_near_miss_has_a_hint() -> None:
 
 def test_what_kinds_say_of_themselves() -> None:
     """Assert which cameras simulate a scene, and how the files of each begin."""
-    assert [text for text, camera in CAMERAS.items() if camera.simulates_scene] == [
+    assert [text for text, camera in CAMERAS.items() if camera.has(Capability.SCENE)] == [
         *("sim", "virtual", "virtual:unplug@2", "virtual:odd@1+unplug@2"),
         *("virtual:firmware=9", "virtual:firmware=9+busy+silence@1:0.5"),
     ]
@@ -91,7 +92,7 @@ def test_a_replay_knows_its_recording(made: Made) -> None:
     assert "sensor/dot_xy_px" in replay.known_sensor()
     assert len(replay.parents()) == 1
     assert replay.shows_simulation()
-    assert not replay.is_simulated
+    assert not replay.has(Capability.SIMULATED)
 
 
 GRIPPERS: dict[str, NamedGripper] = {

@@ -5,7 +5,7 @@ paper's control experiment, stays where light contact ended; `fixed:N` closes N 
 """
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from evetac_cli.kernels.grip import load_proportional, paper
@@ -37,7 +37,10 @@ class FixedGrip:
     beyond: int
 
 
-def make_law(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
+Law = GripLaw | LoadLaw | FixedGrip
+
+
+def make_law(name: str, gain: float = 1.0) -> Law:
     """The law of a controller: paper, paper-reset, load-proportional, none, or fixed:N.
 
     gain: K_p of the paper's law in balance, in multiples; the others have none. ValueError if there is no controller of
@@ -47,7 +50,7 @@ def make_law(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
         ticks = name.removeprefix(FIXED)
         if not (ticks.isascii() and ticks.isdigit() and 1 <= int(ticks) <= MOST_FIXED_TICKS):
             raise ValueError(f"expected fixed:1 to fixed:{MOST_FIXED_TICKS} ticks, found {name}")
-        law: GripLaw | LoadLaw | FixedGrip = FixedGrip(int(ticks))
+        law: Law = FixedGrip(int(ticks))
     elif name == "none":
         law = FixedGrip(0)
     elif name in LAWS:
@@ -61,7 +64,7 @@ def make_law(name: str, gain: float = 1.0) -> GripLaw | LoadLaw | FixedGrip:
     return replace(law, gain=gain)
 
 
-def uses_detector(law: GripLaw | LoadLaw | FixedGrip) -> bool:
+def uses_detector(law: Law) -> bool:
     """Whether the goals of a controller depend on the slip detector at all."""
     return not isinstance(law, FixedGrip)
 
@@ -73,7 +76,7 @@ class Control:
     ValueError for a rate that is not finite and above 0.
     """
 
-    law: GripLaw | LoadLaw | FixedGrip
+    law: Law
     control_hz: float = paper.PAPER_HZ
     slip: bool = False  # since the step before
     _slips: int = 0  # slices with slip up to the step before
@@ -121,7 +124,3 @@ class Control:
     def x_ref_ticks(self) -> float:
         """Reference position of the law; NaN before it has one."""
         return float(self._state.x_ref)
-
-    def parameters(self) -> dict[str, Any]:
-        """The law's constants, for a header."""
-        return asdict(self.law)

@@ -18,11 +18,12 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
+from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.stages.grasp.loop import SLICES_S, SlipDetector, Timing, grasp_slices
-from evetac_cli.stages.grasp.setup import open_detector
+from evetac_cli.stages.grasp.online_detector import open_detector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.trial_writer import TrialBuffer
 
@@ -128,7 +129,8 @@ def run_short_grasp(
         with StageFile(model or resources.MODEL, "model") as file:
             detector = TimedDetector(
                 wrap_detector(
-                    open_detector(file, devices.camera.sensor, Grasp().tracker, Grasp().slip_threshold), devices
+                    open_detector(file, devices.camera.sensor, tracker.PRESETS[Grasp.tracker], Grasp.slip_threshold),
+                    devices,
                 )
             )
         for _, rows in grasp_slices(devices, detector, control, timing):

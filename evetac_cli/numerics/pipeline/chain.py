@@ -25,6 +25,7 @@ from evetac_cli.stages import featurize, grasp, label, record, track
 from evetac_cli.stages.evaluate.labels import true_onsets
 from evetac_cli.stages.evaluate.slip_models import Model, check, predict_all
 from evetac_cli.stages.grasp import simulated as simulated_grasp
+from evetac_cli.stages.grasp.settings import SimulatedGrasp
 from evetac_cli.stages.record import simulated as simulated_record
 from evetac_cli.stages.trials import SimulatedTrial
 from evetac_cli.store.files import StageFile, output_path
@@ -96,7 +97,7 @@ def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip")
 
 def chain_of(made: SimulatedTrial) -> Chain:
     """Record a trial, and everything that is made from it, beside it."""
-    _, record_s = timed(lambda: simulated_record.run(made, Record(), force=False, progress=silent))
+    _, record_s = timed(lambda: simulated_record.run(made, force=False, progress=silent))
     path = made.output
 
     def further() -> int | None:
@@ -152,8 +153,8 @@ def run_grasp(trial: Trial, setting: Setting, folder: Path) -> Lifted:
     times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
     params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **chosen)
     made = grasp.jobs([], params, folder)[trial.number]
-    assert isinstance(made, SimulatedTrial)
-    outcome, seconds = timed(lambda: simulated_grasp.run(made, params, force=False, progress=silent))
+    assert isinstance(made, SimulatedGrasp)
+    outcome, seconds = timed(lambda: simulated_grasp.run(made, force=False, progress=silent))
     (row,) = outcome.rows
     return Lifted(bool(row["balanced"]), float(row["moved_mm"]), 1e6 * seconds / row["slices"])
 

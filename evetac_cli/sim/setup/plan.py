@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.errors import InputError, SceneError
+from evetac_cli.errors import InputError
 from evetac_cli.resources import table
 from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
 from evetac_cli.sim.setup.object_file import TouchedObject
@@ -147,20 +147,12 @@ def plans(
     `gel` cut or closed, `texture` on or off and settings of the `solver` override the scene's, and `tones` (as in
     200,300) picks from them. InputError where they do not fit the scene, or it is of none of these kinds.
     """
-    scene = scene_file.load(scene_name)
+    scene = scene_file.load_of_kind(scene_name, kinds)
     scene = replace(scene, solver=with_given(scene.solver, solver, scene_name))
     if gel is not None:
         scene = replace(scene, gel=replace(scene.gel, cut=gel == "cut"))
     if texture is not None:
         scene = replace(scene, texture=_shown(scene, texture == "on", scene_name))
-    if scene.kind not in kinds:
-        raise SceneError(
-            "this scene is for another command",
-            where=scene_name,
-            expected=f"kind {' or '.join(kinds)}",
-            found=f"kind {scene.kind}",
-            hint="lift scenes are grasped, all others are recorded",
-        )
     named = (*named_sensor(sensor), readout)
     if not scene.is_gripped and object_file.SUFFIX in objects:
         expected = "a scene in which an object is held, as slip or lift"

@@ -36,6 +36,20 @@ def load(name_or_path: str) -> Scene:
     return of_table(read_toml(path, SceneError), str(path))
 
 
+def load_of_kind(name_or_path: str, kinds: tuple[str, ...]) -> Scene:
+    """A scene of one of these kinds, as `load`; SceneError if it is of another."""
+    scene = load(name_or_path)
+    if scene.kind not in kinds:
+        raise SceneError(
+            "this scene is for another command",
+            where=name_or_path,
+            expected=f"kind {' or '.join(kinds)}",
+            found=f"kind {scene.kind}",
+            hint="lift scenes are grasped, all others are recorded",
+        )
+    return scene
+
+
 def of_table(table: Mapping[str, Any], where: str) -> Scene:
     """A scene from its table; SceneError where it is no scene, or its values do not fit together."""
     check(Scene, table, where, error=SceneError)

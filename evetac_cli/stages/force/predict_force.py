@@ -8,13 +8,14 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import models as forces
+from evetac_cli.names import Prediction
 from evetac_cli.params.learning import PredictForce
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import model_file
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force import gel_model
 from evetac_cli.stages.force.train_force import check_grid, read_model, read_rest_px
-from evetac_cli.stages.unused_options import refuse_unused_of_predict_force
+from evetac_cli.stages.unused_options import refuse_unused
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import UNKNOWN_SENSOR
@@ -26,7 +27,8 @@ BLOCK_SLICES = 5000
 
 def jobs(files: list[Path], params: PredictForce, out: Path | None) -> list[Job]:
     """One forces file for every tracks file."""
-    refuse_unused_of_predict_force(params)
+    has = () if params.sensor is None else (Prediction.SENSOR,)
+    refuse_unused(params, has, "no --sensor")
     return [
         Job((*job.inputs, model_file(params.model, "force-model")), job.output) for job in per_file(files, OUTPUT, out)
     ]

@@ -16,6 +16,7 @@ from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
+from evetac_cli.names import Training
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.learning import TrainForce
 from evetac_cli.params.parameter import recipe_of
@@ -23,7 +24,7 @@ from evetac_cli.stages.force import adapt_gel, train_gel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
-from evetac_cli.stages.unused_options import refuse_unused_of_train_force
+from evetac_cli.stages.unused_options import refuse_unused
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
@@ -52,9 +53,21 @@ class ForceModel(NamedTuple):
     network: forces.Network
 
 
+def _refuse_unused(params: TrainForce) -> None:
+    """InputError for an option that has no effect in this training."""
+    if params.adapt:
+        has, flags = {Training.ADAPTATION}, f"--adapt {params.adapt}"
+        if params.sensor is not None:
+            has.add(Training.SENSOR)
+    else:
+        has = {Training.GEL if params.method == "gel" else Training.PAPER}
+        flags = f"--method {params.method}, no --adapt"
+    refuse_unused(params, has, flags)
+
+
 def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
     """One model from all tracks files together: `shear.force-model.h5` beside the first (`gel...`, `own...`)."""
-    refuse_unused_of_train_force(params)
+    _refuse_unused(params)
     if params.adapt:
         return [adapt_gel.job(files, params, out)]
     if params.method == "gel":

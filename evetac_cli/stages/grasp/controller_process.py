@@ -29,7 +29,7 @@ from evetac_cli.devices import Gripper
 from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
-from evetac_cli.kernels.grip.control import Control
+from evetac_cli.kernels.grip.control import Control, Law
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
 from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
@@ -65,7 +65,7 @@ class ControllerSettings:
     port: str
     baud: int
     gripper: RhP12RnSettings
-    law: Any
+    law: Law
     timing: Timing
     watchdog_ms: int
     most_s: float  # that the grasp may take, whatever the camera's clock says

@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -38,6 +37,7 @@ from evetac_cli.stages.grasp.loop import SlipDetector
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
+    from evetac_cli.stages.grasp.settings import DetectorModel
 
 BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
 COUNTED_SLICES = 100  # the recorder gets to know what the camera lost after so many
@@ -57,9 +57,7 @@ class DetectorSettings:
     camera: NamedCamera
     seeds: np.random.SeedSequence
     sensor: Mapping[str, Any]  # with the dot grid
-    model: Path | None  # None: slices are recorded, and no slip is detected
-    tracker: str
-    slip_threshold: float
+    model: DetectorModel | None  # None: slices are recorded, and no slip is detected
     slices: int  # after which the grasp is over
 
 
@@ -112,11 +110,7 @@ def open_detector(settings: DetectorSettings) -> SlipDetector | None:
     """The detector, and one run through it on noise with another of its kind, so that everything is compiled."""
     if settings.model is None:
         return None
-    from evetac_cli.stages.grasp.setup import open_detector as load
-    from evetac_cli.store.files import StageFile
-
-    with StageFile(settings.model, "model") as model:
-        first, detector = (load(model, settings.sensor, settings.tracker, settings.slip_threshold) for _ in range(2))
+    first, detector = (settings.model.open(settings.sensor) for _ in range(2))
     rng = np.random.default_rng(0)
     for k in range(WARM_UP_SLICES):
         first.step(noise(rng, k))

@@ -7,11 +7,15 @@ Why so: a closed gel has one column of dots more than a cut one, where the windo
 because they steady each other; a network for a cut gel gets only the dots that a cut gel has.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import resources
 from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.calibration.grid import in_words
@@ -97,3 +101,32 @@ class OnlineSlipDetector:
         """The signal to the controller after the last slice, with the mean displacement of all dots in px."""
         x_px, y_px = tracker.mean_displacement_px(self.live.tracking.record)
         return SlipSignal(self.count, self.probability, x_px, y_px)
+
+
+def open_detector(
+    model: StageFile, sensor: Mapping[str, Any], constants: tracker.TrackerConstants, threshold: float
+) -> OnlineSlipDetector:
+    """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own.
+
+    constants: of the tracker, for dots of the usual size. InputError if the model is for another dot grid.
+    """
+    constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
+    named = {name: f"sensor/{name}" for name in Sensitivity._fields}
+    known = Sensitivity(**{name: float(sensor[path]) for name, path in named.items() if path in sensor})
+    detector = OnlineSlipDetector.start(
+        model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, known
+    )
+    detector.threshold = threshold
+    return detector
+
+
+def open_view_detector(
+    path: Path | None, preset: str, threshold: float | None, sensor: Mapping[str, Any]
+) -> OnlineSlipDetector:
+    """The detector that a live view follows a recording with.
+
+    path: of the model, None for the package's; threshold: None for the model's own.
+    """
+    with StageFile(resources.model_file(path), "model") as model:
+        own = float(model.read("threshold"))
+        return open_detector(model, sensor, tracker.PRESETS[preset], own if threshold is None else threshold)

@@ -24,19 +24,20 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
-from evetac_cli.kernels.grip.control import Control
+from evetac_cli.names import Capability
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.realtime.processes import at_niceness, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
-from evetac_cli.stages import session
-from evetac_cli.stages.grasp import replay, setup
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.stages import live_view, session
+from evetac_cli.stages.grasp import replay
 from evetac_cli.stages.grasp.controller_process import ControllerSettings
 from evetac_cli.stages.grasp.detector_process import DetectorSettings
-from evetac_cli.stages.grasp.online_detector import dots_for
+from evetac_cli.stages.grasp.loop import Timing
 from evetac_cli.stages.grasp.recorder import GraspProcesses, RecordedGrasp, record
-from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, device_trials
+from evetac_cli.stages.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp
+from evetac_cli.stages.trials import ReplayTrial, device_trials
 from evetac_cli.store.calibration import MAKE_GRID, read_calibration
-from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header, Recipe
 from evetac_cli.store.segments import RecordingWriter
 
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 METHOD = 2  # of grasps in real time
+KINDS = ("lift",)  # of scenes that are grasped
+WATCHDOG_MS = 60  # where none is asked for
 EVENTS_S = 500_000  # that the disk must have room for
 SLOWEST_HZ = 100.0  # below, the watchdog would be blind
 SERVO_PRIORITY = 40  # hardware does not wait for a scheduler
@@ -53,11 +56,47 @@ FALLS = "torque is switched off at the end, and at once if detector, camera or b
 
 
 def jobs(
-    camera: NamedCamera, gripper: NamedGripper, params: Grasp, out: Path | None
-) -> Sequence[DeviceTrial | ReplayTrial]:
+    camera: NamedCamera, gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
+) -> Sequence[DeviceGrasp | ReplayGrasp]:
     """One recording for every trial; InputError for what cannot be done, or must not without --arm."""
-    timing = setup.make_timing(params, None)
-    if timing.latency_ms and not gripper.is_stepped:
+    watchdog_ms = WATCHDOG_MS if params.watchdog_ms is None else params.watchdog_ms
+    driver = _driver(params, gripper, watchdog_ms)
+    touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s
+    timing = settings.timing(touch_s)
+    _check_timing(timing, params, gripper)
+    plan = (
+        f"{params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s, with at most"
+        f" {params.max_current_ma} mA; {FALLS}"
+    )
+    require_arm(gripper, armed=params.arm or params.dry_run, plan=plan)
+    trials = device_trials(KINDS, (camera,), gripper, params, out, prefix="grasp-")
+    if gripper.has(Capability.STEPPED):
+        return [
+            replay.grasp_of(
+                ReplayTrial(each.inputs, each.output, each.number, each.seed, None, camera), settings, touch_s
+            )
+            for each in trials
+        ]
+    calibration = None if params.calibration is None else read_calibration(params.calibration, camera.frame_px())
+    view = settings.view(params)
+    return [
+        DeviceGrasp(
+            **vars(each) | {"view": view},
+            settings=settings,
+            timing=timing,
+            driver=driver,
+            watchdog_ms=watchdog_ms,
+            most_s=params.max_seconds,
+            calibration=calibration,
+            armed=params.arm,
+        )
+        for each in trials
+    ]
+
+
+def _check_timing(timing: Timing, params: Grasp, gripper: NamedGripper) -> None:
+    """InputError for a timing that devices cannot keep."""
+    if timing.latency_ms and not gripper.has(Capability.STEPPED):
         raise InputError("latency is added in simulation alone", where="--latency-ms", found=str(timing.latency_ms))
     if timing.every_ms > 1000 / SLOWEST_HZ:
         expected = f"at least {SLOWEST_HZ:g} Hz in real time"
@@ -71,105 +110,87 @@ def jobs(
             expected=f"at least the {timing.end_ms * 1e-3:g} s of contact, --lift-s and --balance-s",
             found=f"{params.max_seconds:g}",
         )
+
+
+def _driver(params: Grasp, gripper: NamedGripper, watchdog_ms: int) -> RhP12RnSettings:
+    """How the gripper is set up: an answer is waited for so long that two tries fit into the watchdog's time."""
     try:
-        gripper_settings(params, gripper)
+        return gripper.settings(
+            max_current_ma=params.max_current_ma,
+            watchdog_ms=watchdog_ms,
+            answer_ms=min(ANSWER_MS, watchdog_ms / 3),
+            last_tick=LAST_TICK,
+        )
     except ValueError as error:
         raise InputError(str(error), where="--watchdog-ms") from None
-    plan = (
-        f"{params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s, with at most"
-        f" {params.max_current_ma} mA; {FALLS}"
-    )
-    require_arm(gripper, armed=params.arm or params.dry_run, plan=plan)
-    trials = device_trials(("lift",), (camera,), gripper, params, out, prefix="grasp-")
-    if gripper.is_stepped:
-        return [ReplayTrial(each.inputs, each.output, each.number, each.seed, None, camera) for each in trials]
-    return trials
 
 
-def gripper_settings(params: Grasp, gripper: NamedGripper) -> RhP12RnSettings:
-    """How the gripper is set up: an answer is waited for so long that two tries fit into the watchdog's time."""
-    return gripper.settings(
-        max_current_ma=params.max_current_ma,
-        watchdog_ms=params.watchdog_ms,
-        answer_ms=min(ANSWER_MS, params.watchdog_ms / 3),
-        last_tick=LAST_TICK,
-    )
-
-
-def check(trial: DeviceTrial, params: Grasp, *, force: bool) -> None:
+def check(trial: DeviceGrasp, *, force: bool) -> None:
     """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
     again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
     session.refuse_taken(trial, again=again, hint=hint, force=force)
-    session.check_room(trial, EVENTS_S, setup.make_timing(params, trial.plan).end_ms * 1e-3, "a shorter --balance-s")
-    model_path = setup.model_path_for(params)
-    setup.model_headers(model_path)
-    if trial.plan is not None and params.calibration is None:
+    session.check_room(trial, EVENTS_S, trial.timing.end_ms * 1e-3, "a shorter --balance-s")
+    if trial.plan is not None and trial.calibration is None:
         return  # its scene will say where the dots are
-    sensor = _sensor(trial, params, None)
-    if model_path is not None:
-        with StageFile(model_path, "model") as model:
-            dots_for(model, sensor["sensor/dot_xy_px"])
+    sensor = _sensor(trial, None)
+    if trial.settings.detector is not None:
+        trial.settings.detector.require_dots(sensor["sensor/dot_xy_px"])
 
 
-def dry_run(trials: Sequence[DeviceTrial | ReplayTrial], params: Grasp, *, force: bool = False) -> Outcome:
+def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False) -> Outcome:
     """What would be opened and done, checked as by a run; no device is touched, and no file written."""
     for trial in trials:
-        if isinstance(trial, ReplayTrial):
-            replay.check(trial, params, force=force)
+        if isinstance(trial, ReplayGrasp):
+            replay.check(trial, force=force)
         else:
-            check(trial, params, force=force)
+            check(trial, force=force)
     first = trials[0]
-    if isinstance(first, ReplayTrial):
-        camera, gripper, current = first.camera, "sim", "moves nothing"
+    settings = first.settings
+    steps = f"{settings.control_hz:g} Hz, {settings.controller}"
+    if isinstance(first, ReplayGrasp):
+        camera = first.camera
+        moves = [("gripper", "sim", f"{steps}, moves nothing")]
+        watched = []
     else:
-        camera, gripper = first.cameras[0], str(first.gripper)
-        current = f"at most {params.max_current_ma} mA"
-    model_path = setup.model_path_for(params)
-    detector = "no slip detector" if model_path is None else f"slip detected 1000 times a second by {model_path}"
-    parts = [
-        ("camera", str(camera), detector),
-        ("gripper", gripper, f"{params.control_hz:g} Hz, {params.controller}, {current}"),
-        ("end", f"after {setup.make_timing(params, first.plan).end_ms * 1e-3:g} s", FALLS),
-        ("watchdog", f"{params.watchdog_ms} ms", "of silence, and torque is off"),
-    ]
+        camera = first.cameras[0]
+        moves = [("gripper", str(first.gripper), f"{steps}, at most {first.driver.max_current_ma} mA")]
+        watched = [("watchdog", f"{first.watchdog_ms} ms", "of silence, and torque is off")]
+    detector = "no slip detector"
+    if settings.detector is not None:
+        detector = f"slip detected 1000 times per second by {settings.detector.path}"
+    ends = ("end", f"after {first.timing.end_ms * 1e-3:g} s", FALLS)
+    parts = [("camera", str(camera), detector), *moves, ends, *watched]
     return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
 
 
-def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
+def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
     """Grasp once, in real time, and record everything."""
-    check(trial, params, force=force)
+    check(trial, force=force)
     (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
-    timing = setup.make_timing(params, trial.plan)
-    if gripper.is_hardware:
+    settings, timing = trial.settings, trial.timing
+    is_hardware = gripper.has(Capability.HARDWARE)
+    if is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:
         came = opened.enter_context(session.signals_interrupt())
-        view = opened.enter_context(setup.view_of(trial, params))
-        durations = {"lift_s": params.lift_s, "balance_s": params.balance_s}
+        view = opened.enter_context(live_view.opened(trial, f"grasp {trial.output.name}", moves=True))
+        durations = {"lift_s": settings.lift_s, "balance_s": settings.balance_s}
         world, servo = open_peers(
-            camera, gripper, trial.plan, seeds, opened, armed=params.arm, tells_truth=True, **durations
+            camera, gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
         )
         signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
-        sensor = _sensor(trial, params, world)
-        parents = (*setup.model_headers(setup.model_path_for(params)), *camera.parents())
-        detector = DetectorSettings(
-            camera,
-            seeds,
-            sensor,
-            setup.model_path_for(params),
-            params.tracker,
-            params.slip_threshold,
-            timing.end_ms,
-        )
+        sensor = _sensor(trial, world)
+        parents = (*settings.parents(), *camera.parents())
+        detector = DetectorSettings(camera, seeds, sensor, settings.detector, timing.end_ms)
         controller = ControllerSettings(
             servo.port if servo is not None else gripper.port,
             gripper.baud,
-            gripper_settings(params, gripper),
-            setup.make_law(params),
+            trial.driver,
+            settings.law,
             timing,
             # as the servo's own: where nothing real moves, a busy computer is forgiven
-            (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * params.watchdog_ms,
-            params.max_seconds,
+            (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * trial.watchdog_ms,
+            trial.most_s,
             HOST_TIME if world is None else world.time,
         )
         processes = GraspProcesses(detector, controller, world)
@@ -183,16 +204,16 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
         described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
         if view is not None:
             view.begin(sensor)
-        recipe = _recipe(trial, params, described, sensor, parents)
+        recipe = _recipe(trial, described, sensor, parents)
         writer = RecordingWriter(trial.output, sensor, recipe=recipe)
-        if gripper.is_hardware and not signals:
+        if is_hardware and not signals:
             console.say(f"{gripper} moves now; {FALLS}")
         key = opened.enter_context(session.gripper_key(moves=not signals))
         try:
             if not signals:
                 processes.go()
             # A grasp lasts while its recorder is alive.
-            with at_niceness(RECORDER_NICE if gripper.is_hardware else BESIDE_VIRTUAL):
+            with at_niceness(RECORDER_NICE if is_hardware else BESIDE_VIRTUAL):
                 recorded = record(
                     *(processes, world, writer, timing.end_ms, signals, key),
                     lambda done: progress(done, timing.end_ms),
@@ -216,11 +237,11 @@ def run(trial: DeviceTrial, params: Grasp, *, force: bool, progress: Progress) -
     return _result(trial, recipe, recorded, datasets, grasp_outcome, saved)
 
 
-def _sensor(trial: DeviceTrial, params: Grasp, world: "VirtualWorld | None") -> dict[str, Any]:
+def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None") -> dict[str, Any]:
     """The dot grid, which has to be known before the camera is opened; InputError if it is not."""
     (camera,) = trial.cameras
-    if params.calibration is not None:
-        sensor: Mapping[str, Any] = read_calibration(params.calibration, (640, 480)).arrays()
+    if trial.calibration is not None:
+        sensor: Mapping[str, Any] = trial.calibration.arrays()
     elif world is not None:
         sensor = world.sensor
     else:
@@ -236,8 +257,7 @@ def _sensor(trial: DeviceTrial, params: Grasp, world: "VirtualWorld | None") -> 
 
 
 def _recipe(
-    trial: DeviceTrial,
-    params: Grasp,
+    trial: DeviceGrasp,
     described: Mapping[str, Any],
     sensor: Mapping[str, Any],
     parents: tuple[Header, ...],
@@ -247,21 +267,20 @@ def _recipe(
     parents: headers of the model and of what the camera plays. They take long to read, and now the camera runs.
     """
     (camera,) = trial.cameras
-    control = Control(setup.make_law(params), params.control_hz)
     return session.make_recipe(
         METHOD,
-        setup.grasp_parameters(trial, params, control),
+        trial.settings.parameters(trial),
         described,
         sensor,
-        {"watchdog_ms": params.watchdog_ms},
+        {"watchdog_ms": trial.watchdog_ms},
         parents=parents,
-        simulated=camera.is_simulated,
+        simulated=camera.has(Capability.SIMULATED),
     )
 
 
 def _finish(
     writer: RecordingWriter,
-    trial: DeviceTrial,
+    trial: DeviceGrasp,
     recipe: Recipe,
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],
@@ -286,7 +305,7 @@ def _finish(
 
 
 def _result(
-    trial: DeviceTrial,
+    trial: DeviceGrasp,
     recipe: Recipe,
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],
@@ -305,7 +324,7 @@ def _result(
 
 
 def _row(
-    trial: DeviceTrial,
+    trial: DeviceGrasp,
     recipe: Recipe,
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],

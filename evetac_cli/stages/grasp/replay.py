@@ -16,15 +16,13 @@ from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
-from evetac_cli.kernels.grip.control import Control
-from evetac_cli.params.grasp import Grasp
+from evetac_cli.sim.setup.plan import read_plan
 from evetac_cli.stages import row_blocks
-from evetac_cli.stages.grasp import setup
-from evetac_cli.stages.grasp.loop import Timing, grasp_slices
-from evetac_cli.stages.grasp.online_detector import dots_for
+from evetac_cli.stages.grasp.loop import grasp_slices
+from evetac_cli.stages.grasp.settings import GraspSettings, ReplayGrasp
 from evetac_cli.stages.trials import OUTPUT, ReplayTrial
 from evetac_cli.store.calibration import MAKE_GRID
-from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import Recording, open_recording
 from evetac_cli.store.trial_writer import TrialBuffer
@@ -65,51 +63,57 @@ class RecordedGripper:
         """Without effect: the recording belongs to whoever opened it."""
 
 
-def check(trial: ReplayTrial, params: Grasp, *, force: bool) -> None:
+def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> ReplayGrasp:
+    """The grasp on a recording; InputError if the recording cannot be read.
+
+    Its phases are those of the recording, if it is one of a grasp, else those of the flags after a touch of `touch_s`.
+    """
+    with open_recording(trial.inputs[0]) as recording:
+        parameters = recording.header["parameters"]
+    timing = settings.timing(touch_s)
+    if {"scene", "lift_s", "balance_s"} <= set(parameters):
+        touch_s = read_plan(parameters, str(trial.inputs[0])).scene.time.touch_s
+        timing = settings.timing_of(touch_s, parameters["lift_s"], parameters["balance_s"])
+    return ReplayGrasp(**vars(trial), settings=settings, timing=timing)
+
+
+def check(trial: ReplayGrasp, *, force: bool) -> None:
     """InputError for what a run would refuse; only files are read."""
     with open_recording(trial.inputs[0]) as recording:
-        timing = setup.recorded_timing(params, recording)
-        control = Control(setup.make_law(params), params.control_hz)
-        if not up_to_date(trial.output, _recipe(trial, params, recording, timing, control), force=force):
-            _refuse_unknown_dots(params, recording)
+        if not up_to_date(trial.output, _recipe(trial, recording), force=force):
+            _refuse_unknown_dots(trial, recording)
 
 
-def _recipe(trial: ReplayTrial, params: Grasp, recording: Recording, timing: Timing, control: Control) -> Recipe:
+def _recipe(trial: ReplayGrasp, recording: Recording) -> Recipe:
+    timing = trial.timing
     parameters = {
-        **setup.grasp_parameters(trial, params, control),
+        **trial.settings.parameters(trial),
         "replayed": True,
         "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
     }
-    parents = (*setup.model_headers(setup.model_path_for(params)), recording.header)
-    return Recipe(OUTPUT, METHOD, parameters, parents=parents)
+    return Recipe(OUTPUT, METHOD, parameters, parents=(*trial.settings.parents(), recording.header))
 
 
-def _refuse_unknown_dots(params: Grasp, recording: Recording) -> None:
-    model_path, dot_xy_px = setup.model_path_for(params), recording.dot_xy_px
-    if model_path is None:
+def _refuse_unknown_dots(trial: ReplayGrasp, recording: Recording) -> None:
+    if trial.settings.detector is None:
         return
-    if dot_xy_px is None:
+    if recording.dot_xy_px is None:
         raise InputError(
             "the recording has no dot grid", where=str(recording.path), hint=f"{MAKE_GRID} to evetac record"
         )
-    with StageFile(model_path, "model") as model:
-        dots_for(model, dot_xy_px)
+    trial.settings.detector.require_dots(recording.dot_xy_px)
 
 
-def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -> Outcome:
+def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
     """Detect slip and decide on a recording, and write events and decisions."""
-    model_path, control = setup.model_path_for(params), Control(setup.make_law(params), params.control_hz)
+    settings = trial.settings
     with open_recording(trial.inputs[0]) as recording:
-        timing = setup.recorded_timing(params, recording)
-        recipe = _recipe(trial, params, recording, timing, control)
+        recipe = _recipe(trial, recording)
         if up_to_date(trial.output, recipe, force=force):
             return outcome(trial, made=False, simulated=recipe.simulated)
-        _refuse_unknown_dots(params, recording)
+        _refuse_unknown_dots(trial, recording)
         sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
-        detector = None
-        if model_path is not None:
-            with StageFile(model_path, "model") as model:
-                detector = setup.open_detector(model, sensor, params.tracker, params.slip_threshold)
+        detector = None if settings.detector is None else settings.detector.open(sensor)
         slices = len(recording)
         if not slices:
             raise InputError("there is not a single slice", where=str(trial.inputs[0]))
@@ -120,7 +124,7 @@ def run(trial: ReplayTrial, params: Grasp, *, force: bool, progress: Progress) -
         def blocks() -> Iterator[dict[str, Any]]:
             """What happened, in blocks of slices: an hour takes no more memory than a minute."""
             nonlocal steps, steps_with_slip
-            happening = grasp_slices(devices, detector, control, timing)
+            happening = grasp_slices(devices, detector, settings.control(), trial.timing)
             for first, stop in row_blocks(slices):
                 buffer = TrialBuffer()
                 for index, (events, rows) in enumerate(islice(happening, stop - first), first):

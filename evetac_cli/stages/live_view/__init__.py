@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import cpu_time_s, start_shielded
 from evetac_cli.stages.live_view import browser
 from evetac_cli.stages.live_view.messages import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title
+from evetac_cli.stages.trials import Trial
 
 if TYPE_CHECKING:
     from evetac_cli.stages.live_view.samples import OpenDetector
@@ -167,10 +169,20 @@ class LiveView:
 
 
 @contextmanager
-def opened(asked: str, title: Title, open_detector: "OpenDetector") -> Iterator[LiveView]:
-    """The view while the block lasts, announced, its page opened where there is a display; asked: --live-in."""
-    where = place(asked)
-    view = LiveView(where, title, open_detector)
+def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]:
+    """The view of a trial while the block lasts, announced, its page opened where there is a display; or None.
+
+    name: of what is shown; moves: whether a gripper moves that can be let go of.
+    """
+    asked = trial.view
+    if asked is None:
+        yield None
+        return
+    from evetac_cli.stages.grasp.online_detector import open_view_detector  # loads what a recording does not need
+
+    where = place(asked.where)
+    title = Title(name, trial.shows_simulation, moves)
+    view = LiveView(where, title, partial(open_view_detector, asked.model, asked.preset, asked.threshold))
     ended = "ended"
     try:
         with browser.announced(view.url, opens=_has_display()) if where == BROWSER else nullcontext():

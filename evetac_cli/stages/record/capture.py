@@ -31,17 +31,15 @@ from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
-from evetac_cli.params.recording import Record
+from evetac_cli.names import Capability
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.processes import raised_priority
-from evetac_cli.stages import session
+from evetac_cli.stages import live_view, session
 from evetac_cli.stages.live_view import LiveView
-from evetac_cli.stages.record.capture_plan import asked_holding_ma, check, is_done, make_hold, settings
+from evetac_cli.stages.record.capture_plan import DeviceRecording, check, is_done
 from evetac_cli.stages.record.current_ramp import GripperLoop, Hold, start, step
-from evetac_cli.stages.record.preview import view_of
 from evetac_cli.stages.session import INTERRUPTED, LET_GO, LateSlices, TimeSample
-from evetac_cli.stages.trials import OUTPUT, DeviceTrial
-from evetac_cli.store.calibration import read_calibration
+from evetac_cli.stages.trials import OUTPUT
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe, first_difference
 from evetac_cli.store.segments import RecordingWriter
@@ -157,34 +155,37 @@ class CameraRecording:
         return rows
 
 
-def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Progress) -> Outcome:
+def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> Outcome:
     """Record one trial from devices."""
-    if is_done(trial, params, force=force):
+    if is_done(trial, force=force):
         return _earlier(trial)
-    check(trial, params, force=force)
+    check(trial, force=force)
     seeds = trial.seeds()
     rng = np.random.default_rng(seeds.spawn(1)[0])
-    if trial.cameras[0].is_hardware or trial.gripper.is_hardware:
+    if trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE):
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
         came = opened.enter_context(session.signals_interrupt())
-        view = opened.enter_context(view_of(trial, params))
+        name = f"record {trial.output.name}"
+        view = opened.enter_context(live_view.opened(trial, name, moves=trial.hold is not None))
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
-        held = trial.gripper.is_hardware and not any(camera.simulates_scene for camera in trial.cameras)
+        held = trial.gripper.has(Capability.HARDWARE) and not any(
+            camera.has(Capability.SCENE) for camera in trial.cameras
+        )
         priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
         recordings: list[CameraRecording] = []
         opened.push(lambda kind, error, trace: _discard_empty(recordings, failed=error is not None))
         trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
         for place, camera in enumerate(trial.cameras):
             gripper = NoGripper() if place else trial.gripper
-            rig = open_rig(camera, gripper, settings(params), trial.plan, seeds, armed=params.arm)
+            rig = open_rig(camera, gripper, trial.settings, trial.plan, seeds, armed=trial.armed)
             opened.callback(rig.close)
             for note in rig.camera.notes:
                 console.say(note)
-            recordings.append(_begin(trial, params, rig, place, trajectory, None if place else view))
+            recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
         with session.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
-            _write(recordings, _hold(trial, params, recordings[0].rig), rng, params, signals, key, progress, view)
+            _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with session.signals_held():
                 _release(recordings)
@@ -196,7 +197,7 @@ def run(trial: DeviceTrial, params: Record, *, force: bool = False, progress: Pr
     return _result(trial, recordings, datasets)
 
 
-def _earlier(trial: DeviceTrial) -> Outcome:
+def _earlier(trial: DeviceRecording) -> Outcome:
     """The rows of a trial that was recorded before."""
     simulated = [bool(_header(output)["simulated"]) for output in trial.outputs]
     rows = [
@@ -208,8 +209,7 @@ def _earlier(trial: DeviceTrial) -> Outcome:
 
 
 def _begin(
-    trial: DeviceTrial,
-    params: Record,
+    trial: DeviceRecording,
     rig: Rig,
     place: int,
     trajectory: Mapping[str, Any],
@@ -218,12 +218,12 @@ def _begin(
     """Begin the file of the camera at this place among those of a trial."""
     output = trial.outputs[place]
     sensor = {**rig.known_sensor(), "t_offset": np.int64(0)}
-    if params.calibration is not None:
-        width, height = sensor["sensor/frame_px"]
-        sensor |= read_calibration(params.calibration, (int(width), int(height))).arrays()
+    if trial.calibration is not None:
+        sensor |= trial.calibration.arrays()
     if view is not None:
         view.begin(sensor)
-    hold, asked_ma = _hold(trial, params, rig), asked_holding_ma(trial, params)
+    hold = _hold(trial, rig)
+    asked_ma = None if trial.hold is None else trial.hold.holding_ma
     # A current that every trial draws for itself belongs to the trial, not to how the series is set up.
     drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
     recipe = session.make_recipe(
@@ -239,7 +239,7 @@ def _begin(
         parents=rig.parents,
         simulated=rig.simulated,
     )
-    if params.resume:
+    if trial.resume:
         check_series((outputs[place] for outputs in trial.series), recipe)
     return CameraRecording(output, rig, recipe, RecordingWriter(output, sensor, recipe=recipe))
 
@@ -307,16 +307,16 @@ def _finish(recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[st
         raise errors[0]
 
 
-def _hold(trial: DeviceTrial, params: Record, rig: Rig) -> Hold | None:
-    """How the object is handled; None without a gripper."""
-    return None if rig.gripper is None else make_hold(trial, params, rig.holding_ma)
+def _hold(trial: DeviceRecording, rig: Rig) -> Hold | None:
+    """How the object is handled; None without a gripper, as beside a second camera."""
+    return None if rig.gripper is None or trial.hold is None else trial.hold.hold(rig.holding_ma)
 
 
 def _write(
     recordings: Sequence[CameraRecording],
     hold: Hold | None,
     rng: np.random.Generator,
-    params: Record,
+    seconds: float | None,
     signals: list[int],
     key: EmergencyKey,
     progress: Progress,
@@ -335,7 +335,7 @@ def _write(
         first.loop = GripperLoop(first.rig.gripper, act, camera.now_us, camera.time, watchdog_ms, key)
     for recording in recordings[1:]:
         recording.thread = SliceThread(recording.rig.camera)
-    most = round(1000 * params.seconds) if params.seconds is not None else None
+    most = round(1000 * seconds) if seconds is not None else None
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     try:
@@ -431,7 +431,7 @@ def _fetch(recordings: Sequence[CameraRecording], view: LiveView | None) -> None
 
 
 def _result(
-    trial: DeviceTrial, recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[str, Any]]
+    trial: DeviceRecording, recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[str, Any]]
 ) -> Outcome:
     """A row for each file; an error or Ctrl-C goes on from here, and says what was saved."""
     saved = [(each, rows) for each, rows in zip(recordings, datasets, strict=True) if each.slices]
@@ -446,7 +446,7 @@ def _result(
     return result
 
 
-def _row(trial: DeviceTrial, recording: CameraRecording, datasets: Mapping[str, Any]) -> dict[str, Any]:
+def _row(trial: DeviceRecording, recording: CameraRecording, datasets: Mapping[str, Any]) -> dict[str, Any]:
     """What the table says of one file."""
     none = (None, None, None)
     late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))

@@ -1,63 +1,73 @@
-"""record --preview: what a camera sees, shown live; nothing is written or moved. And the view beside a recording."""
+"""record --preview: what a camera sees, shown live; nothing is written or moved."""
 
 import time
-from contextlib import AbstractContextManager, nullcontext
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
-from evetac_cli.devices import Rig, cameras, losses
+from evetac_cli.devices import Rig, losses
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Outcome
+from evetac_cli.names import Capability
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import live_view
 from evetac_cli.stages.live_view import LiveView
-from evetac_cli.stages.live_view.messages import Title
-from evetac_cli.stages.record.capture_plan import settings
-from evetac_cli.stages.trials import DeviceTrial, SimulatedTrial
-from evetac_cli.store.calibration import read_calibration
+from evetac_cli.stages.record.capture_plan import camera_settings
+from evetac_cli.stages.trials import Trial
+from evetac_cli.store.calibration import Calibration, read_calibration
 
 NEWS_SLICES = 100  # after so many slices it is asked what was lost
 
 
-def view_of(trial: SimulatedTrial | DeviceTrial, params: Record) -> AbstractContextManager[LiveView | None]:
-    """The live view of a recording or a preview, if one is asked for; slip is that of the package's detector."""
-    if not (params.live or params.preview):
-        return nullcontext()
-    from evetac_cli.stages.grasp.setup import open_view_detector  # loads what a recording does not need
+@dataclass(frozen=True)
+class Preview(Trial):
+    """A trial whose camera is shown for so many seconds, until its stream ends where they are None."""
 
-    moves = isinstance(trial, DeviceTrial) and trial.gripper.is_moved and not params.preview
-    simulated = isinstance(trial, SimulatedTrial) or trial.cameras[0].shows_simulation()
-    what = f"preview of {_camera(trial)}" if params.preview else f"record {trial.output.name}"
-    title = Title(what, simulated, moves)
-    open_detector = partial(open_view_detector, None, "stable", None)
-    return live_view.opened(params.live_in, title, open_detector)
+    exclusive = True
+    camera: NamedCamera
+    settings: CameraSettings
+    calibration: Calibration | None
+    seconds: float | None
+
+    @classmethod
+    def of(cls, trial: Trial, camera: NamedCamera, params: Record) -> "Preview":
+        """A trial as the flags say; InputError for a calibration that does not fit the camera."""
+        calibration = None
+        if params.calibration is not None:
+            calibration = read_calibration(params.calibration, camera.frame_px())
+        return cls(
+            *(trial.inputs, trial.output, trial.number, trial.seed, trial.plan),
+            *(camera, camera_settings(params), calibration, params.seconds),
+            view=trial.view,
+        )
+
+    @property
+    def shows_simulation(self) -> bool:
+        """Whether what is shown is, or once was, simulated."""
+        return self.camera.shows_simulation()
 
 
-def run(trial: SimulatedTrial | DeviceTrial, params: Record) -> Outcome:
-    """Show the camera until --seconds are over, its stream ends, or Ctrl-C."""
-    camera = _camera(trial)
-    with view_of(trial, params) as view:
+def run(trial: Preview) -> Outcome:
+    """Show the camera until the seconds are over, its stream ends, or Ctrl-C."""
+    camera = trial.camera
+    with live_view.opened(trial, f"preview of {camera}", moves=False) as view:
         assert view is not None
-        rig = open_rig(camera, NoGripper(), settings(params), trial.plan, trial.seeds())
+        rig = open_rig(camera, NoGripper(), trial.settings, trial.plan, trial.seeds())
         try:
             sensor = rig.known_sensor()
-            if params.calibration is not None:
-                sensor |= read_calibration(params.calibration, camera.frame_px()).arrays()
+            if trial.calibration is not None:
+                sensor |= trial.calibration.arrays()
             view.begin(sensor)
-            most = round(1000 * params.seconds) if params.seconds is not None else None
-            row = _watch(rig, view, most, paced=camera.is_stepped)
+            most = round(1000 * trial.seconds) if trial.seconds is not None else None
+            row = _watch(rig, view, most, paced=camera.has(Capability.STEPPED))
         except KeyboardInterrupt:
             raise KeyboardInterrupt("stopped; nothing was written") from None
         finally:
             rig.close()
     row = {"camera": str(camera), **row}
     return Outcome([row], rig.simulated or any(parent["simulated"] for parent in rig.parents), {"shown": 1})
-
-
-def _camera(trial: SimulatedTrial | DeviceTrial) -> cameras.NamedCamera:
-    return trial.cameras[0] if isinstance(trial, DeviceTrial) else cameras.Simulated()
 
 
 def _watch(rig: Rig, view: LiveView, most: int | None, *, paced: bool) -> dict[str, Any]:

@@ -14,12 +14,11 @@ import numpy as np
 from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
-from evetac_cli.params.recording import Record
 from evetac_cli.sim.setup.held import GripperCurrent
 from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.stages import live_view
 from evetac_cli.stages.live_view import LiveView, shown_in_real_time
 from evetac_cli.stages.record.current_ramp import COMMAND_MS, RAMP_MA
-from evetac_cli.stages.record.preview import view_of
 from evetac_cli.stages.trials import OUTPUT, SimulatedTrial, SolverFigures
 from evetac_cli.store.files import up_to_date
 from evetac_cli.store.provenance import Recipe
@@ -38,13 +37,13 @@ def make_recipe(trial: SimulatedTrial) -> Recipe:
     )
 
 
-def run(trial: SimulatedTrial, params: Record, *, force: bool, progress: Progress) -> Outcome:
+def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
     """Simulate one trial and write it; nothing is left of one that is broken off."""
     recipe = make_recipe(trial)
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
     refuse_leftover(trial.output)
-    with view_of(trial, params) as view:
+    with live_view.opened(trial, f"record {trial.output.name}", moves=False) as view:
         return _record(trial, recipe, view, progress)
 
 
