@@ -18,6 +18,7 @@ from evetac_cli import resources
 from evetac_cli.cli import flags
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.sim.gel import gel
@@ -25,6 +26,7 @@ from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import train
+from evetac_cli.stages.grasp import real_time
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.record import SCENE_KINDS, capture_plan
 from evetac_cli.store.files import StageFile
@@ -57,6 +59,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "node_pitch_mm"): lambda: f"the scene's, or {Solver.node_pitch_mm}",
     ("trials", "camera_substeps"): lambda: f"the scene's, or {Solver.camera_substeps}",
     ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",
+    ("trials", "watchdog_ms"): lambda: f"{RhP12RnSettings.watchdog_ms} to record, {real_time.WATCHDOG_MS} to grasp",
     ("record", "holding_ma"): lambda: f"what a virtual world asks for, {capture_plan.HOLDING_MA:g} otherwise",
     ("record", "readout_rate"): lambda: DvxplorerSettings().readout_rate,
     ("record", "time_unit"): lambda: (

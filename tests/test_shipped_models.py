@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evetac_cli.stages.grasp.setup import model_path_for
 from typer.testing import CliRunner
 
 import evetac_cli as evetac
@@ -24,6 +23,7 @@ from evetac_cli.resources import FORCE_MODEL, MODEL, SHIPPED, model_file, with_s
 from evetac_cli.stages import train
 from evetac_cli.stages.evaluate import force, slip
 from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.grasp.settings import GraspSettings
 from tests.conftest import Made
 
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT)}
@@ -70,7 +70,9 @@ def test_stages_take_the_packages_model(made: Made, tmp_path: Path) -> None:
     assert predict_force.jobs(tracks[:1], PredictForce(model=named), tmp_path)[0].inputs[-1] == FORCE_MODEL
     assert train_force.jobs(tracks[:1], TrainForce(adapt=SHIPPED), tmp_path)[0].inputs[-1] == FORCE_MODEL
     assert train.jobs(features, Train(adapt=SHIPPED), tmp_path)[0].output.name.endswith("10ms.model.h5")
-    assert model_path_for(Grasp(model=named)) == MODEL == model_path_for(Grasp())
+    for params in (Grasp(model=named), Grasp()):
+        assert (detector := GraspSettings.of(params).detector) is not None
+        assert detector.path == MODEL
     assert cost.jobs([], EvaluateCost(part="grasp", model=named), tmp_path)[0].inputs == (MODEL,)
 
 

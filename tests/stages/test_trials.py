@@ -1,35 +1,49 @@
 """Trials: their files, their seeds, and that they can be sent to a worker process."""
 
 import pickle
+import shutil
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.errors import InputError
+from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Record
-from evetac_cli.stages import grasp, record
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.stages import grasp, record, trials
+from evetac_cli.stages.grasp import settings
+from evetac_cli.stages.grasp.settings import DeviceGrasp, ReplayGrasp, SimulatedGrasp
+from evetac_cli.stages.record.capture_plan import DeviceRecording
 from evetac_cli.stages.record.imported import ImportJob
-from evetac_cli.stages.trials import DeviceTrial, ReplayTrial, SimulatedTrial, device_trials
+from evetac_cli.stages.record.preview import Preview
+from evetac_cli.stages.trials import SimulatedTrial, device_trials
+from tests.conftest import Made
 
 
 @pytest.mark.parametrize(
     ("params", "kind"),
     [
         (Record(), SimulatedTrial),
-        (Record(camera="virtual"), DeviceTrial),
-        (Record(camera="dvxplorer", gripper="/dev/ttyUSB0", arm=True), DeviceTrial),
+        (Record(preview=True), Preview),
+        (Record(camera="virtual"), DeviceRecording),
+        (Record(camera="virtual", preview=True), Preview),
+        (Record(camera="dvxplorer", gripper="/dev/ttyUSB0", arm=True), DeviceRecording),
         (Record(source=Path("events.txt")), ImportJob),
-        (Grasp(), SimulatedTrial),
-        (Grasp(camera="virtual"), DeviceTrial),
-        (Grasp(camera="replay:a.recording.h5"), ReplayTrial),
-        (Grasp(camera="replay:a.recording.h5", gripper="virtual"), DeviceTrial),
+        (Grasp(), SimulatedGrasp),
+        (Grasp(camera="virtual"), DeviceGrasp),
+        (Grasp(camera="replay:a.recording.h5"), ReplayGrasp),
+        (Grasp(camera="replay:a.recording.h5", gripper="virtual"), DeviceGrasp),
     ],
 )
-def test_types(params: Record | Grasp, kind: type, tmp_path: Path) -> None:
+def test_types(params: Record | Grasp, kind: type, tmp_path: Path, made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that what is asked for decides the type of the jobs, and that they survive being sent to a process."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(made.recordings[0], "a.recording.h5")
     jobs = record.jobs([], params, tmp_path) if isinstance(params, Record) else grasp.jobs([], params, tmp_path)
     assert [type(job) for job in jobs] == [kind]
     assert pickle.loads(pickle.dumps(jobs)) == jobs
@@ -69,3 +83,32 @@ def test_one_file_holds_one_trial() -> None:
     for params in (Record(camera="dvxplorer", count=2), Record(camera="dvxplorer:A,dvxplorer:B")):
         with pytest.raises(InputError, match="one output file cannot hold several"):
             record.jobs([], params, Path("a.recording.h5"))
+
+
+@pytest.mark.parametrize("objects", ["11", "11-12"])
+def test_a_series_of_grasps_is_resolved_once(
+    objects: str, tmp_path: Path, made: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that law, scene and model are resolved once in a series, when its jobs are made, not when they run."""
+    calls: Counter[str] = Counter()
+
+    def counted(owner: Any, name: str) -> None:
+        call = getattr(owner, name)
+
+        def count(*arguments: Any, **named: Any) -> Any:
+            calls[name] += 1
+            return call(*arguments, **named)
+
+        monkeypatch.setattr(owner, name, count)
+
+    counted(grip_control, "make_law")
+    counted(settings, "check_graph")
+    counted(trials, "plans")
+    counted(scene_file, "of_table")
+    params = Grasp(objects=objects, model=made.model, lift_s=1.0, balance_s=0.0)
+    once = {"make_law": 1, "check_graph": 1, "plans": 1, "of_table": 1}
+    jobs = grasp.jobs([], params, tmp_path)
+    assert calls == once
+    for job in jobs:
+        assert grasp.run(job, params).made
+    assert calls == once

@@ -13,14 +13,6 @@ from evetac_cli.params.learning import PredictForce, TrainForce
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import grasp, record
 from evetac_cli.stages.force import predict_force, train_force
-from evetac_cli.stages.unused_options import (
-    GRASP,
-    RECORD,
-    TRAIN_FORCE,
-    refuse_unused_of_grasp,
-    refuse_unused_of_record,
-    refuse_unused_of_train_force,
-)
 
 FILE = {"source": Path("one.txt")}
 REPLAY = {"camera": "replay:a.recording.h5"}
@@ -31,9 +23,14 @@ PREVIEW = {"camera": "dvxplorer", "preview": True}
 def refuse_unused(params: Record | Grasp) -> None:
     """Refuse as a stage does, which knows the devices."""
     if isinstance(params, Record):
-        refuse_unused_of_record(params, *record.devices(params))
+        record._refuse_unused(params, *record.devices(params))
     else:
-        refuse_unused_of_grasp(params, parse(params.camera))
+        grasp._refuse_unused(params, parse(params.camera))
+
+
+def without_needs(params: type) -> set[str]:
+    """The options of a command that have an effect in every run."""
+    return {item.name for item in fields(params) if not item.metadata["needs"]}
 
 
 @pytest.mark.parametrize(
@@ -50,7 +47,7 @@ def refuse_unused(params: Record | Grasp) -> None:
         (FILE, {"objects": "3"}, "--object", "a simulated scene"),
         (FILE, {"scene": "data-rate"}, "--scene", "a simulated scene"),
         (FILE, {"count": 2}, "--count", "a simulated scene .* or a device"),
-        (FILE, {"live": True}, "--live", "a simulated scene .* or a device"),
+        (FILE, {"live": True}, "--live", "a simulated scene .* or a recording from a device"),
         ({"live": True}, {"seconds": 3.0}, "--seconds", "a device .* or --preview"),
         ({}, {"live_in": "browser"}, "--live-in", "what is shown"),
         (REPLAY, {"readout_rate": "variable-5000"}, "--readout-rate", "a camera that can be set up"),
@@ -90,10 +87,8 @@ def test_options_of_this_source(flags: dict[str, Any]) -> None:
 
 
 def test_every_option_belongs_somewhere() -> None:
-    """Assert that the table leaves out only what names the source, and what goes with any."""
-    names = {item.name for item in fields(Record)}
-    assert names - set(RECORD) == {"source", "camera", "dry_run"}
-    assert set(RECORD) < names
+    """Assert that only what names the source, and what goes with any, needs nothing."""
+    assert without_needs(Record) == {"source", "camera", "dry_run"}
 
 
 @pytest.mark.parametrize("camera", ["sim", "replay:a.recording.h5"])
@@ -112,7 +107,6 @@ def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], f
     with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to a grasp with devices"):
         grasp.jobs([], Grasp(camera=camera, **option), None)
     refuse_unused(Grasp(camera="virtual", **option))
-    assert set(GRASP) < {item.name for item in fields(Grasp)}
 
 
 @pytest.mark.parametrize("option", [{"objects": "3"}, {"sensor": "second"}, {"gel": "closed"}, {"readout": "ideal"}])
@@ -140,11 +134,11 @@ def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
 )
 def test_options_of_another_training(run: dict[str, Any], option: dict[str, Any], belongs: str) -> None:
     """Assert that an option that does nothing in a training of forces is refused by name, before files are read."""
-    refuse_unused_of_train_force(TrainForce(**run))
+    train_force._refuse_unused(TrainForce(**run))
     flag = "--" + next(iter(option)).replace("_", "-")
     with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
         train_force.jobs([Path("a.tracks.h5")], TrainForce(**run, **option), None)
-    assert {item.name for item in fields(TrainForce)} - set(TRAIN_FORCE) == {"adapt", "seed"}
+    assert without_needs(TrainForce) == {"adapt", "seed"}
 
 
 def test_the_error_of_a_stiffness_that_is_not_known() -> None:
@@ -157,6 +151,6 @@ def test_the_error_of_a_stiffness_that_is_not_known() -> None:
 
 def test_options_of_this_training() -> None:
     """Assert that options with an effect are not refused."""
-    refuse_unused_of_train_force(TrainForce(adapt="a.h5", sensor="evetac", stiffness_error=0.2, noise_n=0.1))
-    refuse_unused_of_train_force(TrainForce(samples=9, epochs=2, noise_n=0.1))
-    refuse_unused_of_train_force(TrainForce(method="gel", contacts=20, epochs=2))
+    train_force._refuse_unused(TrainForce(adapt="a.h5", sensor="evetac", stiffness_error=0.2, noise_n=0.1))
+    train_force._refuse_unused(TrainForce(samples=9, epochs=2, noise_n=0.1))
+    train_force._refuse_unused(TrainForce(method="gel", contacts=20, epochs=2))

@@ -34,10 +34,10 @@ from evetac_cli.realtime.processes import (
 )
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.stages.grasp.loop import SlipDetector
+from evetac_cli.stages.grasp.settings import DetectorModel
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
-    from evetac_cli.stages.grasp.settings import DetectorModel
 
 BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
 COUNTED_SLICES = 100  # the recorder gets to know what the camera lost after so many

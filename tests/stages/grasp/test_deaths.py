@@ -101,7 +101,7 @@ def started(fault: str, *, opens: bool = True) -> tuple[Any, MessageReader, list
     slices, slices_end = context.Pipe(duplex=False)
     ended, alive = context.Pipe(duplex=False)
     seeds = np.random.SeedSequence(0)
-    settings = DetectorSettings(Failing(fault=fault, opens=opens), seeds, {}, None, "stable", 0.5, 10_000)
+    settings = DetectorSettings(Failing(fault=fault, opens=opens), seeds, {}, None, 10_000)
     words = LastWords()
     arguments = (words, run_detector, settings, SharedStatus(), None, theirs, slices_end, alive)
     process = context.Process(target=telling, args=arguments, daemon=True)

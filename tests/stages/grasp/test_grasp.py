@@ -16,9 +16,9 @@ from evetac_cli.params.grasp import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
 from evetac_cli.stages import grasp
-from evetac_cli.stages.grasp import setup
 from evetac_cli.stages.grasp.loop import Timing, run_grasp
 from evetac_cli.stages.grasp.online_detector import known_dots
+from evetac_cli.stages.grasp.settings import GraspSettings
 from evetac_cli.stages.slip_detectors import load_detector, read_horizon_ms
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.trial_writer import TrialBuffer
@@ -35,7 +35,8 @@ def made(tmp_path: Path, name: str = "a", **chosen):
 
 def test_the_package_has_a_detector() -> None:
     """Assert that a grasp needs no --model: the package's is whole, runs, and its report is of this very file."""
-    assert setup.model_path_for(Grasp()) == MODEL
+    assert (detector := GraspSettings.of(Grasp()).detector) is not None
+    assert detector.path == MODEL
     assert [row["faults"] for row in validate.run([MODEL]).rows] == [None]
     made = json.loads(MODEL.with_name("slip-10ms.json").read_text())
     with StageFile(MODEL, "model") as model:
@@ -50,7 +51,7 @@ def test_the_package_has_a_detector() -> None:
 @pytest.mark.parametrize("controller", ["none", "fixed:6"])
 def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
     """Assert that what belongs to a detector is refused where none is used, and that no model is taken then."""
-    assert setup.model_path_for(Grasp(controller=controller)) is None
+    assert GraspSettings.of(Grasp(controller=controller)).detector is None
     for name, value in (("model", tmp_path / "slip.model.h5"), ("slip_threshold", 0.5), ("tracker", "paper")):
         asked = Grasp(controller=controller, **{name: value})
         with pytest.raises(InputError, match=f"--{name.replace('_', '-')}: no detector is used"):

@@ -122,11 +122,10 @@ def test_dry_run_refuses_what_a_run_does(
     if flags.get("calibration") in ("grid", "other"):
         flags["calibration"] = grid_of(tmp_path, columns=8 if flags["calibration"] == "grid" else 5)
     params = Grasp(**{"camera": "dvxplorer", "gripper": PORT, "arm": True, **flags})
-    (job,) = grasp.jobs([], params, out)
     words = []
-    for try_ in (lambda: grasp.dry_run([job], params), lambda: grasp.run(job, params)):
+    for act in (grasp.dry_run, lambda jobs, params: grasp.run(jobs[0], params)):
         with pytest.raises(InputError, match=said) as refused:
-            try_()
+            act(grasp.jobs([], params, out), params)
         words.append(str(refused.value))
     assert words[0] == words[1]
     assert "moves now" not in capsys.readouterr().err

@@ -46,4 +46,4 @@ class FakeView:
 
     def put_in_place(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Let it stand for whatever view is opened from now on."""
-        monkeypatch.setattr(live_view, "opened", lambda *asked: nullcontext(self))
+        monkeypatch.setattr(live_view, "opened", lambda *asked, **more: nullcontext(self))

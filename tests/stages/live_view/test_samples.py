@@ -4,12 +4,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from evetac_cli.stages.grasp.setup import open_view_detector
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
+from evetac_cli.stages.grasp.online_detector import open_view_detector
 from evetac_cli.stages.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made

@@ -174,7 +174,7 @@ def test_failing_device_leaves_a_valid_file(part: str, rig_is: Callable[..., Rig
     camera = Camera(fails_at=300 if part == "camera" else 10**9)
     rig = rig_is(camera, Hand() if part == "camera" else Hand(20, camera, slices=30))
     with pytest.raises(DeviceError, match="no longer on the bus" if part == "camera" else "no answer") as failed:
-        recording(tmp_path)
+        recording(tmp_path, **ARMED)
     (path,) = tmp_path.iterdir()
     assert str(path) in str(failed.value)
     assert faults(path) is None
@@ -212,12 +212,12 @@ def test_gripper_is_let_go_of_before_the_file_is_joined(
 
     monkeypatch.setattr(segments, "join", joined)
     rig_is(Camera(), hand)
-    recording(tmp_path / "one", seconds=0.05)
+    recording(tmp_path / "one", seconds=0.05, **ARMED)
     hand = Hand()
     monkeypatch.setattr(hand, "close", refuse)
     rig_is(Camera(), hand)
     with pytest.raises(DeviceError, match="torque could not"):
-        recording(tmp_path / "two", seconds=0.05)
+        recording(tmp_path / "two", seconds=0.05, **ARMED)
     assert [faults(path) for path in (tmp_path / "two").iterdir()] == [None]
 
 
@@ -393,11 +393,10 @@ def test_dry_run_refuses_what_a_run_does(
     monkeypatch.setattr(capture, "open_rig", lambda *named, **more: pytest.fail("opened"))
     (tmp_path / "there.recording.h5").touch()
     params = Record(**{"expected_event_rate": 1e4, **flags} if flags else {})
-    (job,) = record.jobs([], params, tmp_path / out)
     words = []
-    for try_ in (lambda: record.dry_run([job], params), lambda: record.run(job, params)):
+    for act in (record.dry_run, lambda jobs, params: record.run(jobs[0], params)):
         with pytest.raises(InputError, match=said) as refused:
-            try_()
+            act(record.jobs([], params, tmp_path / out), params)
         words.append(str(refused.value))
     assert words[0] == words[1]
 
