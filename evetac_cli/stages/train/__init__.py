@@ -31,8 +31,7 @@ from evetac_cli.kernels.slip.architectures import (
     parted,
 )
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
+from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose_threshold
 from evetac_cli.params.learning import Train
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import model_file
