@@ -1,8 +1,8 @@
 """What event files hold beside events, as streams of the recording: IMU samples, triggers, and frames if asked for.
 
-Of AEDAT4 by aedat4_payloads, of AEDAT 3.1 by aedat3_streams, of bags by read_bag_stream. They are
-brought into the recording's clock; samples before its start or after its end are left out, and so is what cannot be
-read: whoever asks counts what did not come.
+Of AEDAT4 by aedat4_payloads, of AEDAT 3.1 by aedat3_streams, of bags by read_bag_stream. They are brought into the
+recording's clock; samples before its start or after its end are left out, and so is what cannot be read: whoever asks
+counts what did not come.
 """
 
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ from evetac_cli.formats.read.bags.read_bag_stream import (
     trigger_topics,
 )
 from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
-from evetac_cli.formats.read.read_prophesee import TRIGGERS as EDGES
+from evetac_cli.formats.read.prophesee.read_prophesee import TRIGGERS as EDGES
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 
