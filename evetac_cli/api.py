@@ -18,7 +18,7 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans

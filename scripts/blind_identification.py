@@ -42,7 +42,7 @@ from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.stages.evaluate import told_apart
+from evetac_cli.stages.evaluate import realism
 from evetac_cli.store.read import open_recording
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -185,7 +185,7 @@ def features(paths: list[Path]) -> NDArray[np.float64]:
     parts = []
     for path in paths:
         with open_recording(path) as recording:
-            parts.append(told_apart.window_features(recording))
+            parts.append(realism.window_features(recording))
     return np.concatenate(parts)
 
 
@@ -321,10 +321,10 @@ def area_rows(windows: Mapping[int, Mapping[str, NDArray[np.float64]]]) -> list[
     rows = []
     for place, number in enumerate(numbers):
         own, other = windows[number], windows[numbers[(place + 1) % len(numbers)]]
-        same = told_apart.area(own["first"], own["second"])
-        of_twin = [told_apart.area(own[name], own["twin"]) for name in ("first", "second")]
+        same = realism.auc(own["first"], own["second"])
+        of_twin = [realism.auc(own[name], own["twin"]) for name in ("first", "second")]
         twin = None if None in of_twin else float(np.mean([one for one in of_twin if one is not None]))
-        apart = told_apart.area(own["first"], other["first"]) if len(numbers) > 1 else None
+        apart = realism.auc(own["first"], other["first"]) if len(numbers) > 1 else None
         rows.append(
             {
                 "sensor": f"randomized:{number}",

@@ -35,7 +35,7 @@ from evetac_cli.console import show
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.numerics.paired import Interval, known, share, share_difference
 from evetac_cli.numerics.pipeline.chain import Trial, run_chain, run_grasp, slip_trial
-from evetac_cli.numerics.settings import Setting
+from evetac_cli.numerics.rows import Setting
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
 from evetac_cli.store.read import open_recording
 

@@ -35,7 +35,7 @@ from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
-from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS
+from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS
 
 Row = dict[str, Any]
 Costs = dict[str, dict[str, float]]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from reproduce import commit, facts, methods, ranges
 from results import publish, text
 
-from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction, score
 from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.stages.related_files import recording_with_truth

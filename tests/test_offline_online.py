@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.events import SLICE_US, Events, Slicer, SliceStarts, concatenate, empty, slice_starts
-from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.learning import Featurize, Track

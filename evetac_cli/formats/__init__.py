@@ -7,7 +7,7 @@ imports.py reads them; the content decides, not the file's name:
     AEDAT 2         read/aedat/read_aedat2    of jAER and v2e: DVS128 and DAVIS, turned so that top left is (0, 0)
     HDF5            read/read_hdf5            DSEC, rpg, MVSEC, M3ED, v2e, Prophesee: a row of its table each
     npy, npz        read/read_numpy           structured arrays, named columns, or tables (N, 4)
-    Prophesee       read/read_prophesee       RAW (EVT2, EVT2.1, EVT3) and DAT, with external triggers
+    Prophesee       read/prophesee            RAW (EVT2, EVT2.1, EVT3) and DAT, with external triggers
     ROS bags        read/bags/read_rosbag     of ROS 1 and ROS 2; needs the extra `convert` (rosbags, mcap)
     text, CSV       read/read_text            `t x y p` a line or as the first line names them; integers are in us
     pickle          read/calibration_pickle   the official software's dot grid, for `calibrate`; holds no events
@@ -26,8 +26,9 @@ exports.py writes them:
     mcap            write/write_mcap          ROS 2 messages, with dots, forces, gripper and control; `convert` (mcap)
     calibration     write/write_calibration   the dot grid: JSON, or the pickle that the official software reads
     parquet, csv    write/write_table         a trial, a row a slice; Parquet of many trials; extra `convert` (pyarrow)
-    lerobot         write/write_lerobot       many trials as LeRobotDataset v3.0; extra `convert` (pyarrow, av)
+    lerobot         write/lerobot             many trials as LeRobotDataset v3.0; extra `convert` (pyarrow, av)
 
 One format is one module, however short, so that a reader finds it here by its name. What several share: the events of
-a recording piece by piece (write/pieces), a trial as columns (write/slice_columns) and as frames (write/episodes).
+a recording piece by piece (write/pieces), a trial as columns (write/slice_columns) and as frames
+(write/lerobot/episodes).
 """

@@ -16,7 +16,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.formats.read import read_numpy, read_prophesee
+from evetac_cli.formats.read import read_numpy
 from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
 from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.bags import read_rosbag
@@ -24,9 +24,10 @@ from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
 from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
+from evetac_cli.formats.read.prophesee import read_prophesee
+from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
-from evetac_cli.formats.read.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Progress, silent

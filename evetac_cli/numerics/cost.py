@@ -18,8 +18,7 @@ from evetac_cli.numerics.tracker import cost as tracker
 from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, own_report, picture, report, report_job
-from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Header
+from evetac_cli.store.files import header_of
 
 OUTPUT = "report"
 METHOD = 2
@@ -121,7 +120,7 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
 def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """A row for every setting; the picture is drawn again where it is missing."""
     part = PARTS[params.part]
-    parents = [_header(path) for path in job.inputs]
+    parents = [header_of(path) for path in job.inputs]  # of any kind: `measure` checks that it is what it needs
     simulated = not any(header["kind"] == "report" for header in parents)  # figures of a report are as real as it is
 
     def measure() -> tuple[Rows, dict[str, Any]]:
@@ -153,9 +152,3 @@ def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
             ]
             lines.append(f"{error}: least with {words[0]}; fastest with {words[1]}.")
     return rows, lines
-
-
-def _header(path: Path) -> Header:
-    """The header of an input, whatever its kind: `measure` checks that it is what it needs."""
-    with StageFile(path) as file:
-        return file.header

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from evetac_cli.kernels.estimates import share as wilson
+
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -52,10 +54,7 @@ def share(held: Flags) -> Interval:
     count = len(held)
     if count == 0:
         return Interval(math.nan, math.nan, math.nan, 0)
-    hits, z = int(np.count_nonzero(held)), _z()
-    middle = (hits + z * z / 2) / (count + z * z)
-    half = z / (count + z * z) * math.sqrt(hits * (count - hits) / count + z * z / 4)
-    return Interval(hits / count, max(middle - half, 0.0), min(middle + half, 1.0), count)
+    return Interval(*wilson(int(np.count_nonzero(held)), count), count)
 
 
 def share_difference(ours: Flags, theirs: Flags) -> Interval:
@@ -70,12 +69,9 @@ def share_difference(ours: Flags, theirs: Flags) -> Interval:
         return Interval(math.nan, math.nan, math.nan, 0)
     gained, lost = int(np.count_nonzero(ours & ~theirs)), int(np.count_nonzero(theirs & ~ours))
     middle = (gained - lost) / (count + 2)
-    half = _z() * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
+    z = float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
+    half = z * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
     return Interval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
-
-
-def _z() -> float:
-    return float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
 
 
 def known(value: float) -> float | None:

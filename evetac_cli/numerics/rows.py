@@ -1,17 +1,21 @@
-"""What the rows of `evaluate cost` have in common: how much is measured, and run times."""
+"""What the rows of `evaluate cost` have in common: settings that a user can choose, how much is measured, run times."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.jobs import Progress
+from evetac_cli.params.parameter import flag_of
+from evetac_cli.params.trials import SOLVER_OPTIONS, Trials
 from evetac_cli.stages.evaluate import Rows
 
 Row = dict[str, Any]
 Amount = TypeVar("Amount")
+
+FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOLVER_OPTIONS}
 
 
 @dataclass(frozen=True)
@@ -43,3 +47,27 @@ def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:
         f"{name}_us_median": float(np.median(times_us)),
         f"{name}_us_p99": float(np.percentile(times_us, 99)),
     }
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One choice: the line of the picture that it lies on, its place on that line, and the scene's table [solver]."""
+
+    line: str
+    value: str = ""
+    solver: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What stands in the column `setting`: `fixed step, 0.25 ms`."""
+        return f"{self.line}, {self.value}" if self.value else self.line
+
+    @property
+    def flags(self) -> str:
+        """The flags of `record` and `grasp` that choose it: `--step-ms 0.25`; empty where nothing is chosen."""
+        return " ".join(f"{FLAGS[key]} {value:g}" for key, value in self.solver.items())
+
+
+def line(name: str, key: str, values: tuple[float, ...], unit: str = "", **others: float) -> list[Setting]:
+    """The settings of one line: a key of the table [solver] with each of these values, and others beside it."""
+    return [Setting(name, f"{value:g} {unit}".rstrip(), {key: value, **others}) for value in values]

@@ -23,9 +23,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from evetac_cli.errors import DeviceError
+
+STANDSTILL_S = 60.0  # a process that computed nothing for so long while it starts will not come up any more
 NICE = -10
 USUAL = "as usual"
 REALTIME = "real-time"
@@ -65,6 +69,20 @@ def cpu_time_s(process: int | None) -> float:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     return time.monotonic()
+
+
+def wait_while_computing(pipe: Connection, process: BaseProcess, failure: str) -> None:
+    """Wait until a process that starts says something, or ends; DeviceError(failure) where it stands still.
+
+    Why not for a time: its kernels may have to be compiled, which takes minutes where others want the cores too.
+    """
+    used_s, since_s = -1.0, time.monotonic()
+    while not pipe.poll(1.0):
+        now_s = cpu_time_s(process.pid)
+        if now_s > used_s:
+            used_s, since_s = now_s, time.monotonic()
+        elif time.monotonic() - since_s > STANDSTILL_S:
+            raise DeviceError(failure, expected="a process that computes", found=f"none for {STANDSTILL_S:g} s")
 
 
 def remember_signals() -> list[int]:

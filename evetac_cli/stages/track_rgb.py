@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
-from evetac_cli.kernels.tracking import frame_tracker
 from evetac_cli.params.learning import TrackRgb
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
+from evetac_cli.sim.camera.rgb_sensor import RgbCamera, frame, start_tracker, track
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.track import COLUMNS
@@ -78,7 +77,7 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
             return frame(camera, (dot_xy_px + 0.5) * scale - 0.5, radius_px, rng)
 
         rest_px = arrays["sensor/dot_xy_px"].reshape(-1, 2)
-        state = frame_tracker.start(render(rest_px), (rest_px + 0.5) * scale - 0.5)
+        state = start_tracker(render(rest_px), (rest_px + 0.5) * scale - 0.5)
         farthest_px = 0.0
 
         def followed() -> Iterator[dict[str, NDArray[Any]]]:
@@ -88,7 +87,7 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
                 dot_xy_px = np.empty((stop - first, dots, 2), np.float32)
                 lost = np.empty((stop - first, dots), np.uint8)
                 for at in range(0, stop - first, camera.frame_ms):
-                    frame_tracker.step(state, render(true_px[at]))
+                    track(state, render(true_px[at]))
                     dot_xy_px[at : at + camera.frame_ms] = (state.dot_xy_px + 0.5) / scale - 0.5
                     lost[at : at + camera.frame_ms] = state.lost
                     progress((first + at) // camera.frame_ms, -(-slices // camera.frame_ms))

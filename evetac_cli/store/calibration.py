@@ -19,7 +19,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.store.disk import taking_the_place_of
-from evetac_cli.store.provenance import Recipe, content_digest, first_difference
+from evetac_cli.store.provenance import Recipe, content_digest, first_difference, other_recipe
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MAKE_GRID = "evetac calibrate makes one from a press recording or a file; give it with --calibration GRID.json"
@@ -150,12 +150,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         difference = "no calibration made by evetac"
     if not difference or force:
         return not difference
-    raise InputError(
-        "the output exists and was made by another recipe",
-        where=str(path),
-        found=difference,
-        hint="--force replaces it, -o NAME writes elsewhere",
-    )
+    raise other_recipe(str(path), difference)
 
 
 def write_calibration(

@@ -24,7 +24,16 @@ from evetac_cli.store.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, Chec
 from evetac_cli.store.chunks import RowReader, RowWriter, put
 from evetac_cli.store.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
 from evetac_cli.store.new_contents import NewContents
-from evetac_cli.store.provenance import Header, Recipe, canonical, first_difference, folded, identity_fault, unfolded
+from evetac_cli.store.provenance import (
+    Header,
+    Recipe,
+    canonical,
+    first_difference,
+    folded,
+    identity_fault,
+    other_recipe,
+    unfolded,
+)
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 
@@ -186,6 +195,12 @@ def _read_header(file: CheckedHdf5) -> Header:
     return header
 
 
+def header_of(path: Path, kind: str | None = None) -> Header:
+    """The header of a stage file, of any kind or of one; InputError where it is no such file."""
+    with StageFile(path, kind) as file:
+        return file.header
+
+
 def is_foreign(path: Path) -> bool:
     """Whether a file is HDF5 of another program; of what cannot be read it is not known, and not said."""
     try:
@@ -242,12 +257,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
             where=str(path),
             hint="-o NAME writes elsewhere; --force replaces it, and it is lost",
         )
-    raise InputError(
-        "the output exists and was made by another recipe",
-        where=str(path),
-        found=first_difference(recipe, header),
-        hint="--force replaces it, -o NAME writes elsewhere",
-    )
+    raise other_recipe(str(path), first_difference(recipe, header))
 
 
 def output_path(source: Path, kind: str, out: Path | None) -> Path:

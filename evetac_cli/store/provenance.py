@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli import __version__
+from evetac_cli.errors import InputError
 from evetac_cli.store import schema
 
 Header = dict[str, Any]
@@ -191,6 +192,16 @@ def first_difference(wanted: Recipe, existing: Header) -> str:
         if parent["id"] != theirs:
             return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
     return "the schema version differs"
+
+
+def other_recipe(path: str, difference: str) -> InputError:
+    """The error for an output that exists and that another recipe made, with the first difference of the two."""
+    return InputError(
+        "the output exists and was made by another recipe",
+        where=path,
+        found=difference,
+        hint="--force replaces it, -o NAME writes elsewhere",
+    )
 
 
 def _difference(ours: Any, theirs: Any, where: str) -> str:

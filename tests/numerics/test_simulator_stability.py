@@ -1,4 +1,6 @@
-"""The part `sim`: all its extreme cases are there, nonsense is refused, and figures of its rows by hand."""
+"""The part `sim`: its extreme cases are there, a finger gone wrong is seen, nonsense is refused, rows by hand."""
+
+import math
 
 import pytest
 
@@ -7,6 +9,8 @@ from evetac_cli.numerics.bounds import refusal
 from evetac_cli.numerics.gel import stability as gel_stability
 from evetac_cli.numerics.gel.onset import onset_cases
 from evetac_cli.numerics.rows import Extent
+from evetac_cli.numerics.simulator_stability import FingerCase, finger_cases, finger_rows
+from evetac_cli.sim import gripper
 
 NONSENSE = dict(simulator_stability.nonsense())
 
@@ -41,3 +45,31 @@ def test_the_suite_holds_all_that_it_should(monkeypatch):
         "camera: noise of 1e4 Hz a pixel", "camera: all dots jump by 50 px and back", "camera, a dot at nan px",
     ):  # fmt: skip
         assert wanted in names
+
+
+@pytest.mark.parametrize("case", finger_cases(), ids=lambda case: case.name)
+def test_extremes_of_the_gripper(case):
+    """Assert that a finger without damping or mass, or however stiff, closes without turning back."""
+    rows = finger_rows(case)
+    assert all(row["ok"] for row in rows), rows
+    assert len(rows) >= 2  # a valid case may not hide behind a refusal
+
+
+@pytest.mark.parametrize(
+    ("speeds", "force_n", "quantity", "value"),
+    [
+        ([1e-3, -1e-3] * 5, 1.0, bounds.TURNS.quantity, 9.0),
+        ([1e-3] * 9 + [math.nan], 1.0, bounds.FINITE.quantity, 1.0),
+        ([0.0] * 10, 24.0 + 2 * 3.87, bounds.SURPLUS.quantity, (3.87 - 0.03 * 31.74) / (3.87 + 0.03 * 31.74)),
+    ],
+)
+def test_a_finger_gone_wrong_is_seen(monkeypatch, speeds, force_n, quantity, value):
+    """Assert that a finger is not ok which chatters, is nowhere, or rests where its friction cannot hold it."""
+    given = iter(speeds)
+
+    def step(state, *_):
+        state.speed_m_s, state.force_n = next(given), force_n
+
+    monkeypatch.setattr(simulator_stability.gripper, "step", step)
+    rows = finger_rows(FingerCase("wrong", gripper.Drive(friction_n=3.87, friction_share=0.03)), 10)
+    assert [(row["quantity"], row["value"]) for row in rows if not row["ok"]] == [(quantity, pytest.approx(value))]

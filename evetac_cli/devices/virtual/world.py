@@ -31,7 +31,7 @@ from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.processes import cpu_time_s, ignore_interrupts, start_shielded
+from evetac_cli.realtime.processes import ignore_interrupts, start_shielded, wait_while_computing
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
 from evetac_cli.sim.setup.plan import Plan
 
@@ -41,7 +41,6 @@ BACKLOG_BYTES = 4 << 20  # of words that nobody fetched; further slices are drop
 FIRST_MS = 1  # device time of the first slice: a camera whose clock reads 0 looks as if it had wrapped
 PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
 WORD_BYTES = 4
-STANDSTILL_S = 60.0  # a process that computed nothing for so long will not build its world any more
 END_S = 2.0
 WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
 WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
@@ -95,24 +94,14 @@ class VirtualWorld:
             words.close()
             if truth_pipe is not None:
                 truth_pipe.close()
-            self._wait_until_built()
+            self._wait_until_built(self._process)
         except BaseException:
             self.close()
             raise
 
-    def _wait_until_built(self) -> None:
-        """Wait until the process has built the world, for as long as it computes; DeviceError if it does not come up.
-
-        Why not for a time: its kernels may have to be compiled, which takes minutes where others want the cores too.
-        """
-        used_s, since_s = -1.0, time.monotonic()
-        while not self._orders.poll(1.0):
-            now_s = cpu_time_s(self._process.pid) if self._process is not None else used_s
-            if now_s > used_s:
-                used_s, since_s = now_s, time.monotonic()
-            elif time.monotonic() - since_s > STANDSTILL_S:
-                computed = f"none for {STANDSTILL_S:g} s"
-                raise DeviceError("the virtual world did not start", expected="a process that computes", found=computed)
+    def _wait_until_built(self, process: BaseProcess) -> None:
+        """Wait until the process has built the world; DeviceError if it does not come up."""
+        wait_while_computing(self._orders, process, "the virtual world did not start")
         try:
             reply = self._orders.recv()
         except EOFError:

@@ -1,8 +1,8 @@
 """What event files hold beside events, as streams of the recording: IMU samples, triggers, and frames if asked for.
 
-Of AEDAT4 by aedat4_payloads, of AEDAT 3.1 by aedat3_streams, of bags by read_bag_stream and trigger_messages. They are
-brought into the recording's clock; samples before its start or after its end are left out, and so is what cannot be
-read: whoever asks counts what did not come.
+Of AEDAT4 by aedat4_payloads, of AEDAT 3.1 by aedat3_streams, of bags by read_bag_stream. They are brought into the
+recording's clock; samples before its start or after its end are left out, and so is what cannot be read: whoever asks
+counts what did not come.
 """
 
 from collections.abc import Iterator
@@ -27,10 +27,16 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
 from evetac_cli.formats.read.aedat.aedat4_payloads import FIELDS
 from evetac_cli.formats.read.bags.host_clock import host_clock, on_sensor_clock
 from evetac_cli.formats.read.bags.open_bag import open_bag
-from evetac_cli.formats.read.bags.read_bag_stream import COMPRESSED, IMAGE, read_bag_stream
+from evetac_cli.formats.read.bags.read_bag_stream import (
+    COMPRESSED,
+    IMAGE,
+    TRIGGERS_OF_DV,
+    read_bag_stream,
+    read_triggers,
+    trigger_topics,
+)
 from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
-from evetac_cli.formats.read.bags.trigger_messages import OF_DV, read_triggers, trigger_topics
-from evetac_cli.formats.read.read_prophesee import TRIGGERS as EDGES
+from evetac_cli.formats.read.prophesee.read_prophesee import TRIGGERS as EDGES
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import Stream, free_name
 
@@ -106,7 +112,7 @@ def bag_streams(
     for name, kind in sorted(topics.items()):
         try:
             if name in triggers:
-                what = TRIGGERS if kind in OF_DV else EDGES
+                what = TRIGGERS if kind in TRIGGERS_OF_DV else EDGES
                 stream = replace(read_triggers(path, name, folder), what=what)
             else:
                 stream, _ = read_bag_stream(path, name, folder)

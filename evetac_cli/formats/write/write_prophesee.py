@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.note import NAME
-from evetac_cli.formats.read.read_prophesee import OFFSET
+from evetac_cli.formats.read.prophesee.read_prophesee import OFFSET
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
 from evetac_cli.store.read import Recording

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
+from evetac_cli.formats.write.hub_card import Card
 from evetac_cli.inspect.share import data_card, model_card
-from evetac_cli.inspect.share.card import Card
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.params.inspection import Share
 from evetac_cli.store.files import stem

@@ -4,11 +4,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write.hub_card import card_fields, inline
+from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.formats.write.write_table import is_simulated
 from evetac_cli.inspect.index import foreign_note, indexed
-from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.jobs import Progress
 from evetac_cli.params.inspection import Share
 
@@ -91,8 +91,8 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         *opening(title, simulated=simulated, license_=params.license),
         "Touch seen by an event camera behind a dotted gel (Evetac), made with evetac.",
         "## What is in it",
-        table([{"": name, "value": value} for name, value in figures.items() if value not in ("", 0)]),
-        table(kinds),
+        table([{"": name, "value": value} for name, value in figures.items() if value not in ("", 0)], format_value),
+        table(kinds, format_value),
         "## How to read it",
         READ.replace("NAME", inline(Path(rows[0].path).name.split(".")[0])) if rows else "Tables, a row a slice.",
     ]

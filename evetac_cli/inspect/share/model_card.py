@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
-from evetac_cli.formats.write.hub_card import card_fields, inline
+from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.inspect import info, validate
-from evetac_cli.inspect.share.card import Card, opening, table
 from evetac_cli.params.inspection import Share
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.stages.train.log import course
@@ -74,14 +74,14 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         f"A {what} for an event camera behind a dotted gel, made with evetac. Recipe id `{header['id']}`.",
         f"**No slip detector:** {why}." if why else "",
         "## The model",
-        table([{"": name, "value": value} for name, value in figures.items()]),
+        table([{"": name, "value": value} for name, value in figures.items()], format_value),
         "## Data and seeds",
         f"Seed of the training: {header['seed']}." if header["seed"] is not None else "",
-        table(data),
+        table(data, format_value),
         "## How it was trained",
-        table([{"parameter": name, "value": value} for name, value in _flat(header["parameters"])]),
+        table([{"parameter": name, "value": value} for name, value in _flat(header["parameters"])], format_value),
         "## How well it does",
-        *([table([_shown(one) for one in judged])] if judged else [NOT_EVALUATED]),
+        *([table([_shown(one) for one in judged], format_value)] if judged else [NOT_EVALUATED]),
         *([ON_VALIDATION] if score is not None else []),
         "## Limits",
         LIMITS if any(row.get("simulated") == "no" for row in data) else LIMITS_SIMULATED,

@@ -1,15 +1,44 @@
-"""Radius, blur, contrast over threshold, and how far dots differ, from fitted rims (rim.py), each with an interval."""
+"""Printed dots from images of the gel at rest (calibration/rest_image.py): rim of each, optics of all, and lens.
+
+The model of a rim is that of the simulated camera (sim/camera/optics.py): log brightness ln(ink + (1 - ink) Phi((r -
+radius) / sigma)) over the distance r from a dot's centre. A pixel that was moved onto the gel and onto a dot shows by
+its share of darkening events how far it is from one to the other at rest. Only the ratio of contrast and threshold
+makes events, so the contrast itself must be known: it shapes the rim a little.
+
+Why so:
+- Runs before a stroke count a little too much on a rim, as the largest of many strokes counts; runs after one, played
+  backwards, a little too little, as they end where the threshold was last passed. The mean of both is right.
+- Thresholds of ON and OFF may differ, and each run has events of one polarity: before a stroke a dot's inside shows by
+  ON and the gel by OFF, after it the other way round. Each is measured in the events of its own plateau.
+- Dots are fitted one by one. The mean of the rims of unequal dots would be more blurred than each of them.
+
+A lens shows straight rows of dots curved. Its model is that of the simulated camera (sim/camera/lens.py) without its
+second term: a point at distance r from the middle of the frame is seen at r (1 + k1 r^2), the corners at r = 1. Print
+and picture may be shifted and turned against each other, and of another size.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.optimize import least_squares
+from scipy.special import ndtr
 
-from evetac_cli.kernels.identify.estimates import LEVEL, Estimate, of_samples
-from evetac_cli.kernels.identify.rim import Dots
+from evetac_cli.kernels.calibration.rest_image import RestImage
+from evetac_cli.kernels.estimates import LEVEL, Estimate, of_samples
 
 Floats = NDArray[np.float64]
+
+WHOLE_RUN = 0.7  # a pixel counts if its brightness changed by so much of its dot's contrast
+RIM_PX = 7.0  # from the radius to the farthest pixel of the fit
+PLATEAU_PX = (4.5, 10.0)  # from the rim: pixels that see only ink, or only gel
+FARTHEST_PX = 5.0  # from where a dot was looked for
+FEWEST_PIXELS = 100
+MOST_LACKING = 0.5  # of the contrast, by a run after a stroke
+INK_SHARE = 0.3  # some pixel of a dot has less darkening, some of the gel more than the rest
+WORST_RESIDUAL = 0.12  # rms, share of the contrast
+BIN_PX = 0.25
 
 RESAMPLES = 400
 FEWEST_DOTS = 8
@@ -31,6 +60,158 @@ EVENTS_SD = 0.03
 RADIUS_CHANCE, RADIUS_CHANCE_SD = 0.0025, 0.001
 CONTRAST_CHANCE, CONTRAST_CHANCE_SD = 0.012, 0.006
 
+FEWEST_FOR_LENS = 12
+LENS_ROUNDS = 3  # of distances that are taken in the flat picture instead of the seen one
+
+
+class Runs(NamedTuple):
+    """First runs of events from the rest before each stroke, and backwards from the rest after it."""
+
+    before: RestImage
+    after: RestImage
+
+    @property
+    def joined(self) -> RestImage:
+        """The larger count of both."""
+        return self.before.joined(self.after)
+
+
+class Dots(NamedTuple):
+    """What each dot shows, (dots, 2) and (dots,), NaN where it does not show.
+
+    Places, radii and blur are in px; `inside_on` are events of the first runs from ink to gel, mean over the pixels of
+    a dot's inside. `excess` is by how much of their contrast pixels of the rim change more before strokes than after
+    them.
+    """
+
+    centre_xy_px: Floats
+    radius_px: Floats
+    sigma_px: Floats
+    inside_on: Floats
+    excess: Floats
+
+
+class RimProfile(NamedTuple):
+    """Share of darkening events over the distance from the edge (bins,), mean of all dots; NaN without pixels."""
+
+    distance_px: Floats
+    share: Floats
+
+
+def darkening_share(distance_px: Floats, radius_px: float, sigma_px: float, log_contrast: float) -> Floats:
+    """How far from dot (0) to gel (1) log brightness is at a distance from a dot's centre."""
+    ink = np.exp(-log_contrast)
+    share: Floats = 1.0 + np.log(ink + (1.0 - ink) * ndtr((distance_px - radius_px) / sigma_px)) / log_contrast
+    return share
+
+
+def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float) -> tuple[Dots, RimProfile]:
+    """Fit every dot near its place (dots, 2), with a radius that is nearly right; ValueError where nothing moved."""
+    if not any(side.any() for picture in runs for side in picture):
+        raise ValueError("expected pictures in which dots have moved, found none")
+    events = _plateaus(runs, centre_xy_px, radius_px)
+    count, pixels = events[..., 0], events[..., 1]
+    usual = np.nansum(count * pixels, axis=0) / np.maximum(pixels.sum(axis=0), 1.0)
+    unit = np.where(usual > 0, usual, np.inf)
+    sides = (runs.before.brighter, runs.after.brighter, runs.before.darker, runs.after.darker)
+    up_before, up_after, down_before, down_after = (side / one for side, one in zip(sides, unit, strict=True))
+    brighter, darker = up_before + up_after, down_before + down_after
+    before, after = up_before + down_before, up_after + down_after
+    whole = np.minimum(*(picture.brighter.astype(np.int64) + picture.darker for picture in runs))
+    share = darker / np.maximum(brighter + darker, 1e-9)
+    bins = int(2 * RIM_PX / BIN_PX)
+    sums = np.zeros((2, bins))
+    fitted = np.full((len(centre_xy_px), 5), np.nan)
+    for number, place in enumerate(centre_xy_px):
+        pixels_xy, seen = _around(whole, share, place, radius_px)
+        if len(seen) < FEWEST_PIXELS or seen.min() > INK_SHARE or seen.max() < 1.0 - INK_SHARE:
+            continue
+        best, residual = _fit_one(pixels_xy, seen, place, radius_px, log_contrast)
+        if residual > WORST_RESIDUAL:
+            continue
+        fitted[number, :4] = best
+        fitted[number, 4] = _excess(before, after, best)
+        off_px = np.linalg.norm(pixels_xy - best[:2], axis=1) - best[2]
+        near = np.abs(off_px) < RIM_PX
+        place_in_bins = ((off_px[near] + RIM_PX) / BIN_PX).astype(np.int64)
+        sums += [np.bincount(place_in_bins, seen[near], bins), np.bincount(place_in_bins, minlength=bins)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        from_edge_px = np.linspace(0.5, bins - 0.5, bins) * BIN_PX - RIM_PX
+        profile = RimProfile(from_edge_px, sums[0] / sums[1])
+    lost = np.isnan(fitted[:, 0])
+    count[lost] = np.nan
+    return Dots(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], fitted[:, 4]), profile
+
+
+def _excess(before: Floats, after: Floats, dot: Floats) -> float:
+    """By how much pixels within 1 px of a rim change more before strokes than after them, in contrasts."""
+    box, distance = _box(dot[:2], dot[2] + 2.0, before.shape[1], before.shape[0])
+    rim = np.abs(distance - dot[2]) < 1.0
+    rim &= (before[box] > WHOLE_RUN) & (after[box] > MOST_LACKING)
+    return float((before[box] - after[box])[rim].mean()) if rim.any() else float("nan")
+
+
+def _plateaus(runs: Runs, centre_xy_px: Floats, radius_px: float) -> Floats:
+    """Events and pixels (dots, 4, 2) of inside and gel of each dot.
+
+    Inside before strokes (ON) and after (OFF), gel before (OFF) and after (ON); of pixels that were moved wholly.
+    """
+    height, width = runs.before.brighter.shape
+    reach = radius_px + PLATEAU_PX[1]
+    result = np.full((len(centre_xy_px), 4, 2), np.nan)
+    result[..., 1] = 0.0
+    sides = (runs.before.brighter, runs.after.brighter, runs.before.darker, runs.after.darker)
+    for number, place in enumerate(centre_xy_px):
+        box, distance = _box(place, reach, width, height)
+        inside = distance < radius_px - PLATEAU_PX[0]
+        outside = (distance > radius_px + PLATEAU_PX[0]) & (distance < reach)
+        for which, (side, area) in enumerate(zip(sides, (inside, inside, outside, outside), strict=True)):
+            events = side[box][area]
+            if len(events) and (most := np.percentile(events, 90)) > 0:
+                moved = events[events >= WHOLE_RUN * most]
+                result[number, which] = moved.mean(), len(moved)
+    return result
+
+
+def _box(place: Floats, reach: float, width: int, height: int) -> tuple[tuple[slice, slice], Floats]:
+    """The part of the frame around a place, and the distance of its pixels from there."""
+    left, top = (max(0, int(value - reach)) for value in place)
+    right, bottom = (
+        max(begin, min(size, int(value + reach) + 2))
+        for begin, value, size in zip((left, top), place, (width, height), strict=True)
+    )
+    y, x = np.mgrid[top:bottom, left:right]
+    return (slice(top, bottom), slice(left, right)), np.hypot(x - place[0], y - place[1])
+
+
+def _around(whole: NDArray[np.int64], share: Floats, place: Floats, radius_px: float) -> tuple[Floats, Floats]:
+    """Places (pixels, 2) of the pixels near a dot's rim that were moved wholly, and their shares of darkening."""
+    box, distance = _box(place, radius_px + RIM_PX, whole.shape[1], whole.shape[0])
+    if not distance.size:
+        return np.empty((0, 2)), np.empty(0)
+    events = whole[box]
+    near = distance < radius_px + RIM_PX
+    moved = near & (events >= max(1.0, WHOLE_RUN * np.percentile(events[near], 90))) if near.any() else near
+    moved &= distance > radius_px - RIM_PX
+    y, x = np.nonzero(moved)
+    return np.stack([x + box[1].start, y + box[0].start], axis=1).astype(np.float64), share[box][moved]
+
+
+def _fit_one(
+    pixels_xy: Floats, share: Floats, place: Floats, radius_px: float, log_contrast: float
+) -> tuple[Floats, float]:
+    """Centre x, y, radius and blur that fit best (least squares), and the rms of what is left."""
+
+    def off(guess: Floats) -> Floats:
+        distance = np.hypot(pixels_xy[:, 0] - guess[0], pixels_xy[:, 1] - guess[1])
+        result: Floats = darkening_share(distance, guess[2], guess[3], log_contrast) - share
+        return result
+
+    low = [place[0] - FARTHEST_PX, place[1] - FARTHEST_PX, max(1.0, radius_px - RIM_PX), 0.2]
+    high = [place[0] + FARTHEST_PX, place[1] + FARTHEST_PX, radius_px + RIM_PX, RIM_PX]
+    result = least_squares(off, [*place, max(radius_px, 1.5), 1.3], bounds=(low, high))
+    return result.x, float(np.sqrt(np.mean(result.fun**2)))
+
 
 class Optics(NamedTuple):
     """Radius and blur of the dots in px, contrast over the threshold of ON, and relative sd of radii and contrasts."""
@@ -45,7 +226,7 @@ class Optics(NamedTuple):
 def optics(dots: Dots, kept_share: float, off_over_on: float, noise_hz: float, rng: np.random.Generator) -> Optics:
     """What the rims tell of all dots; ValueError with fewer than FEWEST_DOTS.
 
-    `kept_share` of the events are left by scans (stroke_events.py), `off_over_on` is the ratio of the thresholds, 1
+    `kept_share` of the events are left by scans (thresholds.py), `off_over_on` is the ratio of the thresholds, 1
     where it is not known, `noise_hz` the noise of a pixel.
     Intervals: bootstrap over dots, and the scatter of the corrections over simulated sensors.
     """
@@ -77,7 +258,7 @@ def optics(dots: Dots, kept_share: float, off_over_on: float, noise_hz: float, r
 
 
 def blur_over_seen(excess: float, events: float, noise_hz: float) -> float:
-    """The blur over that which rims show, by their excess (rim.py), the events of a rim, and a pixel's noise."""
+    """The blur over that which rims show, by their excess, the events of a rim, and a pixel's noise."""
     sensor = BLUR_BY_EVENTS / events + BLUR_BY_SQUARED_EVENTS / events**2 + BLUR_BY_NOISE * noise_hz
     return float(np.exp(BLUR + BLUR_BY_EXCESS * excess + sensor))
 
@@ -97,3 +278,43 @@ def spread(values: Floats, chance: float, chance_sd: float) -> Estimate:
     most, least = (chance + z * chance_sd) ** 2, max(chance - z * chance_sd, 0.0) ** 2
     ends = (variance - chance**2, low - most, high - least)
     return Estimate(*(float(np.sqrt(max(one, 0.0))) for one in ends))
+
+
+def distortion(seen_xy_px: Floats, printed_xy: Floats, frame_px: tuple[int, int]) -> Estimate:
+    """k1 from dots (dots, 2) as they are seen and as they were printed, in any unit; ValueError with too few dots.
+
+    Least squares; the interval is Student's, from how irregularly dots lie.
+    """
+    dots = len(seen_xy_px)
+    if dots < FEWEST_FOR_LENS:
+        raise ValueError(f"expected {FEWEST_FOR_LENS} dots or more, found {dots}")
+    middle = np.array(frame_px, np.float64) / 2
+    corner2 = float(middle @ middle)
+    x, y = printed_xy.T
+    one, nothing = np.ones(dots), np.zeros(dots)
+    similar = np.concatenate([np.column_stack([x, -y, one, nothing]), np.column_stack([y, x, nothing, one])])
+    project = similar @ np.linalg.pinv(similar)
+    k1, flat = 0.0, seen_xy_px - middle
+    for _ in range(LENS_ROUNDS):
+        outward = (flat**2).sum(axis=1, keepdims=True) / corner2 * flat
+        stacked = (part.T.ravel() for part in (seen_xy_px - middle, outward))
+        seen_off, outward_off = (part - project @ part for part in stacked)
+        k1 = float((outward_off * seen_off).sum() / (outward_off**2).sum())
+        flat = (seen_xy_px - middle) / (1.0 + k1 * (flat**2).sum(axis=1, keepdims=True) / corner2)
+    left = seen_off - k1 * outward_off
+    degrees = 2 * dots - 5
+    sd = np.sqrt((left**2).sum() / degrees / (outward_off**2).sum())
+    half = float(stats.t.ppf((1 + LEVEL) / 2, degrees) * sd)
+    return Estimate(k1, k1 - half, k1 + half)
+
+
+def without_lens(seen_xy_px: Floats, k1: float, frame_px: tuple[int, int]) -> Floats:
+    """Where points (..., 2) would be seen without the lens."""
+    middle = np.array(frame_px, np.float64) / 2
+    off_px = np.asarray(seen_xy_px, np.float64) - middle
+    corner2 = float(middle @ middle)
+    nearer = off_px
+    for _ in range(50):  # a contraction, as k1 is small: its error falls by 3 k1 a round
+        nearer = off_px / (1.0 + k1 * (nearer**2).sum(axis=-1, keepdims=True) / corner2)
+    result: Floats = nearer + middle
+    return result

@@ -1,24 +1,145 @@
-"""Whether two sets of windows can be told apart: a logistic regression, judged on windows that it was not fitted on.
+"""Whether two recordings can be told apart: windows of half a second, and a logistic regression that judges them.
 
-All is fixed: features are standardised, weights have a penalty, windows are left out in blocks of time, the same times
-in both sets. What counts is the area under the ROC curve (AUC): how often a window of the second set has a higher score
-than one of the first; 0.5 where they cannot be told apart, 1 where always.
+The numbers that describe a window say how the camera is, not where its dots or hot pixels lie: rates, polarities, times
+between events of a pixel, pixels that are busy though nothing moves, the spectrum, how much more or less a pixel has
+than those around it, and how far events lie together. Each that a window cannot tell, as it lacks rest or motion, is
+NaN.
+
+All of the regression is fixed: features are standardised, weights have a penalty, windows are left out in blocks of
+time, the same times in both sets. What counts is the area under the ROC curve (AUC): how often a window of the second
+set has a higher score than one of the first; 0.5 where they cannot be told apart, 1 where always.
 """
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from evetac_cli.events import Events
 from evetac_cli.kernels import logistic
+from evetac_cli.kernels.realism.figures import BANDS_HZ, PixelEvents, spectrum, times_between
 
 Floats = NDArray[np.float64]
 
+WINDOW_SLICES = 500
+FEWEST_SLICES = 50  # of rest, or of motion
+FEWEST_EVENTS = 100
+BUSY_HZ = 20.0  # of a pixel at rest
+FEWEST_OF_PIXEL = 8  # events by which it is compared with its neighbours
+FEWEST_PIXELS = 200
+LAGS_PX = (2, 5)
+QUANTILES = (10, 50, 90)
+FEATURES = (
+    "rest, log events a slice",
+    "rest, ON share",
+    "rest, log busy pixels",
+    "rest, busy pixels' share of events",
+    "motion, log events a slice",
+    "motion, ON share",
+    "motion, log pixels with events",
+    *(f"motion, log time between {side} events, {share} %" for side in ("ON", "OFF") for share in QUANTILES),
+    *(f"motion, band {low} to {high} Hz" for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False)),
+    *(f"motion, log {side} events of a pixel, {share} %" for side in ("ON", "OFF") for share in (50, 90)),
+    "motion, spread about neighbours, ON",
+    "motion, spread about neighbours, OFF",
+    "motion, spread of ON over OFF",
+    *(f"motion, correlation over {lag} px" for lag in LAGS_PX),
+)
+
 FOLDS = 4
 BLOCK = 2  # windows next to each other that are left out together
-FEWEST = 8  # windows of a set
+FEWEST_WINDOWS = 8  # of a set
 PENALTY, PENALTY_OF_OFFSET = 1.0, 1e-6
 LARGEST_VALUE = 1e12  # of a feature: squares must stay finite
 LARGEST = 6.0  # standard deviations: a window that is farther off counts as being so far
+
+
+def features(
+    events: Events, starts: NDArray[np.int64], at_rest: NDArray[np.bool_], frame_px: tuple[int, int]
+) -> Floats:
+    """FEATURES of a window from its events in order of time, where its slices start among them, and which are at rest.
+
+    `starts` is one longer than `at_rest`, one for each slice.
+    """
+    counts = np.diff(starts)
+    of_slice = np.repeat(at_rest, counts)
+    still, moving = (
+        Events(events.t[own], events.x[own], events.y[own], events.p[own]) for own in (of_slice, ~of_slice)
+    )
+    rest = _rest(still, int(at_rest.sum()), frame_px)
+    return np.array([*rest, *_motion(moving, counts[~at_rest], counts, frame_px)], np.float64)
+
+
+def _rest(events: Events, slices: int, frame_px: tuple[int, int]) -> list[float]:
+    if slices < FEWEST_SLICES or len(events.t) < 1:
+        return [np.nan] * 4
+    of_pixel = np.bincount(_pixel(events, frame_px))
+    busy = of_pixel >= max(3.0, BUSY_HZ * slices * 1e-3)
+    return [
+        float(np.log(len(events.t) / slices)),
+        float(events.p.mean()),
+        float(np.log1p(busy.sum())),
+        float(of_pixel[busy].sum() / len(events.t)),
+    ]
+
+
+def _motion(
+    events: Events, counts: NDArray[np.int64], all_counts: NDArray[np.int64], frame_px: tuple[int, int]
+) -> list[float]:
+    if len(counts) < FEWEST_SLICES or len(events.t) < FEWEST_EVENTS:
+        return [np.nan] * (len(FEATURES) - 4)
+    pixel = _pixel(events, frame_px)
+    pictures = [
+        np.bincount(pixel[events.p == side], minlength=frame_px[0] * frame_px[1]).reshape(frame_px[::-1])
+        for side in (1, 0)
+    ]
+    both = pictures[0] + pictures[1]
+    numbers = [
+        float(np.log(counts.mean())),
+        float(events.p.mean()),
+        float(np.log((both > 0).sum())),
+    ]
+    order = np.lexsort((events.t, pixel))
+    sorted_events = PixelEvents(pixel[order], events.t[order], events.p[order])
+    for side in (1, 0):
+        between_us, _ = times_between(sorted_events, side)
+        numbers += np.log1p(np.percentile(between_us, QUANTILES)).tolist() if len(between_us) else [np.nan] * 3
+    frequency_hz, power = spectrum(all_counts)
+    for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False):
+        chosen = (frequency_hz >= low) & (frequency_hz < high)
+        numbers.append(float(power[chosen].sum() / power.sum()) if power.sum() > 0 else np.nan)
+    for picture in pictures:
+        events_of = picture[picture > 0]
+        numbers += np.log(np.percentile(events_of, [50, 90])).tolist() if len(events_of) else [np.nan] * 2
+    return [*numbers, *(_about_neighbours(picture) for picture in pictures), _apart(*pictures), *_together(both)]
+
+
+def _pixel(events: Events, frame_px: tuple[int, int]) -> NDArray[np.int64]:
+    return events.y.astype(np.int64) * frame_px[0] + events.x
+
+
+def _about_neighbours(picture: NDArray[np.int64]) -> float:
+    """Median of how far the logarithm of a pixel's events is from that of the mean around it, of busy pixels."""
+    around = cv2.blur(picture.astype(np.float32), (3, 3))
+    chosen = (picture >= FEWEST_OF_PIXEL) & (around >= FEWEST_OF_PIXEL)
+    return (
+        float(np.median(np.abs(np.log(picture[chosen] / around[chosen])))) if chosen.sum() >= FEWEST_PIXELS else np.nan
+    )
+
+
+def _apart(on: NDArray[np.int64], off: NDArray[np.int64]) -> float:
+    """Half of the range of the logarithm of ON over OFF that two thirds of the busy pixels have."""
+    chosen = (on >= FEWEST_OF_PIXEL) & (off >= FEWEST_OF_PIXEL)
+    if chosen.sum() < FEWEST_PIXELS:
+        return np.nan
+    low, high = np.percentile(np.log(on[chosen] / off[chosen]), [16, 84])
+    return float(high - low) / 2
+
+
+def _together(picture: NDArray[np.int64]) -> list[float]:
+    """Correlation of the logarithm of events with that of pixels some places to the right."""
+    level = np.log1p(picture.astype(np.float64))
+    return [float(np.corrcoef(level[:, lag:].ravel(), level[:, :-lag].ravel())[0, 1]) for lag in LAGS_PX]
 
 
 def area(first: Floats, second: Floats) -> float:
@@ -32,12 +153,12 @@ def area(first: Floats, second: Floats) -> float:
 def told_apart(first: Floats, second: Floats) -> float:
     """AUC of held-out windows (windows, features) in order of time; NaN in a feature is its mean.
 
-    Sets are cut to one length, window by window at the same times. ValueError with fewer than FEWEST windows, or where
+    Sets are cut to one length, window by window at the same times. ValueError with fewer than FEWEST_WINDOWS, or where
     features differ in number.
     """
     windows = min(len(first), len(second))
-    if windows < FEWEST or first.shape[1:] != second.shape[1:]:
-        raise ValueError(f"expected {FEWEST} windows or more of both, with the same features, found {windows}")
+    if windows < FEWEST_WINDOWS or first.shape[1:] != second.shape[1:]:
+        raise ValueError(f"expected {FEWEST_WINDOWS} windows or more of both, with the same features, found {windows}")
     first, second = (np.clip(part, -LARGEST_VALUE, LARGEST_VALUE) for part in (first, second))
     fold = np.arange(windows) // BLOCK % FOLDS
     penalty = np.concatenate([[PENALTY_OF_OFFSET], np.full(first.shape[1], PENALTY)])

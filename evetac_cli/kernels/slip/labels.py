@@ -1,4 +1,12 @@
-"""Slip labels as detectors are trained and evaluated on them: int8 per slice, 1 slip, 0 no slip, -1 not examined."""
+"""Slip labels as detectors are trained and evaluated on them, and the rule that turns a probability into a decision.
+
+Labels are int8 per slice: 1 slip, 0 no slip, -1 not examined. The rule is the same in training, evaluation, grasp and
+view. Why so: probabilities are float32 and thresholds are stored as float64, and the result of `>=` depends on the
+precision of the comparison: of the grid of thresholds 18 of 49 (0.7 and 0.95 among them) are larger than the float32
+nearest to them. So both are rounded to float32 first.
+"""
+
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,3 +33,19 @@ def shift_labels(label: NDArray[np.int8], horizon_ms: int) -> NDArray[np.int8]:
     future = np.full_like(label, -1)
     future[: max(len(label) - horizon_ms, 0)] = label[horizon_ms:]
     return np.where((future >= 0) & (label >= 0), future, label)
+
+
+@overload
+def is_slip(probability: float, threshold: float) -> bool: ...
+
+
+@overload
+def is_slip(probability: NDArray[np.floating], threshold: float) -> NDArray[np.bool_]: ...
+
+
+def is_slip(probability: float | NDArray[np.floating], threshold: float) -> bool | NDArray[np.bool_]:
+    """Whether a probability, or each of an array, is slip: probability >= threshold in float32; NaN is not slip."""
+    if isinstance(probability, np.ndarray):
+        detected: NDArray[np.bool_] = probability.astype(np.float32) >= np.float32(threshold)
+        return detected
+    return bool(np.float32(probability) >= np.float32(threshold))

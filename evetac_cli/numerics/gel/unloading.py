@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.numerics.gel.trial import PAD_M, Trial, draw_trial
-from evetac_cli.numerics.rows import Extent, Row, run_times
-from evetac_cli.numerics.settings import Setting, line
+from evetac_cli.numerics.rows import Extent, Row, Setting, line, run_times
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import pad_nodes

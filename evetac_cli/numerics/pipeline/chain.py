@@ -17,7 +17,7 @@ from evetac_cli import resources
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics
-from evetac_cli.numerics.settings import Setting
+from evetac_cli.numerics.rows import Setting
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.learning import Featurize, Label, Track
 from evetac_cli.params.recording import Record

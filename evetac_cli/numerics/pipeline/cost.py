@@ -42,8 +42,7 @@ from evetac_cli.numerics.pipeline.chain import (
     run_grasp,
     slip_errors,
 )
-from evetac_cli.numerics.rows import Extent, Row, run_times
-from evetac_cli.numerics.settings import Setting, line
+from evetac_cli.numerics.rows import Extent, Row, Setting, line, run_times
 from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate import Rows, picture
 

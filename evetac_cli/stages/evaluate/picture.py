@@ -139,15 +139,15 @@ def _legend_columns(labels: Sequence[str], width_in: float) -> int:
     return max(1, min(len(labels), int(width_in / longest_in)))
 
 
-def wilson(share: float, count: float) -> list[list[float]]:
+def wilson(share: float, count: int) -> list[list[float]]:
     """How far Wilson's 95 % interval of a share of `count` trials reaches below and above it, as matplotlib wants it.
 
     It stays within 0 and 1, also where all or none of the trials succeed.
     """
-    from evetac_cli.kernels.identify.estimates import share as estimate
+    from evetac_cli.kernels import estimates
 
-    interval = estimate(share * count, count)
-    return [[max(share - interval.low, 0.0)], [max(interval.high - share, 0.0)]]
+    _, low, high = estimates.share(round(share * count), count)
+    return [[max(share - low, 0.0)], [max(high - share, 0.0)]]
 
 
 def share_axis(axis: Any) -> None:

@@ -25,11 +25,11 @@ from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify.rest import check_still, find_hot
-from evetac_cli.kernels.realism import figures
+from evetac_cli.kernels.realism import classifier, figures
 from evetac_cli.params.evaluation import EvaluateRealism
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job, told_apart
+from evetac_cli.stages.evaluate import Rows, picture, report, report_job
 from evetac_cli.stages.identify import pressed
 from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
 from evetac_cli.store.provenance import Header
@@ -39,11 +39,13 @@ OUTPUT = "report"
 METHOD = 3
 SHORTEST_MOTION = 300  # slices
 MOST_EVENTS = 5_000_000  # of one phase
+MOST_WINDOWS = 240  # of a recording, for the classifier: two minutes
 NEAR = 0.10  # a distance that the summary counts as near
 EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
 RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
 
 Counts = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -170,16 +172,45 @@ def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
     sides = []
     for number, path in enumerate(paths):
         with open_recording(path) as recording:
-            sides.append(told_apart.window_features(recording))
+            sides.append(window_features(recording))
         progress(number + 3, len(paths) + 2)
     real, simulated, *others = sides
-    of_two = told_apart.area(real, simulated)
+    of_two = auc(real, simulated)
     if of_two is None:
         return []
-    of_one = told_apart.area(real, others[0]) if others else told_apart.area_of_halves(real)
+    of_one = auc(real, others[0]) if others else auc_of_halves(real)
     counts = float(len(real)), float(len(simulated))
     unknown = float("nan") if of_one is None else of_one
     return [_row("windows of 0.5 s", "classifier, windows", *counts, of_two, unknown, HELD_OUT)]
+
+
+def window_features(recording: Recording) -> Floats:
+    """Features (windows, features) of half seconds from the start on, their slices at rest or in motion."""
+    counts = np.diff(recording.starts)
+    at_rest = np.zeros(len(counts), np.bool_)
+    for first, stop in rest_image.quiet_spells(counts):
+        at_rest[first:stop] = True
+    length = classifier.WINDOW_SLICES
+    rows = []
+    for begin in range(0, min(len(counts) - length + 1, MOST_WINDOWS * length), length):
+        starts = recording.starts[begin : begin + length + 1]
+        own, still = recording.between(begin, begin + length), at_rest[begin : begin + length]
+        rows.append(classifier.features(own, starts - starts[0], still, recording.frame_px))
+    return np.array(rows, np.float64).reshape(-1, len(classifier.FEATURES))
+
+
+def auc(first: Floats, second: Floats) -> float | None:
+    """AUC of held-out windows of two recordings; None where they are too short."""
+    try:
+        return classifier.told_apart(first, second)
+    except ValueError:
+        return None
+
+
+def auc_of_halves(of: Floats) -> float | None:
+    """AUC between every other pair of windows and the pairs between them; None where the recording is too short."""
+    other = np.arange(len(of)) // classifier.BLOCK % 2 == 1
+    return auc(of[~other], of[other])
 
 
 def _side(recording: Recording) -> Side:

@@ -21,8 +21,8 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
-from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.detector import Live
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.identify import encoder, held_gel, latency, servo
-from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.kernels.estimates import Estimate
+from evetac_cli.kernels.identify import gripper, held_gel
 from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.gel import contact, gel
@@ -96,9 +96,9 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
             why = f"cannot be told from {source}: {error}; make one with evetac grasp --controller fixed:6"
             return Gripped(source, misfits={"gain": why})
     delay = jitter = noise = None
-    between_ms = latency.lateness(rows.time_us, rows.commanded_ma, rows.measured_ma, STEP_MS)
+    between_ms = gripper.lateness(rows.time_us, rows.commanded_ma, rows.measured_ma, STEP_MS)
     with suppress(ValueError):  # too few commands
-        delay, jitter = latency.delay_and_jitter(between_ms)
+        delay, jitter = gripper.delay_and_jitter(between_ms)
     try:
         fitted = drive.fit(rows)
     except ValueError as error:  # it does not close on something and open again
@@ -111,7 +111,7 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
         misfits["drive"] = f"cannot be told: no simulated drive moves as this gripper did ({off})"
     else:
         with suppress(ValueError):  # it never rests
-            noise = encoder.noise(fitted.rests)
+            noise = gripper.encoder_noise(fitted.rests)
     weight, of_weight = _weight(recording, rows, known, mm_per_px)
     return Gripped(source, known, noise, delay, jitter, None, weight, misfits | of_weight)
 
@@ -136,7 +136,9 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
     goals, times = recording.read("control/goal_ticks")[:count], recording.read("control/t_us")[:count]
     if not np.array_equal(times, rows.time_us):
         raise ValueError("its goals are of other times than its rows of the gripper")
-    return servo.gain(rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng)
+    return gripper.servo_gain(
+        rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng
+    )
 
 
 def _weight(

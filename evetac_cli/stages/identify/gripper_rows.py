@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from evetac_cli.kernels.identify.estimates import LEVEL, Estimate
+from evetac_cli.kernels.estimates import LEVEL, Estimate
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify.drive import DriveFit

@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.calibration import dot_search, grid
 from evetac_cli.kernels.calibration.rest_image import RestImage
-from evetac_cli.kernels.identify import distortion, dots, mismatch, polarity, rim, stroke_events
-from evetac_cli.kernels.identify.dots import Optics
-from evetac_cli.kernels.identify.estimates import Estimate
-from evetac_cli.kernels.identify.polarity import Polarity
-from evetac_cli.kernels.identify.rim import RimProfile, Runs
-from evetac_cli.kernels.identify.stroke_events import StrokeEvents
+from evetac_cli.kernels.estimates import Estimate
+from evetac_cli.kernels.identify import dots, thresholds
+from evetac_cli.kernels.identify.dots import Optics, RimProfile, Runs
+from evetac_cli.kernels.identify.thresholds import Polarity, StrokeEvents
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import calibrate, calibrated_gel
@@ -110,7 +108,7 @@ def find(
         )
     expected = _filled(seen)
     looked_for = np.isfinite(expected[..., 0])
-    fitted, profile = rim.fit(runs, expected[looked_for], radius_px, log_contrast)
+    fitted, profile = dots.fit_rims(runs, expected[looked_for], radius_px, log_contrast)
     places_px = np.full(seen.shape, np.nan)
     places_px[looked_for] = fitted.centre_xy_px
     ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
@@ -123,7 +121,7 @@ def find(
         jitter_px=jitter_px,
         optics=optics,
         lens_k1=_lens(places_px, printed_xy, recording.frame_px),
-        off_over_on=polarity.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
+        off_over_on=thresholds.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
         mismatch=ratio.mismatch if ratio and is_apart else _beside(events, whole, rng),
         is_apart=is_apart,
         profile=profile,
@@ -136,14 +134,14 @@ def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, flo
     """First runs of every other pair of strokes and of the other pairs, all events, and how long the strokes took."""
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
     halves = [[RestImage(nothing, nothing), RestImage(nothing, nothing)] for _ in range(2)]
-    events = stroke_events.start(recording.frame_px)
+    events = thresholds.start(recording.frame_px)
     edges = []
     for half, (start, stop), pictures in calibrate.stroke_images(recording):
         halves[half] = [one.joined(picture) for one, picture in zip(halves[half], pictures, strict=True)]
         edges += [start, stop]
         for first in range(start, stop, calibrate.BLOCK_SLICES):
             block = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
-            stroke_events.add(events, *block, half)
+            thresholds.add(events, *block, half)
     if not edges:
         raise ValueError("nothing strokes the gel from rest")
     return (Runs(*halves[0]), Runs(*halves[1])), events, (edges[-1] - edges[0]) * 1e-3
@@ -164,7 +162,7 @@ def _filled(seen: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _polarity(events: StrokeEvents, noise: float, rng: np.random.Generator) -> Polarity | None:
     try:
-        return polarity.estimate(events.on.sum(axis=0), events.off.sum(axis=0), noise, rng)
+        return thresholds.of_either_polarity(events.on.sum(axis=0), events.off.sum(axis=0), noise, rng)
     except ValueError:  # too few events
         return None
 
@@ -172,7 +170,7 @@ def _polarity(events: StrokeEvents, noise: float, rng: np.random.Generator) -> P
 def _beside(events: StrokeEvents, contrast_over_threshold: float, rng: np.random.Generator) -> Estimate | None:
     """The spread of the thresholds if each pixel has one for ON and OFF; None with too few events."""
     try:
-        return mismatch.estimate(events.events[0], events.events[1], contrast_over_threshold, rng)
+        return thresholds.of_both_polarities(events.events[0], events.events[1], contrast_over_threshold, rng)
     except ValueError:
         return None
 
@@ -184,7 +182,7 @@ def _lens(
         return None
     present = np.isfinite(places_px[..., 0])
     try:
-        return distortion.estimate(places_px[present], printed_xy[present], frame_px)
+        return dots.distortion(places_px[present], printed_xy[present], frame_px)
     except ValueError:
         return None
 
@@ -266,7 +264,7 @@ def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[s
     if half_px is not None:
         places = _filled(press.dot_xy_px)
         if k1 is not None and is_curved:
-            places = distortion.flat(places, k1.value, press.frame_px)
+            places = dots.without_lens(places, k1.value, press.frame_px)
         missing = press.dot_xy_px[..., 0].size - press.dots
         about = f"each within {half_px:.2g} px in x and in y{' without the lens' if is_curved else ''}; {source}"
         if missing:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from importlib.util import find_spec
-from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.live_page.shared_view import GripperNumbers, SharedView
 from evetac_cli.realtime.message_pipe import MessageWriter
-from evetac_cli.realtime.processes import cpu_time_s, start_shielded
+from evetac_cli.realtime.processes import start_shielded, wait_while_computing
 from evetac_cli.stages.live_view import browser
 from evetac_cli.stages.live_view.messages import BROWSER, TERMINAL, Begun, Ended, Lost, Said, Title
 from evetac_cli.stages.trials import Trial
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from evetac_cli.stages.live_view.samples import OpenDetector
 
 LIBRARY = "tornado"
-STANDSTILL_S = 60.0  # a process that computed nothing for so long will not come up any more
 END_S = 3.0
 MOST_BYTES = 1 << 20  # of messages that the view has not read yet
 SETTLED_MS = 2000  # after a simulation was this far behind real time, its pace counts from anew
@@ -68,7 +66,7 @@ class LiveView:
         inbox.close()
         ready_end.close()
         try:
-            self._wait_for(ready)
+            wait_while_computing(ready, self._process, "the live view did not come up")
             self.url = str(ready.recv())
         except EOFError:
             how = exit_words(self._process, self._last_words)
@@ -80,17 +78,6 @@ class LiveView:
             raise
         finally:
             ready.close()
-
-    def _wait_for(self, ready: Connection) -> None:
-        """Wait for as long as the process computes: where its code has to be compiled, that takes minutes."""
-        used_s, since_s = -1.0, time.monotonic()
-        while not ready.poll(1.0):
-            now_s = cpu_time_s(self._process.pid)
-            if now_s > used_s:
-                used_s, since_s = now_s, time.monotonic()
-            elif time.monotonic() - since_s > STANDSTILL_S:
-                computed = f"none for {STANDSTILL_S:g} s"
-                raise DeviceError("the live view did not come up", expected="a process that computes", found=computed)
 
     def begin(self, sensor: Mapping[str, Any]) -> None:
         """The camera runs; sensor: its datasets `sensor/...`, and what else is known of them."""

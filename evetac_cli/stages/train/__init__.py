@@ -31,8 +31,7 @@ from evetac_cli.kernels.slip.architectures import (
     parted,
 )
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.kernels.slip.threshold import LAST_CHECKPOINTS, choose_threshold
+from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose_threshold
 from evetac_cli.params.learning import Train
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import model_file
@@ -43,7 +42,7 @@ from evetac_cli.stages.slip_detectors import USELESS_HINT, predict, read_traject
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
 from evetac_cli.stages.train.networks import Networks, state_file
-from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
@@ -150,7 +149,7 @@ def _with_objects(files: list[Path], params: Train) -> list[Path]:
     if not params.objects or not files:
         return files
     wanted = {str(number) for number in numbers(params.objects)}
-    chosen = [file for file in files if object_name(_header(file)) in wanted]
+    chosen = [file for file in files if object_name(header_of(file, "features")) in wanted]
     if not chosen:
         raise InputError("no features are of these objects", where="--object", found=params.objects)
     return chosen
@@ -209,7 +208,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     headers = []
     for number, path in enumerate(job.inputs):
         progress(number, len(job.inputs), "files looked at")
-        headers.append(_header(path))
+        headers.append(header_of(path, "features"))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
@@ -353,11 +352,6 @@ def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:
             found=other,
         )
     return next(iter(methods), "none")
-
-
-def _header(path: Path) -> Header:
-    with StageFile(path, "features") as file:
-        return file.header
 
 
 def _common_shape(paths: tuple[Path, ...]) -> tuple[int, int]:

@@ -7,6 +7,7 @@ import pytest
 
 from evetac_cli.devices.virtual import world
 from evetac_cli.errors import DeviceError
+from evetac_cli.realtime import processes
 
 BUILT = {"sensor": {}, "holding_ma": 1.0, "sampled": "{}"}
 
@@ -24,23 +25,22 @@ class BusyHost:
         self.now_s += timeout_s
         return self.share * self.now_s >= self.seconds
 
-    def waiting(self, monkeypatch: pytest.MonkeyPatch) -> Any:
-        monkeypatch.setattr(world, "cpu_time_s", self.cpu_time_s, raising=False)
-        monkeypatch.setattr(world, "time", SimpleNamespace(monotonic=lambda: self.now_s), raising=False)
+    def built(self, monkeypatch: pytest.MonkeyPatch) -> Any:
+        """A world that was waited for on this machine."""
+        monkeypatch.setattr(processes, "cpu_time_s", self.cpu_time_s)
+        monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: self.now_s))
         waiting = world.VirtualWorld.__new__(world.VirtualWorld)
         waiting._orders = SimpleNamespace(poll=self.poll, recv=lambda: BUILT)
-        waiting._process = SimpleNamespace(pid=1)
+        waiting._wait_until_built(SimpleNamespace(pid=1))
         return waiting
 
 
 def test_cold_caches_on_a_busy_machine_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a world that computes is waited for, whatever the clock says: here half an hour."""
-    waiting = BusyHost(0.02, 40.0).waiting(monkeypatch)
-    waiting._wait_until_built()
-    assert waiting.holding_ma == 1.0
+    assert BusyHost(0.02, 40.0).built(monkeypatch).holding_ma == 1.0
 
 
 def test_a_world_that_does_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a process that stands still is not waited for without end."""
     with pytest.raises(DeviceError, match="did not start"):
-        BusyHost(0.0, 1.0).waiting(monkeypatch)._wait_until_built()
+        BusyHost(0.0, 1.0).built(monkeypatch)

@@ -15,8 +15,7 @@ from evetac_cli.numerics.pipeline import chain as pipeline_chain
 from evetac_cli.numerics.pipeline import cost as pipeline
 from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, Chain, Lifted, Trial, run_chain, slip_errors
 from evetac_cli.numerics.pipeline.cost import DEFAULTS, ERRORS, Measured, tables, trials
-from evetac_cli.numerics.rows import Extent
-from evetac_cli.numerics.settings import Setting, line
+from evetac_cli.numerics.rows import Extent, Setting, line
 from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate.labels import true_onsets
 from evetac_cli.store.files import StageFile, output_path

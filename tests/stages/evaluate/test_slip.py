@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import silent
-from evetac_cli.kernels.slip.decision import is_slip
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Series
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.learning import Train

@@ -9,7 +9,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
-from evetac_cli.kernels.slip.decision import is_slip
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.params.recording import Record

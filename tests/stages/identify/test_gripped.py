@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.identify.estimates import Estimate
+from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.recording import Identify, Record
 from evetac_cli.sim import gripper

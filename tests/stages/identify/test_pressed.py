@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.identify.dots import Optics
-from evetac_cli.kernels.identify.estimates import Estimate
-from evetac_cli.kernels.identify.rim import RimProfile
+from evetac_cli.kernels.estimates import Estimate
+from evetac_cli.kernels.identify.dots import Optics, RimProfile
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed

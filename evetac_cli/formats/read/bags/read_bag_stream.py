@@ -3,6 +3,13 @@
 rosbags decodes the messages by its own definitions, never by those that a bag brings along: these would become code.
 Names are those of the fields, `pose.position.x`; units those that the definitions state (REP 103).
 Images and numbers wait on disk, so a bag of hours takes no more memory than a short one.
+
+External triggers that bags keep apart from the events are streams too, of no type that ROS defines:
+
+    event_camera_msgs/EventPacket, encoding `trigger`   8 bytes each: 32 bits ns after time_base, 15 bits id, edge
+    dv_ros_msgs/Trigger (dv_ros2_msgs/Trigger)          int8 type, as AEDAT4 counts them, and time
+
+Triggers among the words of evt2 and evt3 come with the events.
 """
 
 import io
@@ -18,8 +25,9 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.bags.bag_chunks import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
-from evetac_cli.formats.read.bags.open_bag import bag_in_words, open_bag
-from evetac_cli.formats.read.bags.read_rosbag import layout
+from evetac_cli.formats.read.bags.open_bag import Bag, bag_in_words, open_bag
+from evetac_cli.formats.read.bags.read_rosbag import PACKET, TRIGGER, is_of_triggers, layout
+from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
 from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.streams import LARGEST_FRAME_PX, Stream, free_name
 
@@ -48,6 +56,8 @@ UNITS = {
     "geometry_msgs/msg/Accel": {"linear": "m/s2", "angular": "rad/s2"},
     "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
 }
+TRIGGERS_OF_DV = ("dv_ros_msgs/msg/Trigger", "dv_ros2_msgs/msg/Trigger")
+TRIGGER_BYTES = 8
 READ = "images, and messages that ROS itself defines, such as geometry_msgs/PoseStamped or geometry_msgs/WrenchStamped"
 
 
@@ -253,3 +263,38 @@ class _Images(_Reader):
         with bag_in_words(self.where, f"the image of message {self.number}"):
             pixels = np.asarray(opened.convert("L" if opened.mode in ("L", "1") else "RGB"))
         return pixels.reshape(*pixels.shape[:2], -1)
+
+
+def trigger_topics(bag: Bag) -> dict[str, str]:
+    """The topics of a bag that hold triggers, with the type of their messages."""
+    topics = {one.topic: one.msgtype for one in bag.connections if one.msgtype in TRIGGERS_OF_DV and one.msgcount}
+    packets = {one.topic: one.msgtype for one in bag.connections if layout(one) == PACKET and one.msgcount}
+    return topics | {topic: kind for topic, kind in packets.items() if is_of_triggers(bag, topic)}
+
+
+def read_triggers(path: Path, topic: str, folder: Path | None) -> Stream:
+    """The triggers of a topic on the bag's clock; InputError for messages that are damaged."""
+    t_us, *values = joined_on_disk(folder, _trigger_parts(path, topic)) or (np.empty(0, np.int64),)
+    names = ("source",) if len(values) == 1 else ("id", "edge")
+    columns = dict(zip(names, values, strict=False))
+    return Stream("", t_us, columns, source=f"{path.name}: {topic}", clock="the camera's, as of the events")
+
+
+def _trigger_parts(path: Path, topic: str) -> Iterator[tuple[NDArray[Any], ...]]:
+    bag = open_bag(path)
+    connections = [one for one in bag.connections if one.topic == topic]
+    for number, (connection, _, message) in enumerate(bag.messages(connections)):
+        with bag_in_words(f"{path}: message {number} on {topic}", "a trigger"):
+            fields = Fields(message, ros2=connection.ros2)
+            if connection.msgtype in TRIGGERS_OF_DV:
+                source, (seconds, nanoseconds) = fields.number("b"), (fields.number("I"), fields.number("I"))
+                yield np.array([seconds * 10**6 + nanoseconds // NS], np.int64), np.array([float(source)])
+                continue
+            packet = event_packet(fields)
+            if packet.encoding != TRIGGER or len(packet.content) % TRIGGER_BYTES:
+                raise ValueError(f"{len(packet.content)} bytes of {packet.encoding[:20]!r}")
+            words = np.frombuffer(packet.content, "<u8")
+            t_us = (packet.time_base_ns + (words & np.uint64(0xFFFFFFFF)).astype(np.int64)) // NS
+            number_of = (words >> np.uint64(48) & np.uint64(0x7FFF)).astype(np.float64)
+            if len(words):
+                yield t_us, number_of, (words >> np.uint64(63)).astype(np.float64)

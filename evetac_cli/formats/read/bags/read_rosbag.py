@@ -33,8 +33,8 @@ from evetac_cli.formats.read.bags.ros_messages import (
     evetac_image,
 )
 from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, choose_frame
-from evetac_cli.formats.read.prophesee_words import ENCODINGS
-from evetac_cli.formats.read.read_prophesee import decoded
+from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS
+from evetac_cli.formats.read.prophesee.read_prophesee import decoded
 
 SIGNS = (rosbag1_records.MAGIC, db3_rows.MAGIC, mcap_records.MAGIC)
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # of exports of ours

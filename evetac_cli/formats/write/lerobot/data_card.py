@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evetac_cli.formats.write.hub_card import card_fields, card_text, inline, table
+from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text, inline, table
 from evetac_cli.formats.write.lerobot.episodes import RATE_HZ, Outline, Vectors
 from evetac_cli.store.provenance import made
 
@@ -67,7 +67,7 @@ def data_card(
         "Tasks: " + "; ".join(dict.fromkeys(inline(one.task) for one in outlines)) + ".",
         *([f"Left out: {inline('; '.join(left_out), 2000)}."] if left_out else []),
         "## License",
-        "None is chosen. Before you upload this, write one into the field `license` above.",
+        NO_LICENSE,
     ]
     return card_text(fields, page)
 

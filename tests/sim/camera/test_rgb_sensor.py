@@ -1,12 +1,14 @@
-"""Frames of the gel: brightness, noise, and where the dots are drawn."""
+"""Frames of the gel: brightness, noise, and where dots are drawn; dots followed along known paths, at rest, lost."""
 
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.rgb_camera import RgbCamera, frame
+from evetac_cli.sim.camera.rgb_sensor import RgbCamera, frame, start_tracker, track
 
 RADIUS_PX = 7.5
 SILENT = RgbCamera(noise_grey=0.0)
+
+REST = np.array([[30.0, 30.0], [80.0, 32.0], [33.0, 85.0], [82.0, 80.0]])
 
 
 def one_dot(x: float, y: float, camera: RgbCamera = SILENT) -> np.ndarray:
@@ -57,3 +59,50 @@ def test_nonsense_is_refused() -> None:
     for bad in ({"noise_grey": -1.0}, {"gel_grey": 0.0}, {"frame_ms": 0}):
         with pytest.raises(ValueError, match="expected noise"):
             RgbCamera(**bad)  # type: ignore[arg-type]
+
+
+def drawn(dots: np.ndarray, radius_px: float = 7.5) -> np.ndarray:
+    """A frame of soft dark discs."""
+    y, x = np.indices((120, 160))
+    distance = np.hypot(x[..., None] - dots[:, 0], y[..., None] - dots[:, 1]).min(axis=-1)
+    return np.rint(180 - 140 / (1 + np.exp(2 * (distance - radius_px)))).astype(np.uint8)
+
+
+def test_dots_are_followed() -> None:
+    """Assert that dots on a circle of 10 px, at up to 2 px a frame, are followed to a fifth of a pixel."""
+    state = start_tracker(drawn(REST), REST)
+    for angle in np.linspace(0, 2 * np.pi, 40):
+        moved = REST + 10 * np.array([np.sin(angle), 1 - np.cos(angle)])
+        track(state, drawn(moved))
+        assert np.abs(state.dot_xy_px - moved).max() < 0.2
+        assert not state.lost.any()
+
+
+def test_rest_is_rest() -> None:
+    """Assert that dots of frames that do not change stay exactly where they are."""
+    state = start_tracker(drawn(REST), REST)
+    for _ in range(20):
+        track(state, drawn(REST))
+    assert np.array_equal(state.dot_xy_px, REST.astype(np.float32))
+
+
+def test_a_lost_dot_stays() -> None:
+    """Assert that a dot whose flow cannot be found is reported as lost and stays where it was."""
+    blank = np.full((120, 160), 180, np.uint8)
+    state = start_tracker(blank, REST)
+    track(state, blank)
+    assert state.lost.all()
+    assert np.array_equal(state.dot_xy_px, REST.astype(np.float32))
+
+
+def test_nonsense_is_not_followed() -> None:
+    """Assert that colour, other sizes, no dots and dots nowhere are refused."""
+    frame = drawn(REST)
+    with pytest.raises(ValueError, match="finite"):
+        start_tracker(frame, [[np.inf, 0]])
+    with pytest.raises(ValueError, match="finite"):
+        start_tracker(frame, np.empty((0, 2)))
+    with pytest.raises(ValueError, match="grey"):
+        start_tracker(np.stack([frame] * 3, axis=-1), REST)
+    with pytest.raises(ValueError, match="uint8"):
+        track(start_tracker(frame, REST), frame[:-1])

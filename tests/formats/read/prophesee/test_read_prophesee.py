@@ -13,8 +13,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read import read_prophesee
 from evetac_cli.formats.read.event_validation import Foreign
+from evetac_cli.formats.read.prophesee import read_prophesee
 from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
 faery = pytest.importorskip("faery")

@@ -43,15 +43,12 @@ def rate_over_blocks(counts: NDArray[np.integer], exposure: float) -> Estimate:
     return Estimate(poisson.value, max(0.0, poisson.value - half), poisson.value + half)
 
 
-def share(part: float, of: float) -> Estimate:
-    """A share from a count, with Wilson's interval; between 0 and 1 where nothing was counted."""
-    if of == 0:
+def share(hits: int, count: int) -> Estimate:
+    """The share of `count` trials in which something holds, with Wilson's interval; 0 to 1 without trials."""
+    if count == 0:
         return Estimate(float("nan"), 0.0, 1.0)
-    z = float(stats.norm.ppf((1 + LEVEL) / 2))
-    observed = part / of
-    middle = (observed + z**2 / (2 * of)) / (1 + z**2 / of)
-    half = z / (1 + z**2 / of) * np.sqrt(observed * (1 - observed) / of + z**2 / (4 * of**2))
-    return Estimate(observed, max(0.0, middle - half), min(1.0, middle + half))
+    interval = stats.binomtest(hits, count).proportion_ci(LEVEL, method="wilson")
+    return Estimate(hits / count, float(interval.low), float(interval.high))
 
 
 def of_samples(value: float, samples: NDArray[np.float64]) -> Estimate:

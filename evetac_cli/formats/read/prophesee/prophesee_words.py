@@ -70,7 +70,7 @@ class Decoder:
 
     def __init__(self, kind: str) -> None:
         """kind: one of ENCODINGS."""
-        from evetac_cli.formats.read import prophesee_loops  # brings numba, which only these files need
+        from evetac_cli.formats.read.prophesee import prophesee_loops  # brings numba, which only these files need
 
         self._count = prophesee_loops.count_types
         self._loop = {"evt2": prophesee_loops.evt2, "evt2.1": prophesee_loops.evt21, "evt3": prophesee_loops.evt3}[kind]

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.formats.read.prophesee_words import TIME_HIGH, TRIGGER
+from evetac_cli.formats.read.prophesee.prophesee_words import TIME_HIGH, TRIGGER
 
 TYPES = 16
 

@@ -1,0 +1,89 @@
+"""An RGB sensor beside the event camera: frames of the same gel at 25 Hz, and the tracker of dots of its own software.
+
+For comparison (paper, "Dot-based Shear Force Reconstruction", whose RGB sensor is a GelSight Mini). Frames show dark
+dots on bright gel, with blur and noise. They have half the event camera's resolution in each direction, 320 x 240, the
+size on which the software of that sensor works. They are grey, as its tracker of dots turns them grey first. Each is
+taken in an instant: a longer exposure would smear moving dots. The frame's sizes and the camera's noise are estimates.
+
+Dots are followed from each frame to the next by optical flow, pyramidal Lucas-Kanade with the constants of GelSight's
+own software (gsrobotics, optical_flow_marker_tracking.py). A dot that the flow loses stays where it was; so do, as
+there, the errors of all steps before: they add up.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evetac_cli.sim.camera.optics import dot_profile, gel_level
+
+WINDOW_PX = (15, 15)
+LEVELS = 2  # of the pyramid, beside the frame itself
+STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.03)
+
+
+@dataclass(frozen=True)
+class RgbCamera:
+    """A camera of frames that looks at the gel; lengths in px of its own frames, brightness in grey values of 255."""
+
+    frame_px: tuple[int, int] = (320, 240)
+    frame_ms: int = 40
+    blur_px: float = 1.0  # sigma of a dot's rim
+    log_contrast: float = 1.61  # gel against dot
+    gel_grey: float = 180.0
+    noise_grey: float = 2.0  # sd, of every pixel in every frame
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.noise_grey < np.inf or not 0.0 < self.gel_grey <= 255.0 or self.frame_ms < 1:
+            raise ValueError(f"expected noise >= 0, 0 < gel_grey <= 255 and frame_ms >= 1, found {self}")
+
+
+def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """A frame (height, width) of dots (dots, 2) of one radius, both in px of this camera's frames.
+
+    ValueError on a radius that is not positive or dots that are nowhere.
+    """
+    dots = np.ascontiguousarray(dot_xy_px, np.float64)
+    if dots.ndim != 2 or dots.shape[1] != 2 or not np.isfinite(dots).all():
+        raise ValueError(f"dot_xy_px: expected finite places (dots, 2), found shape {dots.shape}")
+    profile = dot_profile(radius_px, camera.blur_px, camera.log_contrast)
+    bright = np.exp(gel_level(camera.frame_px, dots, profile))
+    noise = rng.standard_normal(bright.shape, np.float32) * np.float32(camera.noise_grey)
+    grey: NDArray[np.uint8] = np.clip(np.rint(bright * np.float32(camera.gel_grey) + noise), 0, 255).astype(np.uint8)
+    return grey
+
+
+@dataclass
+class FrameTracker:
+    """The last frame, and where the dots are in it."""
+
+    frame: NDArray[np.uint8]  # (height, width)
+    dot_xy_px: NDArray[np.float32]  # (dots, 2)
+    lost: NDArray[np.bool_]  # (dots,) not found in this frame
+
+
+def start_tracker(frame: NDArray[np.uint8], dot_xy_px: ArrayLike) -> FrameTracker:
+    """Begin with the first frame (height, width) and the places of the dots in it (dots, 2) in px.
+
+    ValueError if the frame is not grey, or the places are none or not finite.
+    """
+    dots = np.array(dot_xy_px, np.float32)
+    if dots.ndim != 2 or dots.shape[1] != 2 or not len(dots) or not np.isfinite(dots).all():
+        raise ValueError(f"dot_xy_px: expected finite places (dots, 2), found shape {dots.shape}")
+    if frame.ndim != 2 or frame.dtype != np.uint8:
+        raise ValueError(f"frame: expected grey values (height, width) uint8, found {frame.dtype} {frame.shape}")
+    return FrameTracker(frame, dots, np.zeros(len(dots), bool))
+
+
+def track(state: FrameTracker, frame: NDArray[np.uint8]) -> None:
+    """Follow the dots to the next frame; ValueError if it is of another size."""
+    if frame.shape != state.frame.shape or frame.dtype != np.uint8:
+        raise ValueError(f"frame: expected uint8 {state.frame.shape}, found {frame.dtype} {frame.shape}")
+    places = state.dot_xy_px[:, None]
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        state.frame, frame, places, np.empty_like(places), winSize=WINDOW_PX, maxLevel=LEVELS, criteria=STOP
+    )
+    state.lost = status[:, 0] == 0
+    state.dot_xy_px = np.where(state.lost[:, None], state.dot_xy_px, moved[:, 0])
+    state.frame = frame
