@@ -16,10 +16,10 @@ from evetac_cli.inspect.view.event_images import picture
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.stages.evaluate import paper
-from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onset
+from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import Row, recording_of
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
 
 Rows = list[dict[str, Any]]

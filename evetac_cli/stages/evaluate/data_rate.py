@@ -19,12 +19,11 @@ from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.evaluation import EvaluateDataRate
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
-from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.provenance import Header
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import Recording, open_recording, true_onset
 
 OUTPUT = "report"
 METHOD = 1
