@@ -28,6 +28,7 @@ from experiments import EXPERIMENTS, Experiment
 from results import STAGES, keys, ranges, text
 
 from evetac_cli.stages.evaluate import paper
+from evetac_cli.stages.evaluate.source import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -257,7 +258,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "methods": methods(evaluation.header for evaluation in evaluations.values()),
         "recipe_ids": [evaluation.header["id"] for evaluation in evaluations.values()],
         "sizes": known,
-        "source": dataclasses.asdict(paper.Source.of(evaluation.header for evaluation in evaluations.values())),
+        "source": dataclasses.asdict(Source.of(evaluation.header for evaluation in evaluations.values())),
         "columns": [layout(column) for column in table.columns],
         "across": layout(table.across) if table.across else None,
         "notes": list(table.notes),

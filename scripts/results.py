@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.stages.evaluate import paper
+from evetac_cli.stages.evaluate.source import Source
 
 Row = dict[str, Any]
 Result = dict[str, Any]
@@ -126,7 +127,7 @@ def fill(template: str, row: Row) -> str:
 
 def published(column: Row, row: Row, result: Result) -> tuple[str, str]:
     """The paper's figures in a cell, and how they compare; empty where there are none."""
-    source = paper.Source.from_json(result.get("source", {}))
+    source = Source.from_json(result.get("source", {}))
     known = {key: beside for key in keys(column.get("paper", "")) if (beside := paper.beside(key, row, source))}
     if not known:
         return "", ""

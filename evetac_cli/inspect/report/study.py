@@ -15,8 +15,8 @@ from evetac_cli.inspect.index import foreign_note, indexed
 from evetac_cli.inspect.view.event_images import picture
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.stages.evaluate import paper
 from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import Row, recording_of
 from evetac_cli.store.read import Recording, open_recording, true_onset
@@ -47,9 +47,9 @@ class Found:
         return bool(self.header["simulated"])
 
     @cached_property
-    def source(self) -> paper.Source:
+    def source(self) -> Source:
         """What its rows come from."""
-        return paper.Source.of([self.header])
+        return Source.of([self.header])
 
     def recordings(self, kind: str) -> list[str | None]:
         """The ids of the recordings of the files of a kind that it was made from, in the order of its rows."""

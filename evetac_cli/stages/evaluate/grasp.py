@@ -23,6 +23,7 @@ from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -81,7 +82,7 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
         return tables(trials)
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
-    source = paper.Source.of(headers)
+    source = Source.of(headers)
     size_in = _size_in(outcome.rows, source)
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows, source), size_in)
 
@@ -191,7 +192,7 @@ def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
     return {**row, **{column: paper.value_of(column, row) for column in columns}}
 
 
-def _size_in(rows: Rows, source: paper.Source) -> tuple[float, float]:
+def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
     """Width and height in inches: a line for every setting of every object, and the legend."""
     lines, shown = _lines(_by_object(rows))
     styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
@@ -215,7 +216,7 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
     return lines, shown
 
 
-def _draw(figure: Any, rows: Rows, source: paper.Source) -> None:
+def _draw(figure: Any, rows: Rows, source: Source) -> None:
     """A line for every setting of every object: share of trials, then figures of the trials that held their object."""
     by_object = _by_object(rows)
     lines, shown = _lines(by_object)
@@ -261,7 +262,7 @@ def _middles(lines: Lines) -> dict[int | str, float]:
     return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
 
 
-def _papers(lines: Lines, name: str, source: paper.Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
+def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
     """The paper's figure of every object in a panel, the middle of its lines, and how it is drawn.
 
     It is the one that stands beside the first of the object's lines that has one.

@@ -10,15 +10,15 @@ from what the row is and from the headers behind it. Of the marks that apply, th
 - same method: all of these are the paper's, but that ours may be simulated.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from evetac_cli.stages.evaluate.source import Row, Source
 
 SAME, METHOD, SIZE, SCENE, FITTED = "same method", "other method", "other size", "other scene", "fitted"
 MARKS = (FITTED, METHOD, SCENE, SIZE, SAME)  # in the order in which they are looked for
 
-Row = Mapping[str, Any]
 Key = tuple[str | float, ...]  # the quantity, then what it is of
 
 LAWS = ("paper", "paper-reset")  # controllers: two readings of the paper's text
@@ -57,7 +57,7 @@ DETECTOR = "dots by paper, fast-slow 10 ms ahead by paper"
 SEEDS, TRAINED_ON, LIFT_S, BALANCE_S = 5, 360, 10.0, 20.0
 HORIZONS_MS = (0, 10, 20)  # for which the paper predicts slip
 COLUMNS = 540  # of the frame that the paper counts, without the window, for its sensor and the RGB sensor
-SAID_LENGTHS_S = (10.0, 2.0, 1.0)  # of windows of vibration
+WINDOWS_S = (10.0, 2.0, 1.0)  # of windows of vibration
 WHOLE_S = 100.0  # of a tone
 
 
@@ -92,7 +92,7 @@ def _vibration_figures() -> Iterator[tuple[Key, Figure]]:
         ("100", (1.00, 0.98, 0.96)), ("200", (1.00, 0.92, 0.69)), ("300", (1.00, 1.00, 0.99)),
         ("400", (1.00, 1.00, 0.98)), ("498", (1.00, 1.00, 1.00)), ("all", (1.00, 0.98, 0.924)),
     ):  # fmt: skip
-        for length_s, share in zip(SAID_LENGTHS_S, shares, strict=True):
+        for length_s, share in zip(WINDOWS_S, shares, strict=True):
             windows = WHOLE_S / length_s * (5 if tone == "all" else 1)
             conditions = Conditions("paper", "vibration", (windows,))
             yield ("vibration", tone, length_s), Figure(share, "share", where, conditions, fitted_in="vibration")
@@ -160,78 +160,7 @@ def value(*key: str | float) -> float | None:
     return None if figure is None else figure.value
 
 
-# What ours is ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Source:
-    """What the rows of a report come from, as far as the headers of its files tell."""
-
-    simulated: bool = False
-    scenes: tuple[str, ...] = ()
-    trackers: tuple[str, ...] = ()
-    labels: tuple[str, ...] = ()
-    detectors: tuple[str, ...] = ()  # of grasps
-    grasp_s: tuple[float, ...] = ()  # of lifting and balancing with a detector
-    training_recordings: int = 0
-    networks: int = 1  # of a detector, whose mean is its judgement; the paper has one
-
-    @classmethod
-    def of(cls, headers: Iterable[Row]) -> "Source":
-        """From the headers of a report, or of the files that it is made of."""
-        every: dict[str, Row] = {}
-        for header in headers:
-            every |= {**header["history"], header["id"]: header}
-        of_kind: dict[str, dict[str, Row]] = defaultdict(dict)
-        for id_, one in every.items():
-            of_kind[one["kind"]][id_] = one
-        detectors, recordings = of_kind["model"], of_kind["recording"].values()
-        grasps = [one for one in recordings if not detectors.keys().isdisjoint(one["parents"])]
-        used = {id_ for one in grasps for id_ in one["parents"]} & detectors.keys()
-        trackers = {one["parameters"].get("preset") for one in of_kind["tracks"].values()}
-        durations = {tuple(float(one["parameters"].get(name, 0)) for name in ("lift_s", "balance_s")) for one in grasps}
-        return cls(
-            simulated=any(one.get("simulated", False) for one in every.values()),
-            scenes=_texts(_scene(one["parameters"]) for one in recordings),
-            trackers=_texts([*trackers - {"rgb"}, *(one["parameters"].get("tracker") for one in grasps)]),
-            labels=_texts(one["parameters"].get("method", "farneback") for one in of_kind["labels"].values()),
-            detectors=_texts(_detector(detectors[id_]["parameters"]) for id_ in used),
-            grasp_s=tuple(second for pair in sorted(durations) for second in pair),
-            training_recordings=len(_recordings_behind([*detectors.values(), *of_kind["force-model"].values()], every)),
-            networks=max((one["parameters"].get("networks", 1) for one in detectors.values()), default=1),
-        )
-
-    @classmethod
-    def from_json(cls, known: Row) -> "Source":
-        """From what dataclasses.asdict made of one, by way of JSON."""
-        entries: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in known.items()}
-        return cls(**entries)
-
-
-def _texts(values: Iterable[Any]) -> tuple[str, ...]:
-    return tuple(sorted({str(one) for one in values if one is not None}))
-
-
-def _scene(parameters: Row) -> str | None:
-    scene = parameters.get("scene")
-    return scene.get("name") if isinstance(scene, dict) else scene
-
-
-def _detector(parameters: Row) -> str:
-    horizon_ms = parameters.get("horizon_ms")
-    predicting = f" {horizon_ms} ms ahead" if horizon_ms else ""
-    return f"{parameters.get('model')}{predicting} by {parameters.get('preset')}"
-
-
-def _recordings_behind(models: Iterable[Row], every: Row) -> set[str]:
-    behind: set[str] = set()
-    waiting = [id_ for model in models for id_ in model["parents"]]
-    while waiting:
-        id_ = waiting.pop()
-        if id_ in every and id_ not in behind:
-            behind.add(id_)
-            waiting += every[id_]["parents"]
-    return {id_ for id_ in behind if every[id_]["kind"] == "recording"}
+# Which figure stands beside which row ---------------------------------------------------------------------------------
 
 
 def _scenes(source: Source) -> str:
@@ -246,13 +175,10 @@ def _by(what: str, names: Iterable[str]) -> str:
     return f"{what} by {' + '.join(names)}"
 
 
-# Which figure stands beside which row ---------------------------------------------------------------------------------
-
-
 def _of_slip(quantity: str) -> Callable[[Row], Key]:
     def key(row: Row) -> Key:
-        # F1 is said for the objects of the training alone, and down5 is judged on these alone
-        model, horizon_ms = row["model"].removesuffix("-6x6"), row["horizon_ms"]  # smaller images, for a CPU
+        # The paper has F1 for the objects of the training alone, and down5 on these alone. -6x6: images for a CPU.
+        model, horizon_ms = row["model"].removesuffix("-6x6"), row["horizon_ms"]
         unseen = (quantity, "unseen", model, horizon_ms)
         return unseen if row.get("paper_f1") is None and unseen in FIGURES else (quantity, "known", model, 0)
 

@@ -28,6 +28,7 @@ from evetac_cli.resources import with_shipped
 from evetac_cli.stages.evaluate import ModelsReportJob, Rows, paper, picture, report, report_job
 from evetac_cli.stages.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile
@@ -146,7 +147,7 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     parents = [*(model.header for model in models), *headers]
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
     size_in = _size_in(outcome.rows)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome, paper.Source.of(parents)), size_in)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome, Source.of(parents)), size_in)
 
 
 def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
@@ -188,7 +189,7 @@ def _heights_in(settings: int) -> tuple[float, float]:
     return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS)
 
 
-def _draw(figure: Any, outcome: Outcome, source: paper.Source) -> None:
+def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
     """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected."""
     settings = _settings(outcome.rows)
     trajectories = [row for row in outcome.rows if "t_c_ms" in row]

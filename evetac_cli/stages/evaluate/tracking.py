@@ -21,6 +21,7 @@ from evetac_cli.params.evaluation import EvaluateTracking
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import Recording, open_recording
@@ -84,7 +85,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         return outcome
 
     def draw(figure: Any) -> None:
-        _draw(figure, outcome.rows, over_time, paper.Source.of(headers))
+        _draw(figure, outcome.rows, over_time, Source.of(headers))
 
     return picture.beside(outcome, job.output, draw, (6.2 * sum(_panels(outcome.rows, over_time)), 4.2))
 
@@ -235,7 +236,7 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
     }
 
 
-def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: paper.Source) -> None:
+def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: Source) -> None:
     """Error over time by preset, where truth is known; how many trajectories end where they began, where it is."""
     with_truth, decided = _panels(rows, over_time)
     figure.suptitle("Dots tracked" + (" (simulated)" if source.simulated else ""))
@@ -270,7 +271,7 @@ def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> Non
         axes.set_title("bands: 10 to 90 % of the trajectories")
 
 
-def _draw_consistent(axes: Any, rows: Rows, source: paper.Source) -> None:
+def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
     """The share of each preset with its interval, by the number of trajectories, and the paper's where it has one."""
     presets = [row for row in rows if "file" not in row]
     for place, row in enumerate(presets):

@@ -306,7 +306,7 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
                 summary[f"{method}_share_{window_s:g}_s"] = right / sum(row["windows"] for row in rows)
     if with_tone:
         summary |= {
-            f"published_share_{length:g}_s": paper.value("vibration", "all", length) for length in paper.SAID_LENGTHS_S
+            f"published_share_{length:g}_s": paper.value("vibration", "all", length) for length in paper.WINDOWS_S
         }
     return summary
 

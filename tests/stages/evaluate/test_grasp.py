@@ -10,6 +10,7 @@ from evetac_cli.sim.setup.plan import first_plan, read_plan
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import paper
 from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
+from evetac_cli.stages.evaluate.source import Source
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
@@ -157,7 +158,7 @@ def test_the_picture() -> None:
         [trial(lifted=False)],
     ):
         figure = Figure()
-        evaluate_grasp._draw(figure, tables(trials)[0], paper.Source(simulated=True))
+        evaluate_grasp._draw(figure, tables(trials)[0], Source(simulated=True))
         assert len(figure.axes) == len(evaluate_grasp.PANELS)
 
 

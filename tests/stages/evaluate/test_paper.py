@@ -15,7 +15,8 @@ from evetac_cli.inspect.report import evaluations, page
 from evetac_cli.inspect.report.study import Found
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages.evaluate import paper, tracking
-from evetac_cli.stages.evaluate.paper import FIGURES, MARKS, METHOD, SAME, SCENE, SIZE, Conditions, Source
+from evetac_cli.stages.evaluate.paper import FIGURES, MARKS, METHOD, SAME, SCENE, SIZE, Conditions
+from evetac_cli.stages.evaluate.source import Source
 
 sys.path.insert(0, str(PACKAGE.parent / "scripts"))
 import experiment_tables

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from evetac_cli.jobs import Outcome
-from evetac_cli.stages.evaluate import grasp, paper, picture, slip, tracking
+from evetac_cli.stages.evaluate import grasp, picture, slip, tracking
+from evetac_cli.stages.evaluate.source import Source
 
 matplotlib = pytest.importorskip("matplotlib")
 Figure = pytest.importorskip("matplotlib.figure").Figure
 Legend = pytest.importorskip("matplotlib.legend").Legend
 
 
-SOURCE = paper.Source(simulated=True, scenes=("edge",))
+SOURCE = Source(simulated=True, scenes=("edge",))
 
 
 def drawn(draw: Callable[[Any], None], size_in: tuple[float, float]) -> Any:
