@@ -51,5 +51,5 @@ def with_shipped(files: Iterable[Path]) -> list[Path]:
 
 @functools.cache
 def table(name: str) -> dict[str, Any]:
-    """A TOML table of the package: objects, sensors, paper."""
+    """A TOML table of the package: objects, sensors."""
     return tomllib.loads((DATA / f"{name}.toml").read_text())

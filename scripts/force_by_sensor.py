@@ -57,8 +57,7 @@ def paper_rows(evaluation: Evaluation, tracker: str) -> list[Row]:
             if row["model"] == model:
                 by_sensor.setdefault(row["sensor_name"], []).append((row["mae_n_x"] + row["mae_n_y"]) / 2)
         errors = [sum(values) / len(values) for values in by_sensor.values()]
-        method = "same method" if tracker == "paper" else "same method, other tracker"
-        known = f"the paper's {words}, trained on `evetac` alone ({method})"
+        known = f"the paper's {words}, trained on `evetac` alone"
         figures = {"mae_n": sum(errors) / len(errors), "worst_sensor_mae_n": max(errors)}
         rows.append({"known": known, "tracker": tracker, "sensors": len(errors), **figures})
     return rows

@@ -12,6 +12,7 @@ Ctrl-C ends the command at work, which takes its unfinished files away, and then
 """
 
 import argparse
+import dataclasses
 import json
 import signal
 import subprocess
@@ -25,6 +26,9 @@ from experiment_steps import Command, Sizes
 from experiment_tables import Column, Evaluation, Row, Table
 from experiments import EXPERIMENTS, Experiment
 from results import STAGES, keys, ranges, text
+
+from evetac_cli.stages.evaluate import paper
+from evetac_cli.stages.evaluate.source import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -226,20 +230,12 @@ def commit() -> tuple[str, bool]:
 
 
 def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
-    """The figures that the table shows, and beside each of the paper's how it compares."""
+    """The figures that the table shows, and what names the paper's beside them."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
-    shown = []
-    for row in rows:
-        marks = {
-            column.heading: column.mark if isinstance(column.mark, str) else column.mark(row)
-            for column in columns
-            if column.paper and all(row.get(key) is not None for key in keys(column.paper))
-        }
-        shown.append(
-            {**{key: value for key, value in row.items() if key in wanted}, **({"marks": marks} if marks else {})}
-        )
-    return shown
+    for key in wanted & paper.SHOWN.keys():
+        wanted |= {*paper.SHOWN[key].needs, *paper.SHOWN[key].may_need}
+    return [{key: value for key, value in row.items() if key in wanted} for row in rows]
 
 
 def layout(column: Column) -> Row:
@@ -262,6 +258,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "methods": methods(evaluation.header for evaluation in evaluations.values()),
         "recipe_ids": [evaluation.header["id"] for evaluation in evaluations.values()],
         "sizes": known,
+        "source": dataclasses.asdict(Source.of(evaluation.header for evaluation in evaluations.values())),
         "columns": [layout(column) for column in table.columns],
         "across": layout(table.across) if table.across else None,
         "notes": list(table.notes),

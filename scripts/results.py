@@ -7,7 +7,7 @@ docs/results/NAME.json is put between them. The table `summary`, of the README, 
 
 A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
 and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
-brackets with its mark: `same method`, `other method`, or `fitted` (the scene was adjusted until the two agreed).
+brackets with its mark: both are asked of evetac_cli/stages/evaluate/paper.py, for a row and the `source` of its table.
 `methods` are the numbers of the methods by which its data were made; those that have changed since are named above the
 table.
 """
@@ -21,10 +21,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evetac_cli.stages.evaluate import paper
+from evetac_cli.stages.evaluate.source import Source
+
 Row = dict[str, Any]
 Result = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
-MARKS = ("same method", "other method", "fitted")
 
 
 class Figure(NamedTuple):
@@ -61,8 +63,8 @@ SUMMARY = (
     Figure(
         "shear force by the paper's network, mean error of Fx, Fy in N",
         "force",
-        {"camera": "Evetac", "model": "network", "sensor": "evetac"},
-        "{sensor}",
+        {"sensor": "events", "model": "network", "sensor_name": "evetac"},
+        "{sensor_name}",
     ),
     Figure(
         "tone of 200 Hz told from 1 s of vibration, the paper's method",
@@ -77,16 +79,17 @@ SUMMARY = (
         "{window_s:g} s",
     ),
     Figure(
-        "objects 1-20 lifted in 3.5 s and kept for 1 s (paper: 10 s, 20 s), evetac's detector, the paper's controller",
+        f"objects 1-20 lifted in 3.5 s and kept for 1 s (paper: {paper.LIFT_S:g} s, {paper.BALANCE_S:g} s), evetac's"
+        " detector, the paper's controller",
         "grasps-shipped",
         {"setting": "paper"},
         "lifted and kept",
     ),
     Figure("... ours, `load-proportional`", "grasps-shipped", {"setting": "load-proportional"}, "lifted and kept"),
     Figure(
-        "bytes per second as a share of an RGB sensor's, over 640 columns (paper: 540)",
+        f"bytes per second as a share of an RGB sensor's, over 640 columns (paper: {paper.COLUMNS})",
         "data-rate",
-        {"interval": "whole trajectory"},
+        {"interval": "whole"},
         "share (paper)",
     ),
 )
@@ -122,10 +125,21 @@ def fill(template: str, row: Row) -> str:
     return ", ".join(part.format(**row) for part in parts if all(row.get(key) is not None for key in keys(part)))
 
 
-def cell(column: Row, row: Row) -> str:
+def published(column: Row, row: Row, result: Result) -> tuple[str, str]:
+    """The paper's figures in a cell, and how they compare; empty where there are none."""
+    source = Source.from_json(result.get("source", {}))
+    known = {key: beside for key in keys(column.get("paper", "")) if (beside := paper.beside(key, row, source))}
+    if not known:
+        return "", ""
+    (mark,) = {beside.mark for beside in known.values()}  # of figures of one row and column
+    return fill(column["paper"], {key: beside.value for key, beside in known.items()}), mark
+
+
+def cell(column: Row, row: Row, result: Result) -> str:
     """Our figure, and the paper's in brackets with its mark."""
-    ours, paper = fill(column["cell"], row), fill(column.get("paper", ""), row)
-    return f"{ours} ({paper}, {row['marks'][column['heading']]})" if paper else ours
+    ours = fill(column["cell"], row)
+    figures, mark = published(column, row, result)
+    return f"{ours} ({figures}, {mark})" if figures else ours
 
 
 def lines(result: Result) -> list[list[str]]:
@@ -133,12 +147,12 @@ def lines(result: Result) -> list[list[str]]:
     columns, across = result["columns"], result.get("across")
     heads = [column["heading"] for column in columns]
     if across is None:
-        return [heads, *([cell(column, row) for column in columns] for row in result["rows"])]
+        return [heads, *([cell(column, row, result) for column in columns] for row in result["rows"])]
     spread = list(dict.fromkeys(fill(across["heading"], row) for row in result["rows"]))
     groups: dict[tuple[str, ...], dict[str, str]] = {}
     for row in result["rows"]:
-        group = groups.setdefault(tuple(cell(column, row) for column in columns), {})
-        group[fill(across["heading"], row)] = cell(across, row)
+        group = groups.setdefault(tuple(cell(column, row, result) for column in columns), {})
+        group[fill(across["heading"], row)] = cell(across, row, result)
     return [
         [*heads, *spread],
         *([*first, *(group.get(head, "") for head in spread)] for first, group in groups.items()),
@@ -203,9 +217,7 @@ def summary(results: Path) -> str:
         (row,) = (each for each in result["rows"] if figure.row.items() <= each.items())
         columns = [*result["columns"], *([result["across"]] if result["across"] else [])]
         (column,) = (each for each in columns if each["heading"] == figure.heading)
-        paper = fill(column.get("paper", ""), row)
-        mark = row["marks"][figure.heading] if paper else ""
-        rows.append([figure.what, fill(column["cell"], row), paper, mark, result["commit"]])
+        rows.append([figure.what, fill(column["cell"], row), *published(column, row, result), result["commit"]])
     return "\n" + as_table(["what", "simulated", "paper", "compared", "commit"], rows) + "\n"
 
 

@@ -26,9 +26,8 @@ from evetac_cli.params.parameter import recipe_of
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import label, record
 from evetac_cli.stages.evaluate import Rows
-from evetac_cli.stages.evaluate.labels import true_onset
 from evetac_cli.stages.trials import simulated_trials
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import Recording, open_recording, ramp_start, true_onset
 
 US = 1e6
 SLICE_MS = 1.0  # onsets are whole slices
@@ -185,7 +184,7 @@ def _smaller_frames(times: int) -> Method:
     """The stage's search for the onset, with frames so many times smaller."""
 
     def method(recording: Recording) -> tuple[int, float]:
-        given = (*label.regions(recording), flow_constants(shrink=times), label.ramp_start(recording))
+        given = (*label.regions(recording), flow_constants(shrink=times), ramp_start(recording))
         return _time(recording, lambda: flow.label(recording.between, len(recording), *given))
 
     return method
@@ -198,7 +197,7 @@ def with_look_ahead(look_ahead_ms: int) -> Method:
         dots, radius = recording.dot_xy_px, float(recording.read("sensor/dot_radius_px"))
         assert dots is not None  # a simulated recording
         constants = event_flow.EventFlowConstants(look_ahead_ms=look_ahead_ms)
-        given = (*label.regions(recording), dots.reshape(-1, 2), radius, constants, label.ramp_start(recording))
+        given = (*label.regions(recording), dots.reshape(-1, 2), radius, constants, ramp_start(recording))
         return _time(recording, lambda: event_flow.label(recording.between, len(recording), *given))
 
     return method

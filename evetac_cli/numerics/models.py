@@ -29,8 +29,7 @@ from evetac_cli.numerics.rows import Row, collect, run_times
 from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.params.grasp import Grasp
-from evetac_cli.resources import table
-from evetac_cli.stages.evaluate import Rows, picture
+from evetac_cli.stages.evaluate import Rows, paper, picture
 from evetac_cli.stages.evaluate.slip import split_models
 from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.stages.evaluate.slip_tables import group_by_setting
@@ -154,7 +153,7 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
             rng = np.random.default_rng(seed)
             inference_us, step_us = timed(_inference(candidate, rng)), timed(_grasp_step(candidate, rng))
             times[candidate.build] = run_times(inference_us) | run_times(step_us, "step")
-        paper_ms = table("paper")["inference"].get(candidate.detector.architecture.name)
+        paper_ms = paper.value("inference", candidate.detector.architecture.name)
         yield {
             "setting": candidate.setting,
             "horizon_ms": candidate.horizon_ms,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.params.learning import Label
@@ -22,7 +22,7 @@ from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import Recording, open_recording, ramp_start
 
 OUTPUT = "labels"
 METHOD = 5
@@ -159,13 +159,3 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
         confidence = float(slips[onset:stop].mean())
         labels[stop:] = -1
     return flow.Labels(labels, np.full(len(slips), np.nan, np.float32), onset, confidence, 0)
-
-
-def ramp_start(recording: Recording) -> int:
-    """The slice in which the target current first departs from the one that holds the object; 0 without a gripper."""
-    if not recording.has("gripper"):
-        return 0
-    target_ma = recording.read("gripper/current_target_ma")
-    change = np.diff(target_ma)  # NaN in position mode
-    changed = np.flatnonzero(np.isfinite(change) & (change != 0))
-    return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0

@@ -1,4 +1,4 @@
-"""Recordings slice by slice, and windows of features with their labels for training."""
+"""Recordings slice by slice, where their slip begins, and windows of features with their labels for training."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -133,6 +133,27 @@ def open_recording(path: str | Path) -> Recording:
     True
     """
     return Recording(Path(path))
+
+
+def ramp_start(recording: Recording) -> int:
+    """The slice in which the target current first departs from the one that holds the object; 0 without a gripper."""
+    if not recording.has("gripper"):
+        return 0
+    target_ma = recording.read("gripper/current_target_ma")
+    change = np.diff(target_ma)  # NaN in position mode
+    changed = np.flatnonzero(np.isfinite(change) & (change != 0))
+    return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0
+
+
+def true_onset(recording: Recording, first: int = 0, stop: int | None = None) -> int | None:
+    """The first slice of gross slip in first .. stop, since the current began to fall; None where there is none."""
+    return first_slice(recording.read("truth/slip")[:stop] > 0, max(first, ramp_start(recording)))
+
+
+def first_slice(is_so: NDArray[np.bool_], start: int) -> int | None:
+    """The first slice from `start` on that is marked, of (slices,); None without one."""
+    slices = start + np.flatnonzero(is_so[start:])
+    return int(slices[0]) if len(slices) else None
 
 
 class SlipWindows:

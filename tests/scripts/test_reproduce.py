@@ -216,16 +216,17 @@ def test_experiments_fit_together(name: str) -> None:
 
 def test_rows_are_spread_and_marked() -> None:
     """Assert that figures lie under their headings, the paper's in brackets with their mark."""
-    across = {"heading": "{gel}", "cell": "{error:.1f}, {worst:.0f}", "paper": "{paper_error:.1f}"}
+    across = {"heading": "{gel}", "cell": "{error:.1f}, {worst:.0f}", "paper": "{paper_dots_lost_mean:.1f}"}
     rows = [
-        {"preset": "a", "gel": "cut", "error": 1.04, "worst": 3.0, "paper_error": 2.0, "marks": {"{gel}": "fitted"}},
-        {"preset": "a", "gel": "closed", "error": 2.0, "worst": None, "paper_error": None},
-        {"preset": "b", "gel": "closed", "error": 0.5, "worst": 1.0, "paper_error": None},
+        {"preset": "paper", "gel": "cut", "error": 1.04, "worst": 3.0, "trajectories": 9, "paper_dots_lost_mean": 1.5},
+        {"preset": "paper", "gel": "closed", "error": 2.0, "worst": None, "paper_dots_lost_mean": None},
+        {"preset": "b", "gel": "closed", "error": 0.5, "worst": 1.0, "paper_dots_lost_mean": None},
     ]
     made = {"columns": [{"heading": "preset", "cell": "{preset}"}], "across": across, "rows": rows}
+    made["source"] = {"simulated": True, "scenes": ["edge"]}
     assert results.lines(made) == [
         ["preset", "cut", "closed"],
-        ["a", "1.0, 3 (2.0, fitted)", "2.0"],
+        ["paper", "1.0, 3 (1.5, other size)", "2.0"],
         ["b", "", "0.5, 1"],
     ]
 
@@ -317,14 +318,14 @@ def test_windows_and_forces_are_put_together() -> None:
         "sensor": "events",
         "model": "network",
         "sensor_name": "evetac",
-        "paper_mae_n_x": 0.3,
-        "paper_mae_n_y": 0.2,
+        "paper_mae_n_x": 0.33,
+        "paper_mae_n_y": 0.22,
     }
     trials = [{**error, "mae_n_x": value, "mae_n_y": 2 * value} for value in (0.1, 0.3)]
     (mean,) = experiment_tables.force_rows({"force": evaluation(*trials)})
     assert (mean["camera"], mean["mae_n_x"], mean["mae_n_y"]) == ("Evetac", pytest.approx(0.2), pytest.approx(0.4))
     made = reproduce.result(experiment_tables.FORCE, {"force": evaluation(*trials)}, ["evetac evaluate force"])
-    assert results.lines(made)[1] == ["Evetac", "network", "0.20, 0.40 (0.3, 0.2, other method)"]
+    assert results.lines(made)[1] == ["Evetac", "network", "0.20, 0.40 (0.33, 0.22, other method)"]
 
 
 def test_trackers_stand_side_by_side() -> None:

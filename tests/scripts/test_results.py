@@ -83,15 +83,16 @@ RESULT = {
     "commands": ["evetac evaluate grasp *.recording.h5"],
     "methods": {},
     "sizes": {"recording_seeds": [7, 8, 9, 20], "training_seeds": []},
+    "source": {"simulated": True, "scenes": ["edge"]},
     "columns": [
         {"heading": "who", "cell": "{who}"},
-        {"heading": "kept (paper)", "cell": "{kept:.2f}", "paper": "{paper_kept:.2f}"},
+        {"heading": "kept (paper)", "cell": "{kept:.2f}", "paper": "{paper_consistent_share:.2f}"},
     ],
     "across": None,
     "notes": ["A note."],
     "rows": [
-        {"who": "a", "kept": 0.5, "paper_kept": 0.6, "marks": {"kept (paper)": "fitted"}},
-        {"who": "b", "kept": 1.0, "paper_kept": None},
+        {"who": "a", "kept": 0.5, "preset": "paper", "trajectories": 3, "paper_consistent_share": 0.8},
+        {"who": "b", "kept": 1.0, "preset": "stable", "trajectories": 3, "paper_consistent_share": None},
     ],
 }
 
@@ -100,7 +101,7 @@ def test_a_table_says_how_it_was_made() -> None:
     """Assert that title, commit, marks, notes, commands and seeds stand around the rows."""
     assert results.text(RESULT) == (
         "Simulated. Grip of object 3 (commit abc1234):\n\n| who | kept (paper) |\n| --- | --- |\n"
-        "| a | 0.50 (0.60, fitted) |\n| b | 1.00 |\n\nA note.\n\n"
+        "| a | 0.50 (0.80, fitted) |\n| b | 1.00 |\n\nA note.\n\n"
         "Made by `evetac evaluate grasp *.recording.h5`; seeds of recordings 7-9, 20.\n"
     )
 
@@ -113,6 +114,6 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
     page = results.fill_page("x\n<!-- table summary -->\nold\n<!-- end of summary -->\n", tmp_path)
     assert page == (
         "x\n<!-- table summary -->\n\n| what | simulated | paper | compared | commit |\n"
-        "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 0.60 | fitted | abc1234 |\n"
+        "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 0.80 | fitted | abc1234 |\n"
         "| kept by b | 1.00 |  |  | abc1234 |\n\n<!-- end of summary -->\n"
     )

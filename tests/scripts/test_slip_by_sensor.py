@@ -78,7 +78,7 @@ def test_sensors_that_never_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     alone, other, _, mean = rows_of(said, monkeypatch)
     assert (alone["slips"], alone["shipped_slip_correct"], alone["shipped_slip_correct_low"]) == (0, None, None)
     assert other["shipped_slip_correct"] == mean["shipped_slip_correct"] == 0.5
-    cells = [results.cell(column, alone) for column in slip_by_sensor.sensor_columns(["shipped"])]
+    cells = [results.cell(column, alone, {}) for column in slip_by_sensor.sensor_columns(["shipped"])]
     assert cells[:5] == ["randomized:1", "2", "", "", ""]
     (nothing,) = rows_of({"evetac": still}, monkeypatch)
     assert nothing["shipped_slip_early"] is None and nothing["shipped_f1"] is not None

@@ -31,7 +31,7 @@ def test_the_context_is_what_the_package_is_built_from() -> None:
     """Assert that code, data, schemas and what pyproject.toml names are seen, and nothing else of the clone."""
     seen = {str(path) for path in try_dockerfile.context((ROOT / ".dockerignore").read_text())}
     assert {"pyproject.toml", "constraints.txt", "README.md", "evetac_cli/py.typed"} <= seen
-    assert any(name.startswith("schemas/") for name in seen) and "evetac_cli/data/paper.toml" in seen
+    assert any(name.startswith("schemas/") for name in seen) and "evetac_cli/data/objects.toml" in seen
     assert not [name for name in seen if "__pycache__" in name or name.split("/")[0] in ("tests", "docs", "scripts")]
 
 

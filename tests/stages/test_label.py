@@ -19,7 +19,7 @@ from evetac_cli.stages import label
 from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.read import open_recording, ramp_start
 from tests.conftest import Made
 
 METHODS = ("event-flow", "farneback", "dis", "event-count", "truth")
@@ -74,7 +74,7 @@ def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
     with StageFile(output) as labels, open_recording(made.recordings[0]) as recording:
         slips = recording.read("truth/slip")
         onset = int(np.flatnonzero(slips)[0])
-        start = label.ramp_start(recording)
+        start = ramp_start(recording)
         assert 0 < start < onset
         assert (labels.read("label")[:start] == -1).all()
         np.testing.assert_array_equal(labels.read("label")[start : onset + 15], slips[start : onset + 15])
@@ -89,7 +89,7 @@ def test_truth_from_the_first_slice(made: Made, tmp_path: Path) -> None:
     with open_recording(beside) as recording:
         slips = recording.read("truth/slip")
         onset = int(np.flatnonzero(slips)[0])
-        early = label.ramp_start(recording) - 5
+        early = ramp_start(recording) - 5
     with h5py.File(beside, "a") as file:
         file["truth/slip"][early] = 1  # slides a little while it is loaded: left out
     output, row = run(beside, tmp_path, method="truth", from_start=True)
@@ -108,7 +108,7 @@ def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
     beside.write_bytes(made.recordings[0].read_bytes())
     with open_recording(beside) as recording:
         onset = int(np.flatnonzero(recording.read("truth/slip"))[0])
-        early = label.ramp_start(recording) - 5
+        early = ramp_start(recording) - 5
     with h5py.File(beside, "a") as file:
         file["truth/slip"][early] = 1
         file["truth/every_node_slid_px"][early] = 1.0
@@ -239,7 +239,7 @@ def test_an_onset_does_not_depend_on_the_mounting(made: Made, tmp_path: Path, mo
             "sensor/dot_xy_px": dots.reshape(1, -1, 2),
             "sensor/dot_radius_px": upright.read("sensor/dot_radius_px"),
         }
-        start = label.ramp_start(upright)
+        start = ramp_start(upright)
     path = tmp_path / "mounted.recording.h5"
     write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
     with open_recording(path) as mounted:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.inspect.pages import BLUE, GREEN, NEUTRAL, ORANGE, PINK, bare_figure
 from evetac_cli.inspect.report.study import Found, Rows, Study, StudyTrial
+from evetac_cli.stages.evaluate.paper import Beside
 from evetac_cli.stages.evaluate.picture import wilson
 
 EARLY, RIGHT, LATE = ORANGE, BLUE, "#8c8c8c"  # the same three wherever timing is shown
@@ -112,7 +113,12 @@ def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Char
 
 
 def share_chart(
-    rows: Rows, name: str, parts: dict[str, tuple[str, str]], paper: str, title: str, trials: Sequence[int]
+    rows: Rows,
+    name: str,
+    parts: dict[str, tuple[str, str]],
+    papers: Sequence[Beside | None],
+    title: str,
+    trials: Sequence[int],
 ) -> Chart | None:
     """Stacked shares of each row (column -> words, colour), and the paper's share of the first of them as a diamond.
 
@@ -123,10 +129,11 @@ def share_chart(
     from bokeh.models.sources import ColumnDataSource
 
     first = next(iter(parts))
-    known = [(row, count) for row, count in zip(rows, trials, strict=True) if row.get(first) is not None][:MOST_BARS]
+    every = zip(rows, trials, papers, strict=True)
+    known = [(row, count, beside) for row, count, beside in every if row.get(first) is not None][:MOST_BARS]
     if not known:
         return None
-    rows = [row for row, _ in known]
+    rows = [row for row, *_ in known]
     labels = _distinct([str(row[name]) for row in rows])
     longest = min(max(map(len, labels)), 48)
     chart = bare_figure(
@@ -145,7 +152,7 @@ def share_chart(
         left = left + values
     ends = [
         (label, row[first], *wilson(row[first], count))
-        for label, (row, count) in zip(labels, known, strict=True)
+        for label, (row, count, _) in zip(labels, known, strict=True)
         if count
     ]
     if ends:
@@ -168,18 +175,19 @@ def share_chart(
                 upper_head=head,
             )
         )
-    published = [(label, row[paper]) for label, row in zip(labels, rows, strict=True) if row.get(paper) is not None]
+    published = [(label, beside) for label, (*_, beside) in zip(labels, known, strict=True) if beside is not None]
     keys = dict(parts.values())
     if published:
         chart.scatter(
-            x=[value for _, value in published],
+            x=[beside.value for _, beside in published],
             y=[label for label, _ in published],
             marker="diamond",
             size=11,
             fill_color=PINK,
             line_color="#1f2730",
         )
-        keys["the first of these in the paper"] = PINK
+        marks = ", ".join(dict.fromkeys(beside.mark for _, beside in published))
+        keys[f"the first of these in the paper ({marks})"] = PINK
     said = f"Whiskers: 95 % interval of '{parts[first][0]}', by the number of trials (Wilson)." if ends else ""
     return Chart(title, chart, keys, said)
 

@@ -1,29 +1,22 @@
-"""What the report shows of each evaluation: which of its rows and columns, beside which figure of the paper.
-
-A figure of the paper stands beside ours with its mark: `same method`, where the algorithm is the paper's; `other
-method`, where tracker, labels, training, detector or what is counted are ours; `fitted`, where the simulation was
-adjusted until the two agreed. It is left out where the trials are of another scene than the paper's.
-"""
+"""What the report shows of each evaluation: which of its rows and columns, beside which figure of the paper."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from evetac_cli.inspect.report.study import Found, Rows
-
-SAME, OTHER, FITTED = "same method", "other method", "fitted"
+from evetac_cli.stages.evaluate import paper
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its heading, the figure of ours, and the paper's with its mark (None: not to be compared)."""
+    """A column: its heading, the figure of ours, and the name by which paper.SHOWN knows the paper's."""
 
     heading: str
     key: str
     paper: str = ""
-    mark: Callable[[Row, Found], str | None] = lambda row, evaluation: OTHER
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,8 @@ SECTIONS = (
     Section(
         "data-rate",
         "Data rate",
-        "Bytes per second as a share of an RGB sensor's. All columns are counted, the window's too; the paper has 540.",
+        "Bytes per second as a share of an RGB sensor's. All columns are counted, the window's too; the paper has"
+        f" {paper.COLUMNS}.",
     ),
     Section(
         "realism",
@@ -98,42 +92,6 @@ def having(*keys: str) -> Callable[[Found], Rows]:
     return lambda evaluation: [row for row in evaluation.rows if all(key in row for key in keys)]
 
 
-# Marks ----------------------------------------------------------------------------------------------------------------
-
-
-def _slip(row: Row, evaluation: Found) -> str:
-    chain = evaluation.parameters("tracks", "preset") == {"paper"} and evaluation.parameters("labels", "method") == {
-        "farneback"
-    }
-    return SAME if chain and row.get("preset", "paper") == "paper" else OTHER
-
-
-def _tracking(row: Row, evaluation: Found, key: str) -> str | None:
-    if evaluation.simulated and evaluation.parameters("recording", "scene") != {"edge"}:
-        return None  # the paper's trajectories are of edges that rub over the gel
-    return FITTED if evaluation.simulated and row["preset"] == "paper" and key == "consistent_share" else SAME
-
-
-def _grasp(row: Row, evaluation: Found) -> str:
-    return FITTED if row["setting"] == "none" else OTHER
-
-
-def _force(row: Row, evaluation: Found) -> str:
-    return SAME if row["sensor"] == "frames" or evaluation.parameters("tracks", "preset") == {"paper"} else OTHER
-
-
-def _vibration(row: Row, evaluation: Found) -> str:
-    if row["method"] != "paper":
-        return OTHER
-    return FITTED if evaluation.simulated and evaluation.parameters("recording", "scene") == {"vibration"} else SAME
-
-
-def _data_rate(row: Row, evaluation: Found) -> str | None:
-    if not evaluation.simulated:
-        return OTHER  # the paper counts 540 columns, without the window
-    return FITTED if evaluation.parameters("recording", "scene") == {"data-rate"} else None
-
-
 # Rows that are put together -------------------------------------------------------------------------------------------
 
 
@@ -147,6 +105,12 @@ def _grouped(rows: Iterable[Row], keys: tuple[str, ...]) -> list[Rows]:
 def _mean(rows: Rows, key: str) -> float | None:
     known = [row[key] for row in rows if row.get(key) is not None]
     return sum(known) / len(known) if known else None
+
+
+def _timing(evaluation: Found) -> Rows:
+    """When each setting detects slip first, with what the setting is."""
+    settings = {row["setting"]: row for row in having("setting", "seeds")(evaluation)}
+    return [{**settings.get(row["setting"], {}), **row} for row in having("setting", "over_50_ms_ahead")(evaluation)]
 
 
 def _forces(evaluation: Found) -> Rows:
@@ -210,11 +174,11 @@ SUBJECTS = (
             Column("model", "setting"),
             Column("seeds", "seeds"),
             Column("trajectories", "trajectories"),
-            Column("timing correct", "slip_correct", "paper_slip_correct", _slip),
+            Column("timing correct", "slip_correct", "paper_slip_correct"),
             Column("sd", "slip_correct_sd"),
             Column("early", "slip_early"),
             Column("late", "slip_late"),
-            Column("F1", "f1", "paper_f1", _slip),
+            Column("F1", "f1", "paper_f1"),
             Column("sd of F1", "f1_sd"),
         ),
     ),
@@ -222,14 +186,14 @@ SUBJECTS = (
         "evaluate slip",
         "slip",
         "First detection against the labels' onset, shares of trajectories",
-        having("setting", "over_50_ms_ahead"),
+        _timing,
         (
             Column("model", "setting"),
             Column("median [ms]", "t_m_minus_t_c_ms_median"),
             Column("over 50 ms ahead", "over_50_ms_ahead"),
             Column("50 to 31", "50_to_31_ms_ahead"),
             Column("30 to 11", "30_to_11_ms_ahead"),
-            Column("10 to 0 ms ahead", "10_to_0_ms_ahead", "paper_10_to_0_ms_ahead", _slip),
+            Column("10 to 0 ms ahead", "10_to_0_ms_ahead", "paper_10_to_0_ms_ahead"),
             Column("1 to 20 ms after", "1_to_20_ms_after"),
             Column("over 20 ms after", "over_20_ms_after"),
             Column("never", "never_detected"),
@@ -258,18 +222,8 @@ SUBJECTS = (
         (
             Column("preset", "preset"),
             Column("trajectories", "trajectories"),
-            Column(
-                "all dots end where they began",
-                "consistent_share",
-                "paper_consistent_share",
-                lambda row, evaluation: _tracking(row, evaluation, "consistent_share"),
-            ),
-            Column(
-                "dots lost where not",
-                "dots_lost_mean",
-                "paper_dots_lost_mean",
-                lambda row, evaluation: _tracking(row, evaluation, "dots_lost_mean"),
-            ),
+            Column("all dots end where they began", "consistent_share", "paper_consistent_share"),
+            Column("dots lost where not", "dots_lost_mean", "paper_dots_lost_mean"),
             Column("error, rms [px]", "error_px_rms"),
             Column("worst dot [px]", "error_px_worst"),
             Column("standing still [px]", "still_px_rms"),
@@ -283,13 +237,13 @@ SUBJECTS = (
         (
             Column("setting", "setting"),
             Column("trials", "trials"),
-            Column("lifted and kept", "success", "paper_success", _grasp),
+            Column("lifted and kept", "success", "paper_success"),
             Column("lifted", "lifted"),
             Column("kept of those lifted", "balanced"),
             Column("grip at the end [N]", "force_end_n"),
             Column("moved, median [mm]", "moved_mm_median"),
             Column("moved, mean [mm]", "moved_mm_mean"),
-            Column("opened again in balance", "reopened_share", "paper_reopened_share", _grasp),
+            Column("opened again in balance", "reopened_share", "paper_reopened_share"),
         ),
     ),
     Subject(
@@ -301,13 +255,8 @@ SUBJECTS = (
             Column("setting", "setting"),
             Column("object", "object"),
             Column("trials", "trials"),
-            Column("lifted and kept", "success", "paper_success", _grasp),
-            Column(
-                "opening at the end [ticks]",
-                "opening_after_balance_ticks",
-                "paper_opening_after_balance_ticks",
-                lambda row, evaluation: FITTED if evaluation.simulated else SAME,
-            ),
+            Column("lifted and kept", "success", "paper_success"),
+            Column("opening at the end [ticks]", "opening_after_balance_ticks", "paper_opening_after_balance_ticks"),
             Column("grip at the end [N]", "force_end_n"),
             Column("moved, median [mm]", "moved_mm_median"),
         ),
@@ -322,8 +271,8 @@ SUBJECTS = (
             Column("model", "model"),
             Column("sensor", "sensor_name"),
             Column("trajectories", "trajectories"),
-            Column("error of Fx [N]", "mae_n_x", "paper_mae_n_x", _force),
-            Column("error of Fy [N]", "mae_n_y", "paper_mae_n_y", _force),
+            Column("error of Fx [N]", "mae_n_x", "paper_mae_n_x"),
+            Column("error of Fy [N]", "mae_n_y", "paper_mae_n_y"),
         ),
     ),
     Subject(
@@ -351,7 +300,7 @@ SUBJECTS = (
             Column("tone [Hz]", "expected_hz"),
             Column("window [s]", "window_s"),
             Column("windows", "windows"),
-            Column("share right", "share", "paper_share", _vibration),
+            Column("share right", "share", "paper_share"),
         ),
     ),
     Subject(
@@ -376,8 +325,8 @@ SUBJECTS = (
         (
             Column("interval", "interval"),
             Column("trajectories", "trajectories"),
-            Column("share", "share_mean", "paper_share_mean", _data_rate),
-            Column("sd", "share_sd", "paper_share_sd", _data_rate),
+            Column("share", "share_mean", "paper_share_mean"),
+            Column("sd", "share_sd", "paper_share_sd"),
         ),
     ),
     Subject("evaluate realism", "realism", "Figures", having("figure", "distance")),

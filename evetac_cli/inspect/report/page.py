@@ -15,6 +15,7 @@ from evetac_cli.inspect.report.study import Found, Study
 from evetac_cli.inspect.report.tables import cell, figure_text, table
 from evetac_cli.inspect.report.trial_table import onset_charts, trial_table, trials_of_both
 from evetac_cli.resources import PACKAGE
+from evetac_cli.stages.evaluate import paper
 
 MOST_ROWS = 300  # of any other table
 
@@ -164,10 +165,9 @@ def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], severa
 
 def _with_paper(column: evaluations.Column, row: dict[str, Any], evaluation: Found) -> str:
     """A cell with the paper's figure and its mark beside ours."""
-    paper = row.get(column.paper) if column.paper else None
-    mark = column.mark(row, evaluation) if paper is not None else None
-    beside = f" <small class='paper'>({figure_text(paper)}, {mark})</small>" if mark else ""
-    return cell(row.get(column.key), beside)
+    beside = paper.beside(column.paper, row, evaluation.source) if column.paper else None
+    words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""
+    return cell(row.get(column.key), words)
 
 
 def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
@@ -183,7 +183,7 @@ def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
                 rows,
                 "setting",
                 parts,
-                "paper_slip_correct",
+                [paper.beside("paper_slip_correct", row, evaluation.source) for row in rows],
                 f"Timing, {evaluation.path}",
                 [evaluations.slips_of(row, evaluation) for row in rows],
             ),
@@ -193,7 +193,8 @@ def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
         rows = evaluations.having("setting", "columns")(evaluation)
         kept = {"success": ("lifted and kept", charts.RIGHT)}
         trials = [row.get("trials", 0) for row in rows]
-        return [charts.share_chart(rows, "setting", kept, "paper_success", f"Grasps, {evaluation.path}", trials)]
+        papers = [paper.beside("paper_success", row, evaluation.source) for row in rows]
+        return [charts.share_chart(rows, "setting", kept, papers, f"Grasps, {evaluation.path}", trials)]
     if (section, evaluation.command) == ("cost", "evaluate cost"):
         return [*charts.cost_charts(evaluation)]
     return []

@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from evetac_cli.inspect.index import foreign_note, indexed
 from evetac_cli.inspect.view.event_images import picture
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onset
+from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import Row, recording_of
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
 
 Rows = list[dict[str, Any]]
@@ -44,11 +46,10 @@ class Found:
         """Whether any of it comes from a simulation."""
         return bool(self.header["simulated"])
 
-    def parameters(self, kind: str, name: str) -> set[str]:
-        """The values that a parameter has among the files of a kind that the report descends from."""
-        ancestors = (one for one in self.header["history"].values() if one["kind"] == kind)
-        values = (one["parameters"].get(name) for one in ancestors)
-        return {str(value.get("name") if isinstance(value, dict) else value) for value in values if value is not None}
+    @cached_property
+    def source(self) -> Source:
+        """What its rows come from."""
+        return Source.of([self.header])
 
     def recordings(self, kind: str) -> list[str | None]:
         """The ids of the recordings of the files of a kind that it was made from, in the order of its rows."""

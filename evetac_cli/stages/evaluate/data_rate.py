@@ -18,14 +18,12 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.evaluation import EvaluateDataRate
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.resources import table
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
-from evetac_cli.stages.evaluate.labels import true_onset
+from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.provenance import Header
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.read import Recording, open_recording, true_onset
 
 OUTPUT = "report"
 METHOD = 1
@@ -194,7 +192,9 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
     """
     shares = [row[f"share_{interval}"] for row in rows if row[f"share_{interval}"] is not None]
     mean = float(np.mean(shares)) if shares else None
-    paper_mean, paper_sd = table("paper")["data_rate"][interval] if as_papers else (None, None)
+    paper_mean = paper.value("data rate", interval) if as_papers else None
+    paper_sd = paper.value("data rate, sd", interval) if as_papers else None
+    off = None if mean is None or paper_mean is None or paper_sd is None else (mean - paper_mean) / paper_sd
     return {
         "interval": interval,
         "trajectories": len(shares),
@@ -202,7 +202,7 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,
-        "deviation_from_paper_sds": None if mean is None or paper_mean is None else (mean - paper_mean) / paper_sd,
+        "deviation_from_paper_sds": off,
     }
 
 

@@ -21,8 +21,7 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.resources import table
-from evetac_cli.stages.evaluate import Rows, gel_force, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, gel_force, paper, picture, report, report_job
 from evetac_cli.stages.evaluate.gel_force import ForceReportJob
 from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
 from evetac_cli.stages.related_files import named_files, recording_with_truth
@@ -32,7 +31,7 @@ from evetac_cli.store.provenance import Header
 
 OUTPUT = "report"
 METHOD = 2
-PAPER = {"events": "evetac", "frames": "rgb"}  # the sensors of the paper's table
+SENSORS = ("events", "frames")  # what dots are tracked in: both are in the paper's table
 STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
 
 Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by sort of sensor
@@ -195,12 +194,13 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
         "model": name,
         "models": len(errors),
     }
-    paper = table("paper")["force"][f"{name}_{PAPER[trial.sensor]}"] if trial.fitted else None
     for axis, letter in enumerate(forces.AXES):
         row[f"mae_n_{letter}"] = float(mean_n[axis])
         row[f"sd_n_{letter}"] = float(sd_n[axis])
         row[f"sd_over_models_n_{letter}"] = float(spread_n[axis])
-        row[f"paper_mae_n_{letter}"], row[f"paper_sd_n_{letter}"] = paper[axis] if paper else (None, None)
+        for quantity in ("mae", "sd"):
+            published = paper.value(quantity, name, trial.sensor, letter) if trial.fitted else None
+            row[f"paper_{quantity}_n_{letter}"] = published
     row["gain"] = float((trial.predicted_n[name].mean(axis=0) * measured).sum() / (measured**2).sum())
     return row
 
@@ -210,7 +210,7 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
     known = [row for row in rows if row["fitted"]]
     means = {
         f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in chosen]))
-        for sensor in PAPER
+        for sensor in SENSORS
         for model in STYLES
         for letter in forces.AXES
         if (chosen := [row for row in known if (row["sensor"], row["model"]) == (sensor, model)])

@@ -10,7 +10,7 @@ force on it and how far the gripper opened again are means (or medians) over the
 object that fell has moved by any distance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,10 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.evaluation import EvaluateGrasp
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.resources import table
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 
@@ -50,7 +50,8 @@ PANELS = (
     ("force_end_n", "force_end_n", "grip force at the end, mean [N]"),
     ("moved_mm_median", "moved_mm", "object moved in the gripper, median [mm]"),
 )
-NOTES = ("95 % interval by the number of trials (Wilson)", "the paper, real gripper (other method)")
+INTERVAL = "95 % interval by the number of trials (Wilson)"
+MOVED_MM = paper.FIGURES["moved less in most trials",].value
 
 
 def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
@@ -81,7 +82,9 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
         return tables(trials)
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows), _size_in(outcome.rows))
+    source = Source.of(headers)
+    size_in = _size_in(outcome.rows, source)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows, source), size_in)
 
 
 def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
@@ -89,8 +92,8 @@ def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
     lines = []
     for row in rows:
         if "columns" in row:
-            paper = row.get("paper_success")
-            beside = "" if paper is None else f" (the paper, on its own objects: {paper:.2f})"
+            published = row.get("paper_success")
+            beside = "" if published is None else f" (the paper, on its own objects: {published:.2f})"
             held = round(row["success"] * row["trials"])
             lines.append(f"{row['setting']}: lifted and held to the end in {held} of {row['trials']}{beside}.")
     return rows, lines
@@ -136,10 +139,10 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         for row in members:
             columns.setdefault((row["setting"], row["object"]), []).append(row)
         rows = [{"setting": setting, "object": number, **figures(cell)} for (setting, number), cell in columns.items()]
-        objects += [{**row, **_paper_object(row["setting"], row["object"])} for row in rows]
+        objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
         row = {"setting": name, "columns": len(columns), **figures(members)}
         row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
-        whole.append({**row, **_paper_setting(name, len(columns))})
+        whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
     shares = {f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")}
     return [*whole, *objects, *trials], {"grasps": len(trials), **shares}
 
@@ -166,7 +169,7 @@ def figures(trials: Rows) -> dict[str, Any]:
         "moved_mm_median": _quantile(moved, 0.5),
         "moved_mm_mean": _mean(moved),
         "moved_mm_p90": _quantile(moved, 0.9),
-        "moved_below_10_mm_share": _mean([value < table("paper")["grasp"]["moved_mm"] for value in moved]),
+        "moved_below_10_mm_share": _mean([value < MOVED_MM for value in moved]),
         "slip_events_mean": _mean([row["slip_events"] for row in trials]),
     }
 
@@ -184,39 +187,17 @@ def _quantile(values: Sequence[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
-def _paper_object(setting: str, number: int | str) -> dict[str, Any]:
-    """The paper's figures for an object, with its own controller in its usual scene; None for all others."""
-    grasp = table("paper")["grasp"]
-    published = {}
-    if setting in ("paper", "paper-reset"):
-        published = grasp["objects"].get(str(number), {})
-    elif setting in ("paper, gain 2", "paper-reset, gain 2"):
-        published = grasp["objects_higher_gain"].get(str(number), {})
-    success = published["lifted"] * published["balanced"] if published else None
-    return {"paper_success": success, "paper_opening_after_balance_ticks": published.get("opening_after_balance_ticks")}
+def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
+    """A row with the paper's figures for its setting, or for its object and the paper's own controller, else None."""
+    return {**row, **{column: paper.value_of(column, row) for column in columns}}
 
 
-def _paper_setting(setting: str, columns: int) -> dict[str, Any]:
-    """The paper's figures for a setting as a whole: all its columns, or a test of robustness; None without any."""
-    grasp = table("paper")["grasp"]
-    words = setting.split(", ")
-    published: dict[str, float | None] = {"paper_success": None, "paper_reopened_share": None}
-    if words == ["none"]:
-        return {**published, "paper_success": grasp["lifted_by_contact_alone"]}
-    if words[0] not in ("paper", "paper-reset"):
-        return published
-    if words[1:] == [] and columns > 1:
-        return {"paper_success": grasp["success"], "paper_reopened_share": grasp["reopened_share"]}
-    tested = [grasp["robustness"][word] for word in words if word in grasp["robustness"]]
-    if "second" in words or "closed gel" in words:
-        tested = [grasp["robustness"]["other_sensor"]]
-    return {**published, "paper_success": tested[0]} if tested else published
-
-
-def _size_in(rows: Rows) -> tuple[float, float]:
+def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
     """Width and height in inches: a line for every setting of every object, and the legend."""
     lines, shown = _lines(_by_object(rows))
-    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + picture.legend_height_in([*shown, *NOTES], WIDTH_IN)
+    styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
+    legend_in = picture.legend_height_in([*shown, INTERVAL, *styles], WIDTH_IN)
+    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + legend_in
 
 
 def _by_object(rows: Rows) -> Rows:
@@ -235,7 +216,7 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
     return lines, shown
 
 
-def _draw(figure: Any, rows: Rows) -> None:
+def _draw(figure: Any, rows: Rows, source: Source) -> None:
     """A line for every setting of every object: share of trials, then figures of the trials that held their object."""
     by_object = _by_object(rows)
     lines, shown = _lines(by_object)
@@ -252,10 +233,11 @@ def _draw(figure: Any, rows: Rows) -> None:
                 axes.plot(values, np.full(len(values), place), **{**style, "markersize": 3.5, "alpha": 0.35})
             else:
                 reach = picture.wilson(row[name], row["trials"])
-                axes.errorbar(row[name], place, xerr=reach, label=NOTES[0], **picture.INTERVAL)
+                axes.errorbar(row[name], place, xerr=reach, label=INTERVAL, **picture.INTERVAL)
             if row[name] is not None:
                 axes.plot(row[name], place, label=f"controller {row['setting']}", **{**style, "markersize": 8})
-        _draw_paper(axes, lines, name)
+        for value, middle, style in _papers(lines, name, source):
+            axes.plot(value, middle, **style)
         if of_trial and all(row[name] is None for _, row in lines):
             picture.say_instead(axes, "no object was held")
         axes.set_xlabel(title)
@@ -280,18 +262,17 @@ def _middles(lines: Lines) -> dict[int | str, float]:
     return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
 
 
-def _draw_paper(axes: Any, lines: Lines, name: str) -> None:
-    for number, place in _middles(lines).items():
-        published = _paper_figure(name, number)
-        if published is not None:
-            axes.plot(published, place, label=NOTES[1], **picture.PAPER)
+def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
+    """The paper's figure of every object in a panel, the middle of its lines, and how it is drawn.
 
-
-def _paper_figure(name: str, number: int | str) -> float | None:
-    """The paper's figure of a panel for an object, with the gain that the paper used; None where it has none."""
-    grasp = table("paper")["grasp"]
-    row: dict[str, float] = {**grasp["objects_higher_gain"], **grasp["objects"]}.get(str(number), {})
-    return row["lifted"] * row["balanced"] if name == "success" and row else row.get(name)
+    It is the one that stands beside the first of the object's lines that has one.
+    """
+    column = f"paper_{name}"
+    for number, place in _middles(lines).items() if column in paper.SHOWN else ():
+        of_object = (row for _, row in lines if row["object"] == number)
+        beside = next(filter(None, (paper.beside(column, row, source) for row in of_object)), None)
+        if beside is not None:
+            yield beside.value, place, picture.of_paper(beside.mark, "real gripper")
 
 
 def _figure_place(called: int | str) -> tuple[int, str]:

@@ -16,10 +16,9 @@ from evetac_cli.params.evaluation import EvaluateLabels
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.stages.evaluate import Rows, report, report_job
-from evetac_cli.stages.label import ramp_start
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import Recording
+from evetac_cli.store.read import Recording, first_slice, ramp_start, true_onset
 
 OUTPUT = "report"
 METHOD = 3
@@ -101,12 +100,6 @@ def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
     return rows, [", ".join([words, *(f"{name} in {count}" for count, name in wrong if count)]) + "."]
 
 
-def true_onset(recording: Recording, first: int = 0, stop: int | None = None) -> int | None:
-    """The first slice of gross slip in first .. stop, since the current began to fall; None where there is none."""
-    start = max(first, ramp_start(recording))
-    return _first(recording.read("truth/slip")[:stop] > 0, start)
-
-
 def true_onsets(recording: Recording) -> dict[str, int | None]:
     """The first slice of gross slip, where that slip started, and the first slice by the pad's last stuck node.
 
@@ -116,13 +109,8 @@ def true_onsets(recording: Recording) -> dict[str, int | None]:
     return {
         "t_s_ms": onset,
         "gross_slip_start_ms": None if onset is None else _gross_start(recording.read("truth/slid_px"), onset),
-        "t_every_node_ms": _first(recording.read("truth/every_node_slid_px") > SLIP_PX, start),
+        "t_every_node_ms": first_slice(recording.read("truth/every_node_slid_px") > SLIP_PX, start),
     }
-
-
-def _first(slips: NDArray[np.bool_], start: int) -> int | None:
-    slices = start + np.flatnonzero(slips[start:])
-    return int(slices[0]) if len(slices) else None
 
 
 def _gross_start(slid_px: NDArray[np.float32], onset: int) -> int:

@@ -15,14 +15,15 @@ from typing import Any
 from evetac_cli.console import safe
 from evetac_cli.errors import install_hint
 from evetac_cli.jobs import Outcome
+from evetac_cli.stages.evaluate.paper import MARKS
 from evetac_cli.store.disk import taking_the_place_of
 
 # Okabe and Ito's colours, which most kinds of colour blindness tell apart, but for yellow, too pale for a line.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#666666")
 MARKERS = "os^vP*Xh"  # another number than of colours: 56 series differ
 CORRECT, EARLY, LATE = COLOURS[0], COLOURS[1], "#A6A6A6"  # the same three wherever slip timing is shown
+PAPER_MARKERS = dict(zip(MARKS, ("8", "D", "p", "H", "d"), strict=True))  # none of them is a series'
 PAPER = {
-    "marker": "D",
     "markersize": 7,
     "markerfacecolor": "white",
     "markeredgecolor": "black",
@@ -90,6 +91,11 @@ def series(number: int) -> dict[str, Any]:
         "markersize": 5.5,
         "linestyle": "-" if number < len(COLOURS) else "--",
     }
+
+
+def of_paper(mark: str, measured_on: str = "real sensor") -> dict[str, Any]:
+    """Label and style of a figure of the paper that compares with ours as its mark says."""
+    return {**PAPER, "marker": PAPER_MARKERS[mark], "label": f"the paper, {measured_on} ({mark})"}
 
 
 def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[Any]:

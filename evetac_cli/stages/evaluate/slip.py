@@ -25,9 +25,10 @@ from evetac_cli.kernels.slip import metrics
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import with_shipped
-from evetac_cli.stages.evaluate import ModelsReportJob, Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import ModelsReportJob, Rows, paper, picture, report, report_job
 from evetac_cli.stages.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.stages.evaluate.slip_tables import tables
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile
@@ -146,7 +147,7 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     parents = [*(model.header for model in models), *headers]
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
     size_in = _size_in(outcome.rows)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome), size_in)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome, Source.of(parents)), size_in)
 
 
 def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
@@ -188,7 +189,7 @@ def _heights_in(settings: int) -> tuple[float, float]:
     return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS)
 
 
-def _draw(figure: Any, outcome: Outcome) -> None:
+def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
     """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected."""
     settings = _settings(outcome.rows)
     trajectories = [row for row in outcome.rows if "t_c_ms" in row]
@@ -202,11 +203,10 @@ def _draw(figure: Any, outcome: Outcome) -> None:
         names.append(f"{picture.plain(_wrapped(row['setting']))}\nslips: {slips}, seeds: {row['seeds']}")
         _draw_timing(timing, place, row, slips)
         _draw_f1(f1, place, row, [one for one in outcome.rows if "object" in one and "trajectories" in one])
-    for axes, key in ((timing, "slip_correct"), (f1, "f1")):
-        known = [(row[f"paper_{key}"], place) for place, row in enumerate(settings) if row[f"paper_{key}"] is not None]
-        if known:
-            at_x, at_y = zip(*known, strict=True)
-            axes.plot(at_x, np.array(at_y) - 0.14, label="the paper, real sensor (other method)", **picture.PAPER)
+    for axes, key in ((timing, "paper_slip_correct"), (f1, "paper_f1")):
+        for place, row in enumerate(settings):
+            if beside := paper.beside(key, row, source):
+                axes.plot(beside.value, place - 0.14, **picture.of_paper(beside.mark))
         picture.share_axis(axes.xaxis)
     timing.set(xlabel="share of slips, by the time of their first detection", ylim=(len(settings) - 0.4, -0.6))
     timing.set_yticks(range(len(settings)), names)

@@ -8,8 +8,7 @@ import numpy as np
 
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.resources import table
-from evetac_cli.stages.evaluate import Rows
+from evetac_cli.stages.evaluate import Rows, paper
 from evetac_cli.stages.evaluate.slip_models import Model
 
 # Names and bounds of t_m - t_c in ms, both included: the intervals of the paper's "Evaluating Slip Timing".
@@ -159,15 +158,13 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
     """
     name = model.architecture.name.removesuffix("-6x6")
     figures: dict[str, Any] = {"paper_slip_correct": None, "paper_f1": None}
-    paper = table("paper")["slip"]
     if "unknown" in objects:
         return figures
-    if objects <= model.objects and model.horizon_ms == 0:
-        published = paper["training_objects"].get(name, {})
-        figures = {"paper_slip_correct": published.get("correct"), "paper_f1": published.get("f1")}
-    elif not objects & model.objects and model.horizon_ms in paper["unseen_objects"]["horizon_ms"]:
-        at = paper["unseen_objects"]["horizon_ms"].index(model.horizon_ms)
-        figures["paper_slip_correct"] = paper["unseen_objects"].get(name, [None] * (at + 1))[at]
+    if objects <= model.objects:
+        known = ("known", name, model.horizon_ms)
+        figures = {"paper_slip_correct": paper.value("correct", *known), "paper_f1": paper.value("f1", *known)}
+    elif not objects & model.objects:
+        figures["paper_slip_correct"] = paper.value("correct", "unseen", name, model.horizon_ms)
     return figures
 
 
@@ -183,10 +180,9 @@ def _timing_bins(late_by: Sequence[int | None]) -> dict[str, Any]:
 
 
 def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
-    timing = table("paper")["slip"]["timing"]
-    same = timing["model"] == model.architecture.name and timing["horizon_ms"] == model.horizon_ms
     unseen = not objects & (model.objects | {"unknown"})
-    return {"paper_10_to_0_ms_ahead": timing["10_to_0_ms_ahead"] if same and unseen else None}
+    share = paper.value("10_to_0_ms_ahead", "unseen", model.architecture.name, model.horizon_ms)
+    return {"paper_10_to_0_ms_ahead": share if unseen else None}
 
 
 def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.params.evaluation import EvaluateTracking
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import row_blocks
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.stages.evaluate.source import Source
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import Recording, open_recording
@@ -32,7 +32,6 @@ DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # the paper's
 BIN_MS = 20  # of the picture's time axis
 LEAST_PX = 1e-3  # that the picture shows
-PAPER_MARKS = {"paper": "fitted"}  # the edges of the scene were adjusted until `paper` came near to the paper's share
 
 Floats = NDArray[np.float64]
 
@@ -86,7 +85,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         return outcome
 
     def draw(figure: Any) -> None:
-        _draw(figure, outcome.rows, over_time, simulated=outcome.simulated)
+        _draw(figure, outcome.rows, over_time, Source.of(headers))
 
     return picture.beside(outcome, job.output, draw, (6.2 * sum(_panels(outcome.rows, over_time)), 4.2))
 
@@ -98,8 +97,8 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
         if "file" not in row and row["consistent"] is not None:
             known = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
             decided = sum(one["consistent"] is not None for one in known)
-            paper = row["paper_consistent_share"]
-            beside = "" if paper is None else f" (the paper, on its own recordings: {paper:.0%})"
+            published = row["paper_consistent_share"]
+            beside = "" if published is None else f" (the paper, on its own recordings: {published:.0%})"
             lines.append(
                 f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of where they began in"
                 f" {row['consistent']} of {decided}{beside}."
@@ -224,24 +223,23 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
     """The row of a preset, the paper's figures beside it where it has them."""
     decided = [row for row in rows if row["consistent"] is not None]
     failed = [row["dots_lost"] for row in decided if not row["consistent"]]
-    paper = resources.table("paper")["tracking"].get(name, {})
     return {
         "preset": name,
         "trajectories": len(rows),
         "consistent": len(decided) - len(failed) if decided else None,
         "consistent_share": (len(decided) - len(failed)) / len(decided) if decided else None,
-        "paper_consistent_share": paper.get("success"),
+        "paper_consistent_share": paper.value("consistent", name),
         "dots_lost_mean": float(np.mean(failed)) if failed else None,
-        "paper_dots_lost_mean": paper.get("dots_lost"),
+        "paper_dots_lost_mean": paper.value("dots lost", name),
         "events_per_dot": float(np.mean([row["events_per_dot"] for row in rows])),
         **_lengths(rows),
     }
 
 
-def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], *, simulated: bool) -> None:
+def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: Source) -> None:
     """Error over time by preset, where truth is known; how many trajectories end where they began, where it is."""
     with_truth, decided = _panels(rows, over_time)
-    figure.suptitle("Dots tracked" + (" (simulated)" if simulated else ""))
+    figure.suptitle("Dots tracked" + (" (simulated)" if source.simulated else ""))
     panels = list(figure.subplots(1, with_truth + decided, squeeze=False)[0])
     if with_truth:
         for number, (name, errors) in enumerate(over_time.items()):
@@ -250,7 +248,7 @@ def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], *, simula
         panels[0].set(xlabel="time [s]", ylabel="distance from the true dots, rms [px]")
         picture.log_axis(panels[0].yaxis)
     if decided:
-        _draw_consistent(panels[-1], rows)
+        _draw_consistent(panels[-1], rows, source)
     picture.legend(figure, panels)
 
 
@@ -273,7 +271,7 @@ def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> Non
         axes.set_title("bands: 10 to 90 % of the trajectories")
 
 
-def _draw_consistent(axes: Any, rows: Rows) -> None:
+def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
     """The share of each preset with its interval, by the number of trajectories, and the paper's where it has one."""
     presets = [row for row in rows if "file" not in row]
     for place, row in enumerate(presets):
@@ -284,9 +282,8 @@ def _draw_consistent(axes: Any, rows: Rows) -> None:
             label = "95 % interval by the number of trajectories (Wilson)"
             axes.errorbar(share, place, xerr=picture.wilson(share, count), label=label, **picture.INTERVAL)
             axes.plot(share, place, "o", color=colour, markersize=8)
-        if row["paper_consistent_share"] is not None:
-            label = f"the paper, real sensor ({PAPER_MARKS.get(row['preset'], 'same method')})"
-            axes.plot(row["paper_consistent_share"], place - 0.2, label=label, **picture.PAPER)
+        if beside := paper.beside("paper_consistent_share", row, source):
+            axes.plot(beside.value, place - 0.2, **picture.of_paper(beside.mark))
     picture.share_axis(axes.xaxis)
     axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))
     axes.set_yticks(

@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 from evetac_cli.kernels import vibration
 from evetac_cli.params.evaluation import EvaluateVibration
 from evetac_cli.params.parameter import recipe_of
-from evetac_cli.stages.evaluate import Rows, picture, report, report_job
+from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
 from evetac_cli.store.read import Recording, open_recording
 
 OUTPUT = "report"
@@ -164,7 +163,7 @@ def _survey(
     piece_ms = min(windows_ms[0], stop - start)
     lengths = [length for length in windows_ms if length <= piece_ms]
     motion: dict[int, list[float | None]] = {length: [] for length in lengths}
-    paper: dict[int, list[float | None]] = {length: [] for length in lengths}
+    by_counts: dict[int, list[float | None]] = {length: [] for length in lengths}
     whole: vibration.Spectrum | None = None
     all_counts = []
     fine_hz = max(params.rate, vibration.FINEST_HZ)
@@ -178,14 +177,14 @@ def _survey(
             whole = piece if whole is None else whole.plus(piece)
         for length in lengths:
             for begin in range(0, last - first - length + 1, length):
-                paper[length].append(_paper_tone_hz(_part(counts, begin, length, params.rate), params))
+                by_counts[length].append(_paper_tone_hz(_part(counts, begin, length, params.rate), params))
                 if with_motion and length == piece_ms:
                     motion[length].append(_tone_hz(piece, params))
                 elif with_motion:
                     window = vibration.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
                     motion[length].append(_tone_hz(window, params))
     assert whole is not None  # the first piece is a whole one
-    return Survey((stop - start) / 1000, whole, np.concatenate(all_counts), motion, paper)
+    return Survey((stop - start) / 1000, whole, np.concatenate(all_counts), motion, by_counts)
 
 
 def _read(
@@ -264,7 +263,6 @@ def _by_window(
 
     Twice the tone may fold to its half (400 Hz at a rate of 1000 Hz): such a window counts as both.
     """
-    table = resources.table("paper")["vibration"]
     for length, frequencies in (survey.paper if method == "paper" else survey.motion).items():
         detected = [frequency_hz for frequency_hz in frequencies if frequency_hz is not None]
         row: dict[str, Any] = {
@@ -280,14 +278,12 @@ def _by_window(
             wrong = [frequency_hz for frequency_hz in detected if not _near(frequency_hz, expected_hz, tolerance_hz)]
             half = [_near(frequency_hz, expected_hz / 2, tolerance_hz) for frequency_hz in wrong]
             double = [any(_near(frequency_hz, place, tolerance_hz) for place in doubles_hz) for frequency_hz in wrong]
-            published = table.get(f"{expected_hz:g}")
-            at = table["window_s"].index(length / 1000) if length / 1000 in table["window_s"] else None
             row |= {
                 "expected_hz": expected_hz,
                 "tolerance_hz": tolerance_hz,
                 "correct": right,
                 "share": right / len(frequencies),
-                "paper_share": published[at] if published and at is not None else None,
+                "paper_share": paper.value("vibration", f"{expected_hz:g}", length / 1000),
                 "windows_at_half_tone": sum(half),
                 "windows_at_double_tone": sum(double),
                 "windows_at_other_frequency": len(wrong) - sum(a or b for a, b in zip(half, double, strict=True)),
@@ -301,7 +297,6 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
         "recordings": len({row["file"] for row in first}),
         "vibrating": sum(row["frequency_hz"] is not None for row in first if row["method"] == first[0]["method"]),
     }
-    table = resources.table("paper")["vibration"]
     with_tone = [row for row in second if "correct" in row]
     for method in dict.fromkeys(row["method"] for row in with_tone):
         for window_s in dict.fromkeys(row["window_s"] for row in with_tone):
@@ -311,8 +306,7 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
                 summary[f"{method}_share_{window_s:g}_s"] = right / sum(row["windows"] for row in rows)
     if with_tone:
         summary |= {
-            f"published_share_{length:g}_s": share
-            for length, share in zip(table["window_s"], table["all"], strict=True)
+            f"published_share_{length:g}_s": paper.value("vibration", "all", length) for length in paper.WINDOWS_S
         }
     return summary
 

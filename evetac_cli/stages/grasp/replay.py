@@ -73,7 +73,7 @@ def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> Rep
     timing = settings.timing(touch_s)
     if {"scene", "lift_s", "balance_s"} <= set(parameters):
         touch_s = read_plan(parameters, str(trial.inputs[0])).scene.time.touch_s
-        timing = settings.timing_of(touch_s, parameters["lift_s"], parameters["balance_s"])
+        timing = settings.timing_with(touch_s, parameters["lift_s"], parameters["balance_s"])
     return ReplayGrasp(**vars(trial), settings=settings, timing=timing)
 
 

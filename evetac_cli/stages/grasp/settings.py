@@ -94,9 +94,9 @@ class GraspSettings:
 
     def timing(self, touch_s: float) -> Timing:
         """When the phases end, and how the controller is timed, after a contact of so long."""
-        return self.timing_of(touch_s, self.lift_s, self.balance_s)
+        return self.timing_with(touch_s, self.lift_s, self.balance_s)
 
-    def timing_of(self, touch_s: float, lift_s: float, balance_s: float) -> Timing:
+    def timing_with(self, touch_s: float, lift_s: float, balance_s: float) -> Timing:
         """The timing for phases that are not those of the flags."""
         touch_ms, lift_ms, balance_ms = (round(SLICES_S * each) for each in (touch_s, lift_s, balance_s))
         return Timing(touch_ms, lift_ms, balance_ms, self.control_hz, self.latency_ms)

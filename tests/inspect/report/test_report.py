@@ -11,10 +11,9 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.inspect import pages, report, view
-from evetac_cli.inspect.report import evaluations, figures
-from evetac_cli.inspect.report.evaluations import FITTED, OTHER, SAME
+from evetac_cli.inspect.report import figures
 from evetac_cli.inspect.report.figures import TIMING_MS
-from evetac_cli.inspect.report.study import Found, Study, read_study, remark
+from evetac_cli.inspect.report.study import Study, read_study, remark
 from evetac_cli.inspect.report.tables import figure_text
 from evetac_cli.jobs import silent
 from evetac_cli.params.inspection import Report, View
@@ -109,44 +108,6 @@ def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     text = made(tmp_path, tmp_path / "r.html")
     assert "document.title='owned'" not in text.replace("\\u003c", "<")
     assert "<img src=x" not in text
-
-
-def evaluated(command: str = "", simulated: bool = True, scene: str = "", preset: str = "", method: str = "") -> Found:
-    history = {
-        "a": {"kind": "recording", "parameters": {"scene": {"name": scene}}},
-        "b": {"kind": "tracks", "parameters": {"preset": preset}},
-        "c": {"kind": "labels", "parameters": {"method": method}},
-    }
-    return Found("x", command, {"simulated": simulated, "history": history, "parents": []}, [], {})
-
-
-@pytest.mark.parametrize(
-    ("command", "key", "row", "report_", "mark"),
-    [
-        ("evaluate slip", "f1", {"preset": "adamw"}, evaluated(preset="paper", method="farneback"), OTHER),
-        ("evaluate slip", "f1", {"preset": "paper"}, evaluated(preset="stable", method="farneback"), OTHER),
-        ("evaluate slip", "f1", {"preset": "paper"}, evaluated(preset="paper", method="farneback"), SAME),
-        ("evaluate tracking", "consistent_share", {"preset": "paper"}, evaluated(scene="edge"), FITTED),
-        ("evaluate tracking", "dots_lost_mean", {"preset": "paper"}, evaluated(scene="edge"), SAME),
-        ("evaluate tracking", "consistent_share", {"preset": "paper"}, evaluated(scene="slip"), None),
-        ("evaluate tracking", "consistent_share", {"preset": "paper"}, evaluated(simulated=False), SAME),
-        ("evaluate grasp", "success", {"setting": "none"}, evaluated(), FITTED),
-        ("evaluate grasp", "success", {"setting": "paper"}, evaluated(), OTHER),
-        ("evaluate force", "mae_n_x", {"sensor": "frames"}, evaluated(preset="stable"), SAME),
-        ("evaluate force", "mae_n_x", {"sensor": "events"}, evaluated(preset="stable"), OTHER),
-        ("evaluate vibration", "share", {"method": "paper"}, evaluated(scene="vibration"), FITTED),
-        ("evaluate vibration", "share", {"method": "paper"}, evaluated(scene="vibration-randomized"), SAME),
-        ("evaluate vibration", "share", {"method": "default"}, evaluated(scene="vibration"), OTHER),
-        ("evaluate data-rate", "share_mean", {}, evaluated(scene="data-rate"), FITTED),
-        ("evaluate data-rate", "share_mean", {}, evaluated(scene="slip"), None),
-        ("evaluate data-rate", "share_mean", {}, evaluated(simulated=False), OTHER),
-    ],
-)
-def test_marks(command: str, key: str, row: dict[str, Any], report_: Found, mark: str | None) -> None:
-    """Assert that the paper's figure stands beside ours with the mark that it deserves, or not at all."""
-    columns = (column for subject in evaluations.SUBJECTS if subject.command == command for column in subject.columns)
-    column = next(column for column in columns if column.key == key)
-    assert column.mark(row, report_) == mark
 
 
 def test_headline(study: Study) -> None:

@@ -14,7 +14,7 @@ from evetac_cli.errors import SceneError
 from evetac_cli.events import concatenate
 from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.params.recording import Record
-from evetac_cli.resources import SCENES, table
+from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
@@ -24,6 +24,7 @@ from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep
 from evetac_cli.stages import record
+from evetac_cli.stages.evaluate import paper
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import Made
@@ -302,9 +303,8 @@ def test_data_rates_are_the_papers(tmp_path: Path) -> None:
         record.run(job, recipe)
         measured.append(ratios(job.output))
     *means, most_kb = np.mean(measured, axis=0)
-    reported = table("paper")["data_rate"]
     for interval, mean in zip(("whole", "contact", "slip"), means, strict=True):
-        paper_mean, paper_sd = reported[interval]
+        paper_mean, paper_sd = (paper.FIGURES[quantity, interval].value for quantity in ("data rate", "data rate, sd"))
         assert mean == pytest.approx(paper_mean, abs=2.306 * paper_sd * np.sqrt(2 / 5)), interval
     assert 10 < most_kb < 25
 

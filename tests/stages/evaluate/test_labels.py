@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.inspect.view.time_series import slip_onsets
-from evetac_cli.stages.evaluate.labels import true_onset, true_onsets
+from evetac_cli.stages.evaluate.labels import true_onsets
+from evetac_cli.store.read import true_onset
 
 RAMP_MS = 40
 

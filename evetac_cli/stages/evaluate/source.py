@@ -1,0 +1,79 @@
+"""What the rows of a report come from, as far as headers tell: what decides how the paper's figures compare."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What the rows of a report come from, as far as the headers of its files tell."""
+
+    simulated: bool = False
+    scenes: tuple[str, ...] = ()
+    trackers: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
+    detectors: tuple[str, ...] = ()  # of grasps
+    grasp_s: tuple[float, ...] = ()  # of lifting and balancing with a detector
+    training_recordings: int = 0
+    networks: int = 1  # of a detector, whose mean is its judgement; the paper has one
+
+    @classmethod
+    def of(cls, headers: Iterable[Row]) -> "Source":
+        """From the headers of a report, or of the files that it is made of."""
+        every: dict[str, Row] = {}
+        for header in headers:
+            every |= {**header["history"], header["id"]: header}
+        of_kind: dict[str, dict[str, Row]] = defaultdict(dict)
+        for id_, one in every.items():
+            of_kind[one["kind"]][id_] = one
+        detectors, recordings = of_kind["model"], of_kind["recording"].values()
+        grasps = [one for one in recordings if not detectors.keys().isdisjoint(one["parents"])]
+        used = {id_ for one in grasps for id_ in one["parents"]} & detectors.keys()
+        trackers = {one["parameters"].get("preset") for one in of_kind["tracks"].values()}
+        durations = {tuple(float(one["parameters"].get(name, 0)) for name in ("lift_s", "balance_s")) for one in grasps}
+        return cls(
+            simulated=any(one.get("simulated", False) for one in every.values()),
+            scenes=_texts(_scene(one["parameters"]) for one in recordings),
+            trackers=_texts([*trackers - {"rgb"}, *(one["parameters"].get("tracker") for one in grasps)]),
+            labels=_texts(one["parameters"].get("method", "farneback") for one in of_kind["labels"].values()),
+            detectors=_texts(_detector(detectors[id_]["parameters"]) for id_ in used),
+            grasp_s=tuple(second for pair in sorted(durations) for second in pair),
+            training_recordings=len(_recordings_behind([*detectors.values(), *of_kind["force-model"].values()], every)),
+            networks=max((one["parameters"].get("networks", 1) for one in detectors.values()), default=1),
+        )
+
+    @classmethod
+    def from_json(cls, known: Row) -> "Source":
+        """From what dataclasses.asdict made of one, by way of JSON."""
+        entries: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in known.items()}
+        return cls(**entries)
+
+
+def _texts(values: Iterable[Any]) -> tuple[str, ...]:
+    return tuple(sorted({str(one) for one in values if one is not None}))
+
+
+def _scene(parameters: Row) -> str | None:
+    scene = parameters.get("scene")
+    return scene.get("name") if isinstance(scene, dict) else scene
+
+
+def _detector(parameters: Row) -> str:
+    horizon_ms = parameters.get("horizon_ms")
+    predicting = f" {horizon_ms} ms ahead" if horizon_ms else ""
+    return f"{parameters.get('model')}{predicting} by {parameters.get('preset')}"
+
+
+def _recordings_behind(models: Iterable[Row], every: Row) -> set[str]:
+    behind: set[str] = set()
+    waiting = [id_ for model in models for id_ in model["parents"]]
+    while waiting:
+        id_ = waiting.pop()
+        if id_ in every and id_ not in behind:
+            behind.add(id_)
+            waiting += every[id_]["parents"]
+    return {id_ for id_ in behind if every[id_]["kind"] == "recording"}
