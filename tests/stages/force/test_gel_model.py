@@ -27,7 +27,8 @@ from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import adapt_gel, predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
-from tests.stages.force.made_up import run, write_trial
+from tests.make import run_valid
+from tests.stages.force.dots_and_forces import write_trial
 
 SLICES, PRESSED = 2000, slice(300, 1700)
 HEIGHT_M = gel.GelMaterial().height_m
@@ -81,7 +82,7 @@ def trial(
 
 
 def predicted(path: Path, chosen: PredictForce, out: Path) -> dict[str, Any]:
-    output, _ = run(predict_force, [path], chosen, out)
+    output, _ = run_valid(predict_force, [path], chosen, out)
     with StageFile(output) as file:
         return {name: file.read(name) for name in file.contents() if "/" not in name}
 
@@ -155,11 +156,11 @@ def test_the_scale_of_another_frame_has_to_be_known(tmp_path: Path, smaller: int
         (train_force, ADAPT),
     ):
         with pytest.raises(InputError, match=r"the scale of this frame(.|\n)*mm_per_px"):
-            run(stage, [path], chosen, tmp_path / "refused.h5")
+            run_valid(stage, [path], chosen, tmp_path / "refused.h5")
     assert not (tmp_path / "refused.h5").exists()
     known = own_sensor(tmp_path, 1.0, smaller)
     close(predicted(path, PredictForce(sensor=known), tmp_path), true_shear(path))
-    own, _ = run(train_force, [path], replace(ADAPT, sensor=known), tmp_path / "own.force-model.h5")
+    own, _ = run_valid(train_force, [path], replace(ADAPT, sensor=known), tmp_path / "own.force-model.h5")
     close(predicted(path, PredictForce(model=own), tmp_path / "adapted.forces.h5"), true_shear(path))
 
 
@@ -193,14 +194,14 @@ def test_no_contact(tmp_path: Path) -> None:
     assert np.abs(estimated["shear_n"]).max() < 0.1
     assert estimated["normal_n"].max() < 0.5
     with pytest.raises(InputError, match="no reading is during a contact"):
-        run(train_force, [path], ADAPT, tmp_path)
+        run_valid(train_force, [path], ADAPT, tmp_path)
 
 
 @pytest.mark.slow
 def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     """Assert that known forces make an unknown gel known, from truth as from a table, and evaluate says so."""
     own = [trial(tmp_path, number, stiffer=1.6) for number in (1, 2, 3)]
-    model, outcome = run(train_force, own, ADAPT, tmp_path)
+    model, outcome = run_valid(train_force, own, ADAPT, tmp_path)
     assert model.name == "own.force-model.h5"
     assert outcome.rows[0]["contacts"] == 3
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
@@ -215,7 +216,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).write_text(
             "\n".join(["t_s,shear_x_n,shear_y_n,normal_n", *rows])
         )
-    table, outcome = run(train_force, own, ADAPT, tmp_path / "table.force-model.h5")
+    table, outcome = run_valid(train_force, own, ADAPT, tmp_path / "table.force-model.h5")
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     for one in own:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).unlink()
@@ -227,7 +228,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         adapt_on=str(tmp_path / "trial[123].tracks.h5"),
         identified=str(identified),
     )
-    report, outcome = run(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
+    report, outcome = run_valid(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     errors = {row["stiffness"]: row["mae_n"] for row in outcome.rows}
     assert list(errors) == ["unknown", "known", "identified", "adapted", "known, adapted", "identified, adapted"]
     assert errors["identified"] < 0.3
@@ -238,7 +239,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.summary["identified_sensors"] == 1
     assert report.with_suffix(".png").stat().st_size > 10_000
     resting = trial(tmp_path, 5, stiffer=1.6, normal_n=0.0)
-    _, outcome = run(train_force, [*own, resting], ADAPT, tmp_path / "resting.force-model.h5")
+    _, outcome = run_valid(train_force, [*own, resting], ADAPT, tmp_path / "resting.force-model.h5")
     assert outcome.rows[0]["contacts"] == 3 and outcome.rows[0]["without_readings"] == "trial5.tracks.h5"
     second = trial(tmp_path, 6, name="second")
     softer = trial(tmp_path, 7)
@@ -253,7 +254,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         (evaluate_force, [path], replace(chosen, identified=str(tmp_path / "none")), "no file of a sensor"),
     ):
         with pytest.raises(InputError, match=message):
-            run(stage, files, wrong, tmp_path / "refused.h5")
+            run_valid(stage, files, wrong, tmp_path / "refused.h5")
 
 
 @pytest.mark.parametrize(
@@ -276,10 +277,10 @@ def test_tables_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     """Assert that a table without readings, or with senseless ones, is refused in words."""
     path = trial(tmp_path, 0, truth=False)
     with pytest.raises(InputError, match="no known forces"):
-        run(train_force, [path], ADAPT, tmp_path)
+        run_valid(train_force, [path], ADAPT, tmp_path)
     path.with_name("trial0.force.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        run(train_force, [path], ADAPT, tmp_path)
+        run_valid(train_force, [path], ADAPT, tmp_path)
 
 
 def test_contacts_are_numbered_over_time() -> None:
@@ -308,7 +309,9 @@ def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
     counts = []
     for between in ("", "1.0,0,0,0\n"):
         table.write_text(f"t_s,shear_x_n,shear_y_n,normal_n\n0.6,0,0,\n{between}1.2,0,0,\n")
-        counts.append(run(train_force, [own / path.name], ADAPT, own / f"{len(counts)}.force-model.h5")[1].rows[0])
+        counts.append(
+            run_valid(train_force, [own / path.name], ADAPT, own / f"{len(counts)}.force-model.h5")[1].rows[0]
+        )
     assert [row["contacts"] for row in counts] == [2, 2]
     assert [row["readings"] for row in counts] == [2, 2]
 
@@ -320,7 +323,7 @@ def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
     arrays = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         chosen = TrainForce(method="gel", contacts=TRAIN.contacts, epochs=1, seed=seed)
-        path, outcome = run(train_force, tracks, chosen, tmp_path / f"{name}.force-model.h5")
+        path, outcome = run_valid(train_force, tracks, chosen, tmp_path / f"{name}.force-model.h5")
         assert outcome.rows[0]["trajectories"] == 2
         with StageFile(path) as file:
             arrays.append({key: file.read(key) for key in file.contents()})
@@ -330,7 +333,7 @@ def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
         train_force.read_model(tmp_path / "a.force-model.h5")
     other = trial(tmp_path, 3, name="second")
     with pytest.raises(InputError, match="different sensors"):
-        run(train_force, [*tracks, other], ADAPT, tmp_path)
+        run_valid(train_force, [*tracks, other], ADAPT, tmp_path)
     real = trial(tmp_path, 4, truth=False)
     with pytest.raises(InputError, match="no truth"):
-        run(train_force, [real], TRAIN, tmp_path)
+        run_valid(train_force, [real], TRAIN, tmp_path)

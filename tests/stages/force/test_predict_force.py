@@ -17,7 +17,8 @@ from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe
-from tests.stages.force.made_up import run, write_trial
+from tests.make import run_valid
+from tests.stages.force.dots_and_forces import write_trial
 
 N_PX = 0.4  # shear force for each px of mean displacement
 SLICES = 2400
@@ -46,9 +47,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three trials to fit on and one apart, their tracks from events and from frames, and a model for each sensor."""
     folder = tmp_path_factory.mktemp("force")
     tracks = [trial(folder, number) for number in range(4)]
-    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], TrackRgb())[0] for number in range(4)]
-    run(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
-    run(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
+    frames = [run_valid(track_rgb, [folder / f"trial{number}.recording.h5"], TrackRgb())[0] for number in range(4)]
+    run_valid(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
+    run_valid(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
     return folder
 
 
@@ -68,7 +69,7 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
     """
     files = [made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"]
     chosen = EvaluateForce(model=str(made), samples=45)
-    output, outcome = run(evaluate_force, files, chosen, tmp_path)
+    output, outcome = run_valid(evaluate_force, files, chosen, tmp_path)
     assert output.with_suffix(".png").stat().st_size > 10_000
     assert outcome.simulated
     assert [(row["sensor"], row["model"]) for row in outcome.rows] == [
@@ -92,11 +93,11 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     rows = []
     for seed in (1, 2):
         model = tmp_path / f"{seed}.force-model.h5"
-        run(train_force, learn, TrainForce(samples=40, epochs=2, seed=seed), model)
+        run_valid(train_force, learn, TrainForce(samples=40, epochs=2, seed=seed), model)
         chosen = EvaluateForce(model=str(model), samples=45)
-        rows.append(run(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
+        rows.append(run_valid(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
     chosen = EvaluateForce(model=str(tmp_path), samples=45)
-    network = run(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
+    network = run_valid(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
     assert [row["models"] for row in (*rows, network)] == [1, 1, 2]
     assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
     for name in ("mae_n_x", "mae_n_y", "sd_n_x", "sd_n_y", "gain"):
@@ -108,7 +109,7 @@ def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
     """Assert that a gel whose dots move 1.3 times as far gives 1.3 times the force, without the paper beside it."""
     soft = trial(tmp_path, 7, softer=1.3)
     chosen = EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
-    _, outcome = run(evaluate_force, [soft], chosen, tmp_path / "out")
+    _, outcome = run_valid(evaluate_force, [soft], chosen, tmp_path / "out")
     regression = outcome.rows[0]
     assert regression["gain"] == pytest.approx(1.3, abs=0.01)
     assert regression["sensor_name"] == "soft-gel"
@@ -119,7 +120,7 @@ def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
 def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
     """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
     chosen = PredictForce(model=made / "events.force-model.h5")
-    output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
+    output, _ = run_valid(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
     with StageFile(output) as reported, StageFile(made / "trial3.recording.h5") as recording:
         regression, network = reported.read("regression_n"), reported.read("network_n")
         true = recording.read("truth/shear_force_n")
@@ -135,7 +136,7 @@ def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
 
 def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        run(stage, files, chosen, tmp_path / "out")
+        run_valid(stage, files, chosen, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -153,7 +154,9 @@ def test_sensors_are_kept_apart(made: Path, tmp_path: Path) -> None:
     refused(train_force, [made / "trial0.tracks.h5", frames], FIT, "different sensors", tmp_path)
     only = EvaluateForce(model=str(made / "frames.force-model.h5"))
     refused(evaluate_force, [events], only, "no model of dots tracked in events", tmp_path)
-    run(train_force, [made / "trial0.tracks.h5", made / "trial1.tracks.h5"], FIT, tmp_path / "other.force-model.h5")
+    run_valid(
+        train_force, [made / "trial0.tracks.h5", made / "trial1.tracks.h5"], FIT, tmp_path / "other.force-model.h5"
+    )
     (tmp_path / "events.force-model.h5").write_bytes((made / "events.force-model.h5").read_bytes())
     refused(evaluate_force, [events], EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
 

@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.inspect import validate
-from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
 
@@ -63,11 +61,3 @@ def write_trial(
     path = folder / f"trial{made.seed}.tracks.h5"
     write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
     return path
-
-
-def run(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
-    """Run the one job of a stage, whose output must be valid; its path and what it reports."""
-    (job,) = stage.jobs(files, chosen, out)
-    outcome: Outcome = stage.run(job, chosen)
-    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
-    return job.output, outcome
