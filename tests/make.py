@@ -70,9 +70,9 @@ def events_at(t_us: Any) -> Events:
     return Events(t, np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint8))
 
 
-def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False) -> Path:
+def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False, **parameters: Any) -> Path:
     """A recording of these datasets, as an import leaves it."""
-    recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=simulated)
+    recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=simulated)
     write_stage(path, recipe, arrays)
     return path
 

@@ -16,7 +16,8 @@ from evetac_cli import resources
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.new_contents import NewContents
-from evetac_cli.store.provenance import Header, Recipe, content_digest
+from evetac_cli.store.provenance import Header, Recipe
+from tests.make import event_arrays, write_recording
 
 SLICES = 24
 ROWS, COLUMNS = 3, 4
@@ -52,19 +53,9 @@ def events() -> Events:
 def recording_of(path: Path, counts: list[int]) -> Path:
     """A recording with so many events in each slice, and nothing else."""
     of_slice = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
-    t = of_slice * SLICE_US
-    arrays: dict[str, Any] = {
-        "events/t": t,
-        "events/x": (of_slice % FRAME_PX[0]).astype(np.uint16),
-        "events/y": (of_slice % FRAME_PX[1]).astype(np.uint16),
-        "events/p": (of_slice % 2).astype(np.uint8),
-        "ms_to_idx": slice_starts(t, len(counts)),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array(FRAME_PX, np.int32),
-        "sensor/name": "unknown",
-    }
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
-    return path
+    x, y = ((of_slice % size).astype(np.uint16) for size in FRAME_PX)
+    events = Events(of_slice * SLICE_US, x, y, (of_slice % 2).astype(np.uint8))
+    return write_recording(path, event_arrays(events, len(counts)))
 
 
 def recording(path: Path, *, lost_slices: bool = True) -> Header:

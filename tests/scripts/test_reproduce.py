@@ -20,6 +20,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.params.evaluation import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
 from tests.conftest import Made
+from tests.make import run_stage
 from tests.patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -307,9 +308,8 @@ def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
     ]
     evaluations = {}
     for name, stage, chosen, file in stages:
-        (job,) = stage.jobs([file], chosen, tmp_path / f"{name}.report.h5")
-        outcome = stage.run(job, chosen)
-        header = reproduce.report_header(job.output)
+        output, outcome = run_stage(stage, [file], chosen, tmp_path / f"{name}.report.h5")
+        header = reproduce.report_header(output)
         evaluations[name] = Evaluation(outcome.rows, outcome.summary, outcome.simulated, header)
     table = reproduce.result(experiment_tables.DEMO, evaluations, ["evetac evaluate labels"])
     figures = {row["what"]: row["figure"] for row in table["rows"]}

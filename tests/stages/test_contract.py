@@ -119,9 +119,8 @@ def force_models(folder: Path) -> str:
 def another_grasp(folder: Path) -> list[Path]:
     """A grasp without the detector, which is quickly made."""
     chosen = Grasp(controller="none", lift_s=1.0, balance_s=0.0)
-    (job,) = grasp.jobs([], chosen, folder / "contact-alone.recording.h5")
-    grasp.run(job, chosen, force=True)
-    return [job.output]
+    output, _ = run_stage(grasp, [], chosen, folder / "contact-alone.recording.h5", force=True)
+    return [output]
 
 
 GRASP = {"model": model, "lift_s": 1.0}

@@ -21,7 +21,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
-from tests.make import run_stage
+from tests.make import event_arrays, run_stage, write_recording
 
 METHODS = ("event-flow", "farneback", "dis", "event-count", "truth")
 
@@ -41,19 +41,12 @@ def recording_of(
     dots: bool = True,
 ) -> Path:
     """A recording without truth or gripper, of one dot."""
-    content: dict[str, Any] = {f"events/{name}": getattr(events, name) for name in Events._fields}
-    content |= {
-        "ms_to_idx": np.searchsorted(events.t, np.arange(slices + 1) * 1000).astype(np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
+    content = event_arrays(events, slices)
     if window:
         content["sensor/window_px"] = np.array([540, 0, 640, 480], np.int32)
     if dots:
         content |= {"sensor/dot_xy_px": np.full((1, 1, 2), 200.0), "sensor/dot_radius_px": np.float64(15.0)}
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
-    return path
+    return write_recording(path, content)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -115,8 +108,7 @@ def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
         file["truth/every_node_slid_px"][early] = 1.0
     output, row = label_of(beside, tmp_path, method="truth")
     assert row["onset_ms"] == onset
-    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
-    (evaluated,) = evaluate_labels.run(job, EvaluateLabels()).rows
+    (evaluated,) = run_stage(evaluate_labels, [output], EvaluateLabels(), tmp_path)[1].rows
     assert evaluated["t_s_ms"] == onset
     assert evaluated["t_every_node_ms"] >= onset
 
@@ -147,8 +139,7 @@ def test_an_onset_that_was_missed_counts_against(made: Made, tmp_path: Path) -> 
     beside.write_bytes(made.recordings[0].read_bytes())
     output, row = label_of(beside, tmp_path, method="event-count", threshold_events=10**6)
     assert row["onset_ms"] is None
-    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
-    summary = evaluate_labels.run(job, EvaluateLabels()).summary
+    summary = run_stage(evaluate_labels, [output], EvaluateLabels(), tmp_path)[1].summary
     assert summary["onsets_found"] == 0
     assert summary["within_minus4_plus3_ms"] == 0
 

@@ -114,8 +114,7 @@ def _export(folder: Path, format_: str, out: Path) -> None:
 
 
 def _evaluate(tracks: Path, out: Path) -> None:
-    (job,) = tracking.jobs([tracks], EvaluateTracking(), out)
-    assert tracking.run(job, EvaluateTracking()).summary["with_truth"] == 1
+    assert run_stage(tracking, [tracks], EvaluateTracking(), out)[1].summary["with_truth"] == 1
 
 
 def _validate(*files: Path) -> None:

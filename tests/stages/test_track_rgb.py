@@ -11,6 +11,7 @@ from evetac_cli.params.learning import TrackRgb
 from evetac_cli.stages import track_rgb
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import run_stage
 
 SLICES = 240
 
@@ -48,9 +49,8 @@ def recording(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
 
 def tracks(path: Path) -> np.ndarray:
     """Where the dots of a recording are found in its frames."""
-    (job,) = track_rgb.jobs([path], TrackRgb(), None)
-    track_rgb.run(job, TrackRgb())
-    with StageFile(job.output) as made:
+    output, _ = run_stage(track_rgb, [path], TrackRgb())
+    with StageFile(output) as made:
         result: np.ndarray = made.read("dot_xy_px")
     return result
 

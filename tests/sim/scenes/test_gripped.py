@@ -27,7 +27,7 @@ from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import Made
-from tests.make import play_trial
+from tests.make import play_trial, run_stage
 from tests.sim.scenes.trials import grasp_of
 
 
@@ -268,12 +268,11 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     path = tmp_path / "hurried.toml"
     path.write_text(as_toml(hurried))
     recipe = Record(scene=str(path))
-    (job,) = record.jobs([], recipe, tmp_path)
-    record.run(job, recipe)
-    _, _, about_slip, most_kb = ratios(job.output)
+    output, _ = run_stage(record, [], recipe, tmp_path)
+    _, _, about_slip, most_kb = ratios(output)
     assert about_slip == pytest.approx(0.119, abs=0.03)
     assert most_kb < 25
-    with open_recording(job.output) as recording:
+    with open_recording(output) as recording:
         x_mm = recording.read("truth/object_xy_px")[:, 0] * 0.0329
         floor_mm = json.loads(recording.read("truth/sampled_parameters"))["floor_m"] * 1e3
     assert floor_mm <= x_mm[-1] < floor_mm + 1.1  # a step of 1 ms at 1 m/s

@@ -17,6 +17,7 @@ from evetac_cli.stages.evaluate import data_rate
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording
+from tests.make import event_arrays, events_at, run_stage
 
 TOUCH, LOST, ONSET, SLICES = 200, 1400, 1000, 2000
 RGB_BYTES_S = 540 * 480 * 3 * 25
@@ -33,17 +34,7 @@ def recording_file(
 ) -> Path:
     """A recording with so many events in each slice; with truth, in contact from TOUCH to LOST and slip from onset."""
     slices = len(per_slice)
-    starts = np.concatenate([[0], np.cumsum(per_slice)])
-    arrays: dict[str, Any] = {
-        "events/t": np.repeat(np.arange(slices) * 1000, per_slice).astype(np.int64),
-        "events/x": np.zeros(starts[-1], np.uint16),
-        "events/y": np.zeros(starts[-1], np.uint16),
-        "events/p": np.zeros(starts[-1], np.uint8),
-        "ms_to_idx": starts.astype(np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
+    arrays = event_arrays(events_at(np.repeat(np.arange(slices) * 1000, per_slice)), slices)
     if truth:
         at = np.arange(slices)
         loaded = (at >= TOUCH) & (at < LOST) & touched
@@ -92,8 +83,7 @@ def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 def evaluated(*files: Path, **values: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of recordings, and of intervals."""
     params = EvaluateDataRate(**values)
-    (job,) = data_rate.jobs(list(files), params, files[0].with_name("a.report.h5"))
-    rows = data_rate.run(job, params, force=True).rows
+    rows = run_stage(data_rate, list(files), params, files[0].with_name("a.report.h5"), force=True)[1].rows
     return [row for row in rows if "file" in row], [row for row in rows if "interval" in row]
 
 

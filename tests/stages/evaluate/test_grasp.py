@@ -10,6 +10,7 @@ from evetac_cli.resources import table
 from evetac_cli.sim.setup.plan import first_plan, read_plan
 from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
+from tests.make import run_stage
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
@@ -165,8 +166,7 @@ def test_the_picture() -> None:
 def test_a_table_of_a_real_grasp(made, tmp_path) -> None:
     """Assert that a recording of grasp becomes a row in each of the three tables, alike in all."""
     chosen = EvaluateGrasp()
-    (job,) = evaluate_grasp.jobs([made.grasp], chosen, tmp_path)
-    whole, objects, trials = split(evaluate_grasp.run(job, chosen).rows)
+    whole, objects, trials = split(run_stage(evaluate_grasp, [made.grasp], chosen, tmp_path)[1].rows)
     assert len(whole) == len(objects) == len(trials) == 1
     assert whole[0]["setting"] == objects[0]["setting"] == trials[0]["setting"] == "paper"
     assert trials[0]["object"] == objects[0]["object"] == 11

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, slice_starts
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.evaluation import EvaluateVibration
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import vibration
-from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
 from tests.conftest import DATA
+from tests.make import event_arrays, run_stage, write_recording
 
 FRAME_PX = (64, 48)
 
@@ -46,22 +45,12 @@ def recording(
     t_us = np.floor(time_s * 1e6).astype(np.int64)[seen]
     slices = round(seconds * 1000)
     brighter = np.where(rng.random(count) < 0.3, rng.random(count) < 0.5, lit)
-    arrays: dict[str, Any] = {
-        "events/t": t_us,
-        "events/x": x_px[seen],
-        "events/y": y_px[seen],
-        "events/p": brighter.astype(np.uint8)[seen],
-        "ms_to_idx": slice_starts(t_us, slices),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array(FRAME_PX, np.int32),
-        "sensor/name": "unknown",
-    }
+    events = Events(t_us, x_px[seen], y_px[seen], brighter.astype(np.uint8)[seen])
+    arrays = event_arrays(events, slices, FRAME_PX)
     assert t_us[-1] < slices * SLICE_US
     if truth:
         arrays |= _truth(slices, tone_hz, silent_s)
-    path = folder / f"{name}.recording.h5"
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=truth), arrays)
-    return path
+    return write_recording(folder / f"{name}.recording.h5", arrays, simulated=truth)
 
 
 def _truth(slices: int, tone_hz: float, silent_s: float) -> dict[str, Any]:
@@ -84,8 +73,7 @@ def _truth(slices: int, tone_hz: float, silent_s: float) -> dict[str, Any]:
 
 def evaluated(path: Path | list[Path], out: Path | None = None, **chosen: Any) -> Outcome:
     params = EvaluateVibration(**chosen)
-    (job,) = vibration.jobs([path] if isinstance(path, Path) else path, params, out)
-    return vibration.run(job, params, force=True)
+    return run_stage(vibration, [path] if isinstance(path, Path) else path, params, out, force=True)[1]
 
 
 def test_a_tone_without_dots(tmp_path: Path) -> None:
@@ -129,9 +117,8 @@ def test_noise_is_no_vibration(tmp_path: Path) -> None:
 def test_a_real_recording_of_noise(tmp_path: Path) -> None:
     """Assert that a real camera's noise, with its hot pixels, is no vibration, in any window."""
     params = Record(source=DATA / "dvxplorer_static_noise.aedat4")
-    (job,) = record.jobs([], params, tmp_path)
-    record.run(job, params)
-    rows = evaluated(job.output, windows="2,1,0.25").rows
+    output, _ = run_stage(record, [], params, tmp_path)
+    rows = evaluated(output, windows="2,1,0.25").rows
     assert rows[0]["frequency_hz"] is None
     assert all(row["windows_without_vibration"] == row["windows"] for row in rows[2:] if row["method"] == "default")
 

@@ -20,6 +20,7 @@ from evetac_cli.stages import slip_detectors, splits, train
 from evetac_cli.stages.train import networks
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import run_stage
 
 SLICES, ONSET = 170, 130
 NETWORKS = 4  # of the model of the package
@@ -90,10 +91,9 @@ def test_a_seed_alone_is_that_seed_among_many(trials: list[Path], tmp_path: Path
     """Assert that the second of two seeds gives, alone, the same file, and another than the first."""
     for job in train.jobs(trials, small(seeds=2), tmp_path):
         train.run(job, small(seeds=2))
-    (alone,) = train.jobs(trials, small(seed=1), tmp_path)
-    train.run(alone, small(seed=1))
+    output, _ = run_stage(train, trials, small(seed=1), tmp_path)
     first, second = (contents(tmp_path / f"hist10-s{seed}.model.h5") for seed in (0, 1))
-    assert contents(alone.output) == second
+    assert contents(output) == second
     assert first["weights/fc3.weight"] != second["weights/fc3.weight"]
 
 
@@ -112,8 +112,9 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
 def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path) -> None:
     """Assert that progress begins with the files, and then counts steps up to the last."""
     reports: list[tuple[float, float, str]] = []
-    (job,) = train.jobs(trials, small(), tmp_path)
-    train.run(job, small(), progress=lambda done, total, doing="": reports.append((done, total, doing)))
+    run_stage(
+        train, trials, small(), tmp_path, progress=lambda done, total, doing="": reports.append((done, total, doing))
+    )
     phases = list(dict.fromkeys(doing for _, _, doing in reports))
     assert phases == ["files looked at", "loading torch", "files read", "", "files judged"]
     assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
@@ -138,14 +139,13 @@ def test_it_goes_on_after_an_interruption(
 ) -> None:
     """Assert that a run broken off at step 100 goes on from 50, ends in the same file, and leaves nothing else."""
     params = small(preset=preset)
-    (whole,) = train.jobs(trials, params, tmp_path / "whole")
-    train.run(whole, params)
+    output, _ = run_stage(train, trials, params, tmp_path / "whole")
     (job,) = train.jobs(trials, params, tmp_path / "broken")
     interrupted(job, params, monkeypatch)
     assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.part"]
     (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] == 50
-    assert contents(job.output) == contents(whole.output)
+    assert contents(job.output) == contents(output)
     assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
 
 
@@ -179,10 +179,9 @@ def test_a_cut_run_says_so(trials: list[Path], tmp_path: Path) -> None:
 
 def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path) -> None:
     """Assert that the graphs of the last checkpoints run, and that the chosen one is the model's."""
-    (job,) = train.jobs(trials, small(), tmp_path)
-    train.run(job, small())
+    output, _ = run_stage(train, trials, small(), tmp_path)
     inputs = np.random.default_rng(0).random((1, 56, 20), np.float32)
-    with StageFile(job.output, "model") as model:
+    with StageFile(output, "model") as model:
         graphs = [graph.tobytes() for graph in model.read("checkpoint/onnx")]
         assert graphs[int(model.read("checkpoint/chosen"))] == model.read("onnx").tobytes()
     probabilities = {float(Detector(graph, ARCHITECTURES["hist10"]).probability(inputs)[0]) for graph in graphs}
@@ -192,8 +191,7 @@ def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path)
 @pytest.mark.slow
 def test_a_model_needs_neither_torch_nor_pickle(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a model file is run where torch cannot be imported, and opened where pickle does not work."""
-    (job,) = train.jobs(trials, small(), tmp_path)
-    train.run(job, small())
+    output, _ = run_stage(train, trials, small(), tmp_path)
     code = f"""
 import pickle, sys
 sys.modules["torch"] = None
@@ -202,7 +200,7 @@ from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 loads = pickle.load, pickle.loads, pickle.Unpickler
 pickle.load = pickle.loads = pickle.Unpickler = None
-with StageFile({str(job.output)!r}, "model") as model:
+with StageFile({str(output)!r}, "model") as model:
     detector = load_detector(model)
 pickle.load, pickle.loads, pickle.Unpickler = loads  # numba needs them for what it compiled
 print(float(detector.probability(np.zeros((1, 56, 20), np.float32))[0]))
@@ -234,9 +232,8 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
 def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that predictions are those of the whole trajectory, from the first slice that is labelled."""
     params = small(model=model, max_steps=2)
-    (job,) = train.jobs(trials, params, tmp_path)
-    train.run(job, params)
-    with StageFile(job.output, "model") as file:
+    output, _ = run_stage(train, trials, params, tmp_path)
+    with StageFile(output, "model") as file:
         detector = slip_detectors.load_detector(file)
     trajectory = slip_detectors.read_trajectory(trials[0], detector.architecture)
     whole = detector.over(trajectory.series)
@@ -407,9 +404,8 @@ def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) 
 def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that models of images and of directions train from features that have these."""
     params = small(model=model, max_steps=3)
-    (job,) = train.jobs(trials, params, tmp_path)
-    train.run(job, params)
-    with StageFile(job.output, "model") as file:
+    output, _ = run_stage(train, trials, params, tmp_path)
+    with StageFile(output, "model") as file:
         assert slip_detectors.load_detector(file).architecture == ARCHITECTURES[model]
 
 
@@ -453,13 +449,12 @@ def test_flags_name_every_model_and_recipe() -> None:
 
 def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
     """Assert that --adapt goes on from a model's weights, with its normalisation, architecture and horizon."""
-    (job,) = train.jobs(trials[2:], small(model="fast-slow", horizon_ms=10), tmp_path)
-    train.run(job, small(model="fast-slow", horizon_ms=10))
-    adapt = Train(adapt=str(job.output), max_steps=30)
+    output, _ = run_stage(train, trials[2:], small(model="fast-slow", horizon_ms=10), tmp_path)
+    adapt = Train(adapt=str(output), max_steps=30)
     (own,) = train.jobs(trials[:2], adapt, tmp_path / "own.model.h5")
     row = train.run(own, adapt).rows[0]
     assert (row["model"], row["preset"], row["horizon_ms"], row["steps"]) == ("fast-slow", "adapt", 10, 30)
-    with StageFile(job.output, "model") as before, StageFile(own.output, "model") as after:
+    with StageFile(output, "model") as before, StageFile(own.output, "model") as after:
         assert before.header["id"] in after.header["history"]
         for name in (name for name in before.contents() if name.startswith("weights/")):
             moved = np.abs(after.read(name) - before.read(name)).max()
