@@ -48,6 +48,7 @@ def answer_of(*words: object) -> Any:
     """What a command answers as JSON; it must succeed."""
     result = evetac(*words, "--json")
     assert result.exit_code == 0, (words, result.output[-2000:], result.stderr[-2000:])
+    assert result.exception is None
     return json.loads(result.stdout)
 
 

@@ -16,7 +16,7 @@ from tests.make import run_stage
 SLICES = 240
 
 
-def recording(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
+def moving_grid(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
     """A recording without events of a grid of dots that move by 1 px, with the parameters of a trial."""
     time = np.arange(SLICES)
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(9), 40.0 + 62.0 * np.arange(7)), axis=-1)
@@ -57,14 +57,14 @@ def tracks(path: Path) -> np.ndarray:
 
 def test_the_noise_is_that_of_the_trial(tmp_path: Path) -> None:
     """Assert that two trials have different noise, and that a parameter of another name changes none."""
-    first = recording(tmp_path / "a.recording.h5")
-    renamed = recording(tmp_path / "renamed.recording.h5", another_name=1)
+    first = moving_grid(tmp_path / "a.recording.h5")
+    renamed = moving_grid(tmp_path / "renamed.recording.h5", another_name=1)
     with StageFile(first) as one, StageFile(renamed) as other:
         assert one.header["id"] != other.header["id"]
     same = tracks(first)
     assert np.array_equal(same, tracks(renamed))
     for name, changed in {"trial": {"trial": 1}, "seed": {"seed": 6}, "object": {"object": 9}}.items():
-        assert not np.array_equal(same, tracks(recording(tmp_path / f"{name}.recording.h5", **changed))), name
+        assert not np.array_equal(same, tracks(moving_grid(tmp_path / f"{name}.recording.h5", **changed))), name
 
 
 @pytest.mark.parametrize("change", [{"trial": 4}, {"object": 2}, {"tone_hz": 200.0}, {"trimmed": {"from_ms": 10}}])

@@ -317,15 +317,15 @@ def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monke
     report, both = tmp_path / "r.report.h5", world["seeds"]
     known, more = world["known"][:3], world["known"]
 
-    def made(files: list[Path], out: Path) -> tuple[list[dict[str, Any]], int]:
+    def judged_again(files: list[Path], out: Path) -> tuple[list[dict[str, Any]], int]:
         before = len(calls)
         return run_stage(slip, files, EvaluateSlip(), out, force=True)[1].rows, len(calls) - before
 
-    assert made([*known, both[0]], report)[1] == 3
-    assert made([*known, *both], report)[1] == 3
-    rows, times = made([*more, *both], report)
+    assert judged_again([*known, both[0]], report)[1] == 3
+    assert judged_again([*known, *both], report)[1] == 3
+    rows, times = judged_again([*more, *both], report)
     assert times == 2
-    assert rows == made([*more, *both], tmp_path / "new" / "r.report.h5")[0]
+    assert rows == judged_again([*more, *both], tmp_path / "new" / "r.report.h5")[0]
     assert len(list((tmp_path / "r.judged").iterdir())) == 4
     renamed = replace(Model.read(both[0]), key="of another graph with the same recipe")
     (predictions,) = slip_models.predict_all([renamed], known, check([renamed], known), silent, tmp_path / "r.judged")

@@ -20,7 +20,7 @@ from tests.make import event_arrays, run_stage, write_recording
 FRAME_PX = (64, 48)
 
 
-def recording(
+def swing(
     folder: Path,
     tone_hz: float,
     *,
@@ -78,7 +78,7 @@ def evaluated(path: Path | list[Path], out: Path | None = None, **chosen: Any) -
 
 def test_a_tone_without_dots(tmp_path: Path) -> None:
     """Assert that the default finds the tone where the paper's method takes twice of it, and that rows say so."""
-    outcome = evaluated(recording(tmp_path, 140.5), windows="1,0.25", true_hz=140.5)
+    outcome = evaluated(swing(tmp_path, 140.5), windows="1,0.25", true_hz=140.5)
     first, second, *windows = outcome.rows
     assert (first["method"], second["method"]) == ("default", "paper")
     assert first["frequency_hz"] == pytest.approx(140.5, abs=4 * first["uncertainty_hz"] + 1e-3)
@@ -98,7 +98,7 @@ def test_a_tone_without_dots(tmp_path: Path) -> None:
 
 def test_the_papers_preset(tmp_path: Path) -> None:
     """Assert that the preset `paper` gives the paper's rows alone, with the paper's share beside them."""
-    outcome = evaluated(recording(tmp_path, 100.0), preset="paper", windows="2,1", true_hz=100.0)
+    outcome = evaluated(swing(tmp_path, 100.0), preset="paper", windows="2,1", true_hz=100.0)
     assert {row["method"] for row in outcome.rows} == {"paper"}
     assert [row["paper_share"] for row in outcome.rows[1:]] == [0.98, 0.96]
     assert outcome.summary["published_share_1_s"] == 0.924
@@ -106,7 +106,7 @@ def test_the_papers_preset(tmp_path: Path) -> None:
 
 def test_noise_is_no_vibration(tmp_path: Path) -> None:
     """Assert that noise alone has no frequency, in the whole recording and in windows, without a tone to compare."""
-    rows = evaluated(recording(tmp_path, 0.0), windows="1").rows
+    rows = evaluated(swing(tmp_path, 0.0), windows="1").rows
     assert rows[0]["method"] == "default"
     assert rows[0]["frequency_hz"] is None and rows[0]["correct"] is None
     assert rows[2]["windows_without_vibration"] == rows[2]["windows"] == 2
@@ -125,7 +125,7 @@ def test_a_real_recording_of_noise(tmp_path: Path) -> None:
 
 def test_slices_are_those_in_which_the_tone_sounds(tmp_path: Path) -> None:
     """Assert that windows lie where the tone sounds, and that it is what is expected, unless one is given."""
-    path = recording(tmp_path, 120.0, seconds=2.6, silent_s=0.6, truth=True)
+    path = swing(tmp_path, 120.0, seconds=2.6, silent_s=0.6, truth=True)
     outcome = evaluated(path, windows="1")
     assert outcome.simulated
     assert outcome.rows[0]["seconds"] == 2.0
@@ -136,7 +136,7 @@ def test_slices_are_those_in_which_the_tone_sounds(tmp_path: Path) -> None:
 
 def test_beyond_the_band(tmp_path: Path) -> None:
     """Assert that a tone beyond half the rate is not taken for another, and is found with a higher rate."""
-    path = recording(tmp_path, 1210.0)
+    path = swing(tmp_path, 1210.0)
     row = evaluated(path, windows="1").rows[0]
     assert row["frequency_hz"] is None
     assert row["line_above_band_hz"] == pytest.approx(1210.0, abs=0.1)
@@ -147,7 +147,7 @@ def test_beyond_the_band(tmp_path: Path) -> None:
 
 def test_short_windows_are_judged_by_what_they_resolve(tmp_path: Path) -> None:
     """Assert that a window of 0.25 s, whose frequencies are 4 Hz apart, is right within 2 Hz, and 1 s within 1 Hz."""
-    path = recording(tmp_path, 140.0)
+    path = swing(tmp_path, 140.0)
     for expected_hz, right in ((141.5, [0.0, 1.0]), (143.0, [0.0, 0.0])):
         rows = evaluated(path, windows="1,0.25", true_hz=expected_hz, preset="default").rows[2:4]
         assert [row["tolerance_hz"] for row in rows] == [1.0, 2.0]
@@ -160,14 +160,14 @@ def test_the_picture_shows_each_tone_once(tmp_path: Path, monkeypatch: pytest.Mo
     """Assert that of many recordings of a tone the first alone is drawn, and each whose tone is not known."""
     drawn: list[str] = []
     monkeypatch.setattr(vibration, "_draw", lambda figure, spectra, *rest, **more: drawn.extend(n for n, _ in spectra))
-    paths = [recording(tmp_path, hz, truth=True, name=name) for name, hz in (("a", 90.0), ("b", 90.0), ("c", 120.0))]
-    evaluated([*paths, recording(tmp_path, 90.0, name="d")], windows="1")
+    paths = [swing(tmp_path, hz, truth=True, name=name) for name, hz in (("a", 90.0), ("b", 90.0), ("c", 120.0))]
+    evaluated([*paths, swing(tmp_path, 90.0, name="d")], windows="1")
     assert drawn == [f"{name}.recording.h5" for name in "acd"]
 
 
 def test_several_recordings(tmp_path: Path) -> None:
     """Assert that recordings come first, each with its methods, then windows, and shares are over all windows."""
-    paths = [recording(tmp_path, hz, truth=True, name=str(hz)) for hz in (100.0, 150.0)]
+    paths = [swing(tmp_path, hz, truth=True, name=str(hz)) for hz in (100.0, 150.0)]
     outcome = evaluated(paths, windows="1")
     assert [row["frequency_hz"] for row in outcome.rows[:4:2]] == pytest.approx([100.0, 150.0], abs=0.05)
     assert ["window_s" in row for row in outcome.rows] == 4 * [False] + 4 * [True]
@@ -178,7 +178,7 @@ def test_several_recordings(tmp_path: Path) -> None:
 def test_a_picture_beside_the_report(tmp_path: Path) -> None:
     """Assert that a picture is drawn beside the report, and is not drawn again for a report that is up to date."""
     pytest.importorskip("matplotlib")
-    path = recording(tmp_path, 100.0)
+    path = swing(tmp_path, 100.0)
     params = EvaluateVibration(windows="1")
     (job,) = vibration.jobs([path], params, None)
     assert job.output.name == "a.vibration.report.h5"
@@ -195,7 +195,7 @@ def test_length_costs_no_memory(tmp_path: Path) -> None:
     """Assert that a recording four times as long needs no more memory, but for its counts."""
 
     def peak(seconds: float) -> int:
-        path = recording(tmp_path, 100.0, seconds=seconds, events_a_s=40_000, name=f"long-{seconds}")
+        path = swing(tmp_path, 100.0, seconds=seconds, events_a_s=40_000, name=f"long-{seconds}")
         params = EvaluateVibration(windows="1")
         with vibration.open_recording(path) as file:
             tracemalloc.start()
@@ -212,21 +212,21 @@ def test_length_costs_no_memory(tmp_path: Path) -> None:
 def test_wrong_windows_are_refused(windows: str, tmp_path: Path) -> None:
     """Assert that what is no list of lengths from 0.1 to 10 s is refused."""
     with pytest.raises(InputError, match="--windows"):
-        evaluated(recording(tmp_path, 100.0, seconds=0.2), windows=windows)
+        evaluated(swing(tmp_path, 100.0, seconds=0.2), windows=windows)
 
 
 def test_what_cannot_be_told_is_refused(tmp_path: Path) -> None:
     """Assert that a recording too short for a frequency, and a band without any, are refused, and nothing is made."""
-    short = recording(tmp_path, 100.0, seconds=0.05)
+    short = swing(tmp_path, 100.0, seconds=0.05)
     with pytest.raises(InputError, match="too short"):
         evaluated(short)
     with pytest.raises(InputError, match="--lowest-hz"):
-        evaluated(recording(tmp_path, 100.0, seconds=0.5, name="b"), rate=100, lowest_hz=50.0)
+        evaluated(swing(tmp_path, 100.0, seconds=0.5, name="b"), rate=100, lowest_hz=50.0)
     assert not list(tmp_path.glob("*.report.*"))
 
 
 def test_shorter_than_its_windows(tmp_path: Path) -> None:
     """Assert that a recording shorter than some windows is looked at as a whole, and in those that fit."""
-    rows = evaluated(recording(tmp_path, 100.0, seconds=0.7), windows="2,1,0.3").rows
+    rows = evaluated(swing(tmp_path, 100.0, seconds=0.7), windows="2,1,0.3").rows
     assert rows[0]["frequency_hz"] == pytest.approx(100.0, abs=0.3)
     assert [row["windows"] for row in rows[2:]] == [2, 2]
