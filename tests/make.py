@@ -71,6 +71,21 @@ def events_at(t_us: Any) -> Events:
     return Events(t, np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint8))
 
 
+def truth_arrays(dots_px: Any, slip: Any = 0, normal_n: Any = 0.0, shear_n: Any = 0.0) -> dict[str, Any]:
+    """The truth of dots at these places (slices, dots, 2); slip and forces of all slices, or of each; the rest is 0."""
+    slices = len(dots_px)
+    names = ("slid_px", "every_node_slid_px", "slip_share", "visible_slip_share")
+    return {
+        "truth/dot_xy_px": np.asarray(dots_px, np.float32),
+        "truth/object_xy_px": np.zeros((slices, 2), np.float32),
+        **{f"truth/{name}": np.zeros(slices, np.float32) for name in names},
+        "truth/slip": np.full(slices, slip, np.uint8),
+        "truth/normal_force_n": np.full(slices, normal_n, np.float32),
+        "truth/shear_force_n": np.full((slices, 2), shear_n, np.float32),
+        "truth/sampled_parameters": "{}",
+    }
+
+
 def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False, **parameters: Any) -> Path:
     """A recording of these datasets, as an import leaves it."""
     recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=simulated)

@@ -11,7 +11,7 @@ from evetac_cli.params.learning import TrackRgb
 from evetac_cli.stages import track_rgb
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
-from tests.make import run_stage
+from tests.make import event_arrays, events_at, run_stage, truth_arrays
 
 SLICES = 240
 
@@ -20,27 +20,11 @@ def moving_grid(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
     """A recording without events of a grid of dots that move by 1 px, with the parameters of a trial."""
     time = np.arange(SLICES)
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(9), 40.0 + 62.0 * np.arange(7)), axis=-1)
-    none = np.empty(0, np.int64)
-    arrays: dict[str, Any] = {
-        "events/t": none,
-        **{f"events/{name}": none.astype(np.uint16) for name in "xy"},
-        "events/p": none.astype(np.uint8),
-        "ms_to_idx": np.zeros(SLICES + 1, np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
+    arrays = event_arrays(events_at([]), SLICES) | {
         "sensor/name": "evetac",
         "sensor/dot_xy_px": rest,
         "sensor/dot_radius_px": np.float64(15.0),
-        "truth/dot_xy_px": (rest.reshape(1, -1, 2) + time[:, None, None] / SLICES).astype(np.float32),
-        "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
-        "truth/slid_px": np.zeros(SLICES, np.float32),
-        "truth/slip": np.zeros(SLICES, np.uint8),
-        "truth/every_node_slid_px": np.zeros(SLICES, np.float32),
-        "truth/slip_share": np.zeros(SLICES, np.float32),
-        "truth/visible_slip_share": np.zeros(SLICES, np.float32),
-        "truth/normal_force_n": np.ones(SLICES, np.float32),
-        "truth/shear_force_n": np.zeros((SLICES, 2), np.float32),
-        "truth/sampled_parameters": "{}",
+        **truth_arrays(rest.reshape(1, -1, 2) + time[:, None, None] / SLICES, normal_n=1.0),
     }
     parameters = {"object": 8, "trial": trial, **more}
     write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=True), arrays)

@@ -15,7 +15,7 @@ from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import vibration
 from tests.conftest import DATA
-from tests.make import event_arrays, run_stage, write_recording
+from tests.make import event_arrays, run_stage, truth_arrays, write_recording
 
 FRAME_PX = (64, 48)
 
@@ -56,19 +56,7 @@ def swing(
 def _truth(slices: int, tone_hz: float, silent_s: float) -> dict[str, Any]:
     """The truth of a tone, and of nothing else."""
     sounds = (np.arange(slices) + 1) / 1000 > silent_s
-    shapes = {
-        "dot_xy_px": (1, 2),
-        "object_xy_px": (2,),
-        "slid_px": (),
-        "every_node_slid_px": (),
-        "slip_share": (),
-        "visible_slip_share": (),
-        "normal_force_n": (),
-        "shear_force_n": (2,),
-    }
-    still = {f"truth/{name}": np.zeros((slices, *shape), np.float32) for name, shape in shapes.items()}
-    tone = np.where(sounds, tone_hz, 0.0).astype(np.float32)
-    return {**still, "truth/slip": np.zeros(slices, np.uint8), "truth/tone_hz": tone, "truth/sampled_parameters": "{}"}
+    return truth_arrays(np.zeros((slices, 1, 2))) | {"truth/tone_hz": np.where(sounds, tone_hz, 0.0).astype(np.float32)}
 
 
 def evaluated(path: Path | list[Path], out: Path | None = None, **chosen: Any) -> Outcome:
