@@ -112,6 +112,28 @@ def _drive(sensor: Sensor) -> Drive:
     return gripper.make_drive(sensor.gripper)
 
 
+def _over_n_ma(name: str, unit: float = 1.0) -> Callable[[Sensor], float]:
+    """A constant of the drive over its force per current."""
+    return lambda sensor: unit * getattr(_drive(sensor), name) / _drive(sensor).force_per_current_n_ma
+
+
+def _contrast(sensor: Sensor) -> float:
+    return sensor.log_contrast / sensor.threshold
+
+
+def _off_over_on(sensor: Sensor) -> float:
+    return (sensor.threshold_off or sensor.threshold) / sensor.threshold
+
+
+def _creep(sensor: Sensor) -> float:
+    return sum(sensor.creep.share) if sensor.creep else 0.0
+
+
+def _held(sensor: Sensor) -> float:
+    """Static friction of the held object times the force per current."""
+    return OBJECT_FRICTION * sensor.static_friction_factor * _drive(sensor).force_per_current_n_ma
+
+
 def _shift_px(sensor: Sensor) -> float:
     """How far the columns of dots are from where their range begins."""
     ranges = sensor_ranges()
@@ -128,43 +150,21 @@ def _bending(sensor: Sensor) -> float:
 
 PLACES = "error of a dot's place, 95 %"  # see `places`; its range is that of the shift of all dots
 N_MA, SERVO = "gripper.force_per_current_n_ma", "gripper.servo_n_tick"
+FRICTION = ("gripper.two_ticks_n", "gripper.friction_factor")
 PARAMETERS = (
     Parameter("noise_hz"),
-    Parameter(PLACES, of_sensor=_shift_px, ranges=("dot_shift_x_px",)),
+    Parameter(PLACES, "camera", _shift_px, ("dot_shift_x_px",)),
     Parameter("dot_radius_px"),
     Parameter("dot_radius_spread"),
     Parameter("dot_contrast_spread"),
     Parameter("edge_sigma_px"),
     Parameter("distortion", of_sensor=lambda sensor: sensor.distortion[0]),
-    Parameter(
-        "log_contrast / threshold",
-        of_sensor=lambda sensor: sensor.log_contrast / sensor.threshold,
-        ranges=("log_contrast", "threshold"),
-    ),
-    Parameter(
-        "threshold_off / threshold",
-        of_sensor=lambda sensor: (sensor.threshold_off or sensor.threshold) / sensor.threshold,
-        ranges=("threshold_off_factor",),
-    ),
+    Parameter("log_contrast / threshold", "camera", _contrast, ("log_contrast", "threshold")),
+    Parameter("threshold_off / threshold", "camera", _off_over_on, ("threshold_off_factor",)),
     Parameter("mismatch"),
-    Parameter(
-        "gripper: gear friction",
-        "gripper",
-        lambda sensor: _drive(sensor).friction_n / _drive(sensor).force_per_current_n_ma,
-        (N_MA, SERVO, "gripper.two_ticks_n", "gripper.friction_factor"),
-    ),
-    Parameter(
-        "gripper: damping",
-        "gripper",
-        lambda sensor: _drive(sensor).damping_n_s_m / _drive(sensor).force_per_current_n_ma / 1e3,
-        (N_MA, "gripper.damping_n_s_m"),
-    ),
-    Parameter(
-        "gripper: moving mass",
-        "gripper",
-        lambda sensor: _drive(sensor).mass_kg / _drive(sensor).force_per_current_n_ma,
-        (N_MA, "gripper.mass_kg"),
-    ),
+    Parameter("gripper: gear friction", "gripper", _over_n_ma("friction_n"), (N_MA, SERVO, *FRICTION)),
+    Parameter("gripper: damping", "gripper", _over_n_ma("damping_n_s_m", 1e-3), (N_MA, "gripper.damping_n_s_m")),
+    Parameter("gripper: moving mass", "gripper", _over_n_ma("mass_kg"), (N_MA, "gripper.mass_kg")),
     Parameter("gripper: bending of the fingers", "gripper", _bending, (N_MA, "gripper.finger_stiffness_n_m")),
     Parameter("gripper.backlash_ticks", "gripper"),
     Parameter("gripper.encoder_noise_ticks", "gripper"),
@@ -172,18 +172,8 @@ PARAMETERS = (
     Parameter("gripper.command_jitter_ms", "gripper"),
     Parameter("gripper: servo gain", "gripper", lambda sensor: _drive(sensor).gain_ma_tick, (N_MA, SERVO)),
     Parameter("shear_modulus_pa", "gel"),
-    Parameter(
-        "creep.share, both arms",
-        "gel",
-        lambda sensor: sum(sensor.creep.share) if sensor.creep else 0.0,
-        ("creep.share",),
-    ),
-    Parameter(
-        "static friction x force per current",
-        "friction",
-        lambda sensor: OBJECT_FRICTION * sensor.static_friction_factor * _drive(sensor).force_per_current_n_ma,
-        (N_MA, "static_friction_factor"),
-    ),
+    Parameter("creep.share, both arms", "gel", _creep, ("creep.share",)),
+    Parameter("static friction x force per current", "friction", _held, (N_MA, "static_friction_factor")),
     Parameter("bandwidth_hz"),
     Parameter("normal_modulus_pa", "gel"),
     Parameter("loss_tangent", "gel"),
@@ -327,20 +317,11 @@ def parameter_rows(results: list[Row]) -> list[Row]:
         is_found = (
             width is not None and len(intervals) == len(results) and width <= QUARTER and held >= HELD * len(intervals)
         )
-        rows.append(
-            {
-                "parameter": parameter.name,
-                "part": parameter.part,
-                "prior_low": parameter.prior[0],
-                "prior_high": parameter.prior[1],
-                "sensors": len(results),
-                "told": len(intervals),
-                "held": held if intervals else None,
-                "width_mean": width,
-                "width_worst": max(one[0] for one in intervals) if intervals else None,
-                "found": is_found,
-            }
-        )
+        low, high = parameter.prior
+        row = {"parameter": parameter.name, "part": parameter.part, "prior_low": low, "prior_high": high}
+        row |= {"sensors": len(results), "told": len(intervals), "held": held if intervals else None}
+        worst = max(one[0] for one in intervals) if intervals else None
+        rows.append({**row, "width_mean": width, "width_worst": worst, "found": is_found})
     return rows
 
 

@@ -20,7 +20,7 @@ class Experiment:
     hours: float  # at full size on two cores: an estimate
     full: Sizes
     small: Sizes  # those that differ
-    steps: Callable[[Sizes], Iterator[Command]]
+    steps: Callable[[Sizes], Iterator[Command]] = lambda sizes: iter(())
     evaluations: Callable[[Sizes], dict[str, Command]] = lambda sizes: {}
     measure: str = ""  # MODULE.FUNCTION of this folder that measures what no command evaluates
     tables: tuple[Table, ...] = ()
@@ -47,7 +47,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "slip-table", "slip detectors judged on unseen slips", "data/slip", 0.3,
-        full=SLIP, small=SMALL_SLIP, steps=lambda sizes: iter(()), evaluations=steps.slip_evaluations,
+        full=SLIP, small=SMALL_SLIP, evaluations=steps.slip_evaluations,
         after=("slip-models",),
         tables=(tables.SLIP_TRAINING_OBJECTS, tables.SLIP_UNSEEN_OBJECTS, tables.MODEL_COST),
     ),
@@ -139,13 +139,13 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "part-effects", "what each part of a sensor or a scene does to each stage", "data/part-effects", 1.0,
         full={"seed": 20_000, "slips": 15, "grasps": 9, "parts": ()},
         small={"slips": 3, "grasps": 0, "parts": ("leak",)},
-        steps=lambda sizes: iter(()), measure="part_effects.measure", in_plan=False,
+        measure="part_effects.measure", in_plan=False,
         tables=(studies.PART_EFFECTS,),
     ),
     Experiment(
         "blind-identification", "are sensors that identify has never seen found again", "data/blind-identification",
         0.8, full={"first": 20_020, "sensors": 20, "grips": 3}, small={"sensors": 1},
-        steps=lambda sizes: iter(()), measure="blind_identification.measure", in_plan=False,
+        measure="blind_identification.measure", in_plan=False,
         tables=(studies.BLIND_IDENTIFICATION,),
     ),
     Experiment(
@@ -157,7 +157,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         "touch-cost", "what a step of the touch sensor costs", "data/touch-cost", 0.1,
         full={"rounds": 4, "ms": 500}, small={"rounds": 2, "ms": 50},
-        steps=lambda sizes: iter(()), measure="robot_tables.touch_cost", in_plan=False,
+        measure="robot_tables.touch_cost", in_plan=False,
         tables=(studies.TOUCH_COST,),
     ),
     Experiment(

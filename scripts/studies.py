@@ -37,41 +37,36 @@ def all_rows(evaluations: Evaluations) -> Rows:
     return [row for evaluation in evaluations.values() for row in evaluation.rows]
 
 
+def measured(name: str, title: str, *columns: tuple[str, str], notes: tuple[str, ...] = ()) -> Table:
+    """The table of a measurement, which has its name; columns are heading and cell."""
+    return Table(name, title, (name,), all_rows, tuple(Column(*one) for one in columns), notes=notes, measured=True)
+
+
 def with_interval(figure: str) -> str:
     return f"{{{figure}:.2f}} ({{{figure}_low:.2f}} to {{{figure}_high:.2f}})"
 
 
-SLIP_BY_SENSOR = Table(
+SLIP_BY_SENSOR = measured(
     "slip-by-sensor",
     "Slip detection sensor by sensor, with intervals of 95 %",
-    ("slip-by-sensor",),
-    all_rows,
-    (
-        Column("sensor", "{sensor}"),
-        Column("trials", "{trials}"),
-        Column("early", "{shipped_slip_early:.2f}"),
-        Column("correct", with_interval("shipped_slip_correct")),
-        Column("late", "{shipped_slip_late:.2f}"),
-        Column("F1", with_interval("shipped_f1")),
-        Column("correct, first edition", "{first_edition_slip_correct:.2f}"),
-        Column("F1, first edition", "{first_edition_f1:.2f}"),
-    ),
-    measured=True,
+    ("sensor", "{sensor}"),
+    ("trials", "{trials}"),
+    ("early", "{shipped_slip_early:.2f}"),
+    ("correct", with_interval("shipped_slip_correct")),
+    ("late", "{shipped_slip_late:.2f}"),
+    ("F1", with_interval("shipped_f1")),
+    ("correct, first edition", "{first_edition_slip_correct:.2f}"),
+    ("F1, first edition", "{first_edition_f1:.2f}"),
 )
-SLIP_IN_CONTACT = Table(
+SLIP_IN_CONTACT = measured(
     "slip-in-contact",
     "Contact without slip: slices at which nothing slips, nor will within 20 ms, that are called slip",
-    ("slip-in-contact",),
-    all_rows,
-    (
-        Column("detector", "{detector}"),
-        Column("trials", "{trials}"),
-        Column(f"slices below {LIGHT_N} N", "{light_slices:,}"),
-        Column("of these called slip", "{light_called_slip:.2%}"),
-        Column("slices in contact", "{contact_slices:,}"),
-        Column("of these called slip", "{called_slip:.2%}"),
-    ),
-    measured=True,
+    ("detector", "{detector}"),
+    ("trials", "{trials}"),
+    (f"slices below {LIGHT_N} N", "{light_slices:,}"),
+    ("of these called slip", "{light_called_slip:.2%}"),
+    ("slices in contact", "{contact_slices:,}"),
+    ("of these called slip", "{called_slip:.2%}"),
 )
 
 # --- forces on sensors that no model saw ------------------------------------------------------------------------------
@@ -205,87 +200,62 @@ PART_FIGURES = {
     "held": ("grasps held", ".2f"),
     "moved_mm": ("object moved in a grasp [mm]", ".2f"),
 }
-PART_EFFECTS = Table(
+PART_EFFECTS = measured(
     "part-effects",
     "What each part does to each stage, {slips} slips and {grasps} grasps with each",
-    ("part-effects",),
-    all_rows,
-    (
-        Column("part", "{part}"),
-        Column("size", "{size}"),
-        *(
-            Column(heading, f"{{{name}:{form}}}, {{{name}_low:+{form}}} to {{{name}_high:+{form}}}")
-            for name, (heading, form) in PART_FIGURES.items()
-        ),
+    ("part", "{part}"),
+    ("size", "{size}"),
+    *(
+        (heading, f"{{{name}:{form}}}, {{{name}_low:+{form}}} to {{{name}_high:+{form}}}")
+        for name, (heading, form) in PART_FIGURES.items()
     ),
     notes=(
         "Behind a figure stands the interval of its change, 95 % by a bootstrap over pairs of trials, where that"
         " does not hold 0; with fewer than some ten pairs it is too narrow, and of so many figures one in 20 would"
         " have one by chance. Run times are of the processor, beside whatever else it did.",
     ),
-    measured=True,
 )
 
 # --- sensors identified blindly ---------------------------------------------------------------------------------------
 
-BLIND_IDENTIFICATION = Table(
+BLIND_IDENTIFICATION = measured(
     "blind-identification",
     "Parameters of sensors randomized:{first} to {last} in blind identification",
-    ("blind-identification",),
-    all_rows,
-    (
-        Column("parameter", "{parameter}"),
-        Column("told", "{told} of {sensors}"),
-        Column("interval holds the truth", "{held}"),
-        Column("width over the range of `randomized`, mean", "{width_mean:.2f}"),
-        Column("worst", "{width_worst:.2f}"),
-        Column("found", "{found}"),
-    ),
+    ("parameter", "{parameter}"),
+    ("told", "{told} of {sensors}"),
+    ("interval holds the truth", "{held}"),
+    ("width over the range of `randomized`, mean", "{width_mean:.2f}"),
+    ("worst", "{width_worst:.2f}"),
+    ("found", "{found}"),
     notes=("Parameters that are told of no sensor cannot be told.",),
-    measured=True,
 )
 
 # --- robot simulators -------------------------------------------------------------------------------------------------
 
-TOUCH_COST = Table(
+TOUCH_COST = measured(
     "touch-cost",
     "What a simulated millisecond of the touch sensor costs",
-    ("touch-cost",),
-    all_rows,
-    (
-        Column("contact", "{contact}"),
-        Column("CPU us a ms", "{CPU_us_a_ms:,.1f}"),
-        Column("with slip detector CPU us a ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
-    ),
-    measured=True,
+    ("contact", "{contact}"),
+    ("CPU us a ms", "{CPU_us_a_ms:,.1f}"),
+    ("with slip detector CPU us a ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
 )
-MUJOCO_GRASPS = Table(
+MUJOCO_GRASPS = measured(
     "mujoco-grasps",
     "Grasps in MuJoCo",
-    ("mujoco-grasps",),
-    all_rows,
-    (
-        Column("controller", "{controller}"),
-        Column("trials", "{trials}"),
-        Column("lifted", "{lifted}"),
-        Column("grip at the end N median", "{grip_at_the_end_N_median:.2f}"),
-        Column("steps of 1 ms a CPU second median", "{steps_of_1_ms_a_CPU_second_median:,.0f}"),
-    ),
-    measured=True,
+    ("controller", "{controller}"),
+    ("trials", "{trials}"),
+    ("lifted", "{lifted}"),
+    ("grip at the end N median", "{grip_at_the_end_N_median:.2f}"),
+    ("steps of 1 ms a CPU second median", "{steps_of_1_ms_a_CPU_second_median:,.0f}"),
 )
-LIFT_BASELINE = Table(
+LIFT_BASELINE = measured(
     "lift-baseline",
     "Policies for evetac/Lift-v0, means of the episodes that they are judged on",
-    ("lift-baseline",),
-    all_rows,
-    (
-        Column("policy", "{policy}"),
-        Column("return", "{return:.3g}"),
-        Column("lifted", "{lifted:.3g}"),
-        Column("kept", "{kept:.3g}"),
-        Column("mean grip N", "{mean_grip_N:.3g}"),
-    ),
-    measured=True,
+    ("policy", "{policy}"),
+    ("return", "{return:.3g}"),
+    ("lifted", "{lifted:.3g}"),
+    ("kept", "{kept:.3g}"),
+    ("mean grip N", "{mean_grip_N:.3g}"),
 )
 
 

@@ -223,18 +223,8 @@ def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.M
         assert row["error_px_dots"] == pytest.approx(np.sqrt((apart_px**2).sum(-1).mean()), rel=1e-9)
         assert row["error_n_shear"] == pytest.approx(np.sqrt((apart_n**2).sum(-1).mean()), rel=1e-9)
         grasp = ["--object", row["grasped_object"], *row["trial_flags"].split()[2:]]
-        shown = answer_of(
-            "grasp",
-            *grasp,
-            "--lift-s",
-            LIFT_S,
-            "--balance-s",
-            BALANCE_S,
-            "-o",
-            tmp_path / f"g{at}.recording.h5",
-            "--json",
-        )
-        (lifted,) = json.loads(shown)["rows"]
+        timing = ("--lift-s", LIFT_S, "--balance-s", BALANCE_S)
+        (lifted,) = answer_of("grasp", *grasp, *timing, "-o", tmp_path / f"g{at}.recording.h5")["rows"]
         assert (lifted["balanced"], lifted["moved_mm"]) == (row["held"], row["moved_mm"])
 
 
