@@ -30,10 +30,11 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table grasp-shipped results film test test-all test-lowest lerobot check lint types docs bench clean
+	data-rate force grasp-table grasp-shipped slip-by-sensor part-effects blind-identification force-sensors touch-cost \
+	mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
 
 setup: $(READY)  ## make a virtual environment of its own in .venv, with all that the commands use; two to six minutes
 
@@ -89,6 +90,27 @@ grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side
 	@$(REPRODUCE) --only $@
 
 grasp-shipped: $(READY)  ## ... with the package's detector, all objects
+	@$(REPRODUCE) --only $@
+
+slip-by-sensor: $(READY)  ## how well the package's detector travels, and what it says of light contact
+	@$(REPRODUCE) --only $@
+
+part-effects: $(READY)  ## what each part of a sensor or a scene does to each stage
+	@$(REPRODUCE) --only $@
+
+blind-identification: $(READY)  ## whether sensors that identify has never seen are found again
+	@$(REPRODUCE) --only $@
+
+force-sensors: $(READY)  ## ... and forces on these sensors, which no model saw
+	@$(REPRODUCE) --only $@
+
+touch-cost: $(READY)  ## what a step of the touch sensor costs
+	@$(REPRODUCE) --only $@
+
+mujoco-grasps: $(READY)  ## grasps in MuJoCo with our touch
+	@$(REPRODUCE) --only $@
+
+lift-baseline: $(READY)  ## a grip law found by CMA-ES against fixed grips
 	@$(REPRODUCE) --only $@
 
 strips: $(READY)  ## a picture of every scene, in strips/: events, forces and slip

@@ -1,6 +1,7 @@
 """Blind identification: are sensors that identify has never seen found again, and is their twin told from them?
 
-    python scripts/blind_identification.py WORK --first 20000 --count 20 --jobs 2
+    make blind-identification                       # 20 sensors from randomized:20020 on
+    make blind-identification SIZES="first=20100 sensors=3 grips=0"
 
 For each sensor randomized:N it simulates what docs/identify.md asks of an owner, shortened: a rest, strokes of a press
 with a pause after each, and a gripper that closes, holds, and lets an object slip, at three places; runs `evetac
@@ -9,15 +10,13 @@ again: by the sensor itself with another seed, and by its twin, the identified s
 (kernels/realism) tells the half seconds of the first recordings from those of the second, of either from the twin's,
 and of the first from the next sensor's.
 
-What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that WORK holds already
-is not made again, so that a run may be stopped and several may share the sensors; one that was cut off is made again.
-The table is of all that WORK holds, with --camera-only or without, never both.
+What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that the folder holds
+already is not made again, so that a run may be stopped; one that was cut off is made again. The table is of all sensors
+that the folder holds, with grips or without, never both.
 All figures are simulated.
 """
 
-import argparse
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -26,21 +25,27 @@ import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import product
+from operator import attrgetter, getitem
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from experiment_steps import Sizes
+from experiment_tables import Evaluation, Evaluations
 from numpy.typing import NDArray
-from reproduce import commit
 
 from evetac_cli.console import print_table
-from evetac_cli.resources import SCENES
+from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup import sensor_file
-from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.plan import one_sensor, sensor_ranges
+from evetac_cli.sim.setup.sampling import DISTRIBUTIONS, sample_sensor
+from evetac_cli.sim.setup.scene_file import changed, merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.evaluate import realism
 from evetac_cli.store.read import open_recording
@@ -48,9 +53,14 @@ from evetac_cli.store.read import open_recording
 ROOT = Path(__file__).resolve().parents[1]
 # The packaged scenes, with a longer rest, with fewer and faster strokes after each of which the gel comes to rest, and
 # with objects that are touched farther from the middle of the gel.
-REST = {"rest_s": 3.0}
-PRESS = {"lines": 5, "speed_mm_s": 40.0, "approach_s": 0.8, "node_pitch_mm": 1.0}
-GRIP, GRIPS = {"touch_mm": 3.0}, 3
+SCENES: dict[str, dict[str, Any]] = {
+    "rest": {"time": {"rest_s": 3.0}},
+    "press": {
+        "motion": {"lines": 5, "speed_mm_s": 40.0, "approach_s": 0.8},
+        "solver": {"node_pitch_mm": 1.0},
+    },
+    "grip-steps": {"randomise": {"touch_mm": 3.0}},
+}
 SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # beyond the seed of a sensor's first recordings, or grip before
 OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # what the gripper holds, a bottle of glass
 OPEN_M = 0.060  # about which the fingers bend
@@ -58,105 +68,117 @@ QUARTER, HELD = 0.25, 0.9  # an interval so wide, in prior ranges, that holds th
 AUC_ROOM, AUC_OTHER = 0.05, 0.9
 
 Row = dict[str, Any]
+Windows = dict[str, NDArray[np.float64]]
+
+
+def ends_of(entry: Any) -> tuple[Any, Any]:
+    """The lowest and the highest value of an entry of sensors.toml, which is a range, a list of them, or one value."""
+    if isinstance(entry, list):
+        low, high = zip(*map(ends_of, entry), strict=True)
+        return list(low), list(high)
+    if isinstance(entry, Mapping):
+        (low, high) = next(entry[name] for name in DISTRIBUTIONS if name in entry)
+        return low, high
+    return entry, entry
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A row of identify's table: its prior range, and the truth of a sensor."""
+    """A row of identify's table: the truth of a sensor, and the ranges of `randomized` from which that follows."""
 
     name: str
-    low: float
-    high: float
-    truth: Callable[[Sensor], float]
     part: str = "camera"
+    of_sensor: Callable[[Sensor], float] | None = None  # that of its name, unless it is another
+    ranges: tuple[str, ...] = ()  # that of its name
+
+    def truth(self, sensor: Sensor) -> float:
+        """The value of a sensor."""
+        return (self.of_sensor or attrgetter(self.name))(sensor)
+
+    @cached_property
+    def prior(self) -> tuple[float, float]:
+        """The least and the largest value at the ends of its ranges."""
+        keys = self.ranges or (self.name,)
+        values = []
+        for corner in product(*(ends_of(reduce(getitem, key.split("."), sensor_ranges())) for key in keys)):
+            row: Mapping[str, Any] = sensor_ranges()
+            for key, value in zip(keys, corner, strict=True):
+                row = merged(row, reduce(lambda inner, name: {name: inner}, reversed(key.split(".")), value))
+            values.append(self.truth(sample_sensor(row, np.random.default_rng(0))))
+        return min(values), max(values)
 
 
-def _of_drive(value: Callable[[Drive], float]) -> Callable[[Sensor], float]:
-    return lambda sensor: value(gripper.make_drive(sensor.gripper))
+def _drive(sensor: Sensor) -> Drive:
+    return gripper.make_drive(sensor.gripper)
+
+
+def _over_n_ma(name: str, unit: float = 1.0) -> Callable[[Sensor], float]:
+    """A constant of the drive over its force per current."""
+    return lambda sensor: unit * getattr(_drive(sensor), name) / _drive(sensor).force_per_current_n_ma
+
+
+def _contrast(sensor: Sensor) -> float:
+    return sensor.log_contrast / sensor.threshold
+
+
+def _off_over_on(sensor: Sensor) -> float:
+    return (sensor.threshold_off or sensor.threshold) / sensor.threshold
+
+
+def _creep(sensor: Sensor) -> float:
+    return sum(sensor.creep.share) if sensor.creep else 0.0
+
+
+def _held(sensor: Sensor) -> float:
+    """Static friction of the held object times the force per current."""
+    return OBJECT_FRICTION * sensor.static_friction_factor * _drive(sensor).force_per_current_n_ma
+
+
+def _shift_px(sensor: Sensor) -> float:
+    """How far the columns of dots are from where their range begins."""
+    ranges = sensor_ranges()
+    least_px, _ = ends_of(ranges["dot_shift_x_px"])
+    return float(sensor.dot_columns_px[0] - ranges["dot_columns_px"][0] - least_px)
 
 
 def _bending(sensor: Sensor) -> float:
     """How many ticks the fingers bend per mA."""
     stiffness_n_m = sensor.gripper.finger_stiffness_n_m
     assert stiffness_n_m is not None
-    force_n_ma = gripper.make_drive(sensor.gripper).force_per_current_n_ma
-    return force_n_ma / stiffness_n_m / gripper.metres_per_tick(OPEN_M)
+    return _drive(sensor).force_per_current_n_ma / stiffness_n_m / gripper.metres_per_tick(OPEN_M)
 
 
-def _held(sensor: Sensor) -> float:
-    """Static friction of the held object times the force per current."""
-    force_n_ma = gripper.make_drive(sensor.gripper).force_per_current_n_ma
-    return OBJECT_FRICTION * sensor.static_friction_factor * force_n_ma
-
-
-PLACES = "error of a dot's place, 95 %"
+PLACES = "error of a dot's place, 95 %"  # see `places`; its range is that of the shift of all dots
+N_MA, SERVO = "gripper.force_per_current_n_ma", "gripper.servo_n_tick"
+FRICTION = ("gripper.two_ticks_n", "gripper.friction_factor")
 PARAMETERS = (
-    Parameter("noise_hz", 0.015, 0.11, lambda sensor: sensor.noise_hz),
-    Parameter(PLACES, 0.0, 12.0, lambda sensor: 0.0),  # of dots that are shifted by up to 6 px either way; see `places`
-    Parameter("dot_radius_px", 12.5, 17.5, lambda sensor: sensor.dot_radius_px),
-    Parameter("dot_radius_spread", 0.0, 0.06, lambda sensor: sensor.dot_radius_spread),
-    Parameter("dot_contrast_spread", 0.0, 0.15, lambda sensor: sensor.dot_contrast_spread),
-    Parameter("edge_sigma_px", 0.8, 1.8, lambda sensor: sensor.edge_sigma_px),
-    Parameter("distortion", -0.05, 0.02, lambda sensor: sensor.distortion[0]),
-    Parameter(
-        "log_contrast / threshold", 1.3 / 0.35, 1.75 / 0.12, lambda sensor: sensor.log_contrast / sensor.threshold
-    ),
-    Parameter(
-        "threshold_off / threshold",
-        0.8,
-        1.25,
-        lambda sensor: (sensor.threshold_off or sensor.threshold) / sensor.threshold,
-    ),
-    Parameter("mismatch", 0.02, 0.08, lambda sensor: sensor.mismatch),
-    Parameter(
-        "gripper: gear friction", 4.79, 25.65, _of_drive(lambda d: d.friction_n / d.force_per_current_n_ma), "gripper"
-    ),
-    Parameter(
-        "gripper: damping",
-        0.2,
-        0.833,
-        _of_drive(lambda d: d.damping_n_s_m / d.force_per_current_n_ma / 1e3),
-        "gripper",
-    ),
-    Parameter("gripper: moving mass", 1.0, 16.7, _of_drive(lambda d: d.mass_kg / d.force_per_current_n_ma), "gripper"),
-    Parameter(
-        "gripper: bending of the fingers",
-        0.972,
-        2.025,
-        _bending,
-        "gripper",
-    ),
-    Parameter("gripper.backlash_ticks", 0.0, 3.0, lambda sensor: sensor.gripper.backlash_ticks, "gripper"),
-    Parameter("gripper.encoder_noise_ticks", 0.0, 0.7, lambda sensor: sensor.gripper.encoder_noise_ticks, "gripper"),
-    Parameter("gripper.command_delay_ms", 1.0, 8.0, lambda sensor: sensor.gripper.command_delay_ms, "gripper"),
-    Parameter("gripper.command_jitter_ms", 0.0, 4.0, lambda sensor: sensor.gripper.command_jitter_ms, "gripper"),
-    Parameter("gripper: servo gain", 3.6, 10.0, _of_drive(lambda d: d.gain_ma_tick), "gripper"),
-    Parameter("shear_modulus_pa", 70e3, 300e3, lambda sensor: sensor.shear_modulus_pa, "gel"),
-    Parameter(
-        "creep.share, both arms", 0.0, 0.2, lambda sensor: sum(sensor.creep.share) if sensor.creep else 0.0, "gel"
-    ),
-    Parameter(
-        "static friction x force per current",
-        0.216,
-        0.54,
-        _held,
-        "friction",
-    ),
-    Parameter("bandwidth_hz", 300.0, 3000.0, lambda sensor: sensor.bandwidth_hz),
-    Parameter("normal_modulus_pa", 0.5e6, 2.0e6, lambda sensor: sensor.normal_modulus_pa, "gel"),
-    Parameter("loss_tangent", 0.06, 0.24, lambda sensor: sensor.loss_tangent or 0.0, "gel"),
-    Parameter("gripper.force_per_current_n_ma", 0.3, 0.5, _of_drive(lambda d: d.force_per_current_n_ma), "gripper"),
+    Parameter("noise_hz"),
+    Parameter(PLACES, "camera", _shift_px, ("dot_shift_x_px",)),
+    Parameter("dot_radius_px"),
+    Parameter("dot_radius_spread"),
+    Parameter("dot_contrast_spread"),
+    Parameter("edge_sigma_px"),
+    Parameter("distortion", of_sensor=lambda sensor: sensor.distortion[0]),
+    Parameter("log_contrast / threshold", "camera", _contrast, ("log_contrast", "threshold")),
+    Parameter("threshold_off / threshold", "camera", _off_over_on, ("threshold_off_factor",)),
+    Parameter("mismatch"),
+    Parameter("gripper: gear friction", "gripper", _over_n_ma("friction_n"), (N_MA, SERVO, *FRICTION)),
+    Parameter("gripper: damping", "gripper", _over_n_ma("damping_n_s_m", 1e-3), (N_MA, "gripper.damping_n_s_m")),
+    Parameter("gripper: moving mass", "gripper", _over_n_ma("mass_kg"), (N_MA, "gripper.mass_kg")),
+    Parameter("gripper: bending of the fingers", "gripper", _bending, (N_MA, "gripper.finger_stiffness_n_m")),
+    Parameter("gripper.backlash_ticks", "gripper"),
+    Parameter("gripper.encoder_noise_ticks", "gripper"),
+    Parameter("gripper.command_delay_ms", "gripper"),
+    Parameter("gripper.command_jitter_ms", "gripper"),
+    Parameter("gripper: servo gain", "gripper", lambda sensor: _drive(sensor).gain_ma_tick, (N_MA, SERVO)),
+    Parameter("shear_modulus_pa", "gel"),
+    Parameter("creep.share, both arms", "gel", _creep, ("creep.share",)),
+    Parameter("static friction x force per current", "friction", _held, (N_MA, "static_friction_factor")),
+    Parameter("bandwidth_hz"),
+    Parameter("normal_modulus_pa", "gel"),
+    Parameter("loss_tangent", "gel"),
+    Parameter(N_MA, "gripper"),
 )
-
-
-def changed(name: str, values: Mapping[str, float]) -> str:
-    """The text of a packaged scene with other values of some keys."""
-    text = (SCENES / f"{name}.toml").read_text(encoding="utf-8")
-    for key, value in values.items():
-        text, hits = re.subn(rf"(?m)^{key} = [^#\n]*", f"{key} = {value} ", text)
-        if hits != 1:
-            raise ValueError(f"{name}.toml: expected one {key}, found {hits}")
-    return text
 
 
 def evetac(*words: object) -> Row:
@@ -164,7 +186,7 @@ def evetac(*words: object) -> Row:
     command = [sys.executable, "-P", "-m", "evetac_cli", *map(str, words), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     if done.returncode:
-        raise RuntimeError(f"{' '.join(command[2:])}: exit {done.returncode}\n{done.stderr[-2000:]}")
+        raise EvetacError(f"{' '.join(command[2:])}: exit {done.returncode}\n{done.stderr[-2000:]}")
     answer: Row = json.loads(done.stdout)
     return answer
 
@@ -202,7 +224,7 @@ def places(sensor: Sensor, file: Path) -> NDArray[np.float64] | None:
     return np.asarray(seen[0] - seen[1]) if seen[0].shape == seen[1].shape else None
 
 
-def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> None:
+def identify_one(work: Path, number: int, grip_count: int) -> None:
     """All of one sensor, into WORK/NUMBER.json and WORK/NUMBER.npz."""
     if kept(work, number) is not None:
         return
@@ -213,8 +235,8 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
     first = recordings(work, folder, sensor, number, "first")
     known: list[object] = []
     grips: list[Path] = []
-    if not camera_only:
-        for place in range(GRIPS):
+    if grip_count:
+        for place in range(grip_count):
             grips.append(folder / f"grip-{place + 1}.recording.h5")
             gripped = ("--scene", work / "grip-steps.toml", "--object", OBJECT, "--sensor", sensor)
             evetac("record", *gripped, "--seed", number + place * GRIP_SEED, "--force", "-o", grips[-1])
@@ -230,27 +252,22 @@ def identify_one(work: Path, number: int, *, camera_only: bool, keep: bool) -> N
         "second": features(recordings(work, folder, sensor, number + SECOND_SEED, "second")),
         "twin": features(recordings(work, folder, str(twin), number + TWIN_SEED, "twin")),
     }
-    unfinished = work / f"{number}.part.npz"
-    np.savez(unfinished, first=windows["first"], second=windows["second"], twin=windows["twin"])
-    unfinished.replace(work / f"{number}.npz")
+    np.savez(work / f"{number}.npz", first=windows["first"], second=windows["second"], twin=windows["twin"])
     shutil.copy(twin, work / f"{number}.sensor.toml")
-    if not keep:
-        shutil.rmtree(folder)
+    shutil.rmtree(folder)  # about 150 MB
     about = {
         "number": number,
-        "camera_only": camera_only,
+        "camera_only": not grip_count,
         "rows": answer["rows"],
         "truth": {one.name: one.truth(true) for one in PARAMETERS},
         "places_off_px": None if off_px is None else np.abs(off_px).ravel().tolist(),
         "seconds": time.perf_counter() - started,
     }
-    unfinished = work / f"{number}.json.part"
-    unfinished.write_text(json.dumps(about, indent=1))
-    unfinished.replace(work / f"{number}.json")
+    (work / f"{number}.json").write_text(json.dumps(about, indent=1))
     print(f"randomized:{number}: {about['seconds']:.0f} s", file=sys.stderr)
 
 
-def kept(work: Path, number: int) -> tuple[Row, dict[str, NDArray[np.float64]]] | None:
+def kept(work: Path, number: int) -> tuple[Row, Windows] | None:
     """What WORK holds of a sensor: its result and its windows; None where either is missing or cut off."""
     try:
         result: Row = json.loads((work / f"{number}.json").read_text())
@@ -260,15 +277,17 @@ def kept(work: Path, number: int) -> tuple[Row, dict[str, NDArray[np.float64]]] 
         return None
 
 
-def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, dict[str, NDArray[np.float64]]]]:
-    """All sensors that WORK holds, by number; ValueError where some are with the gripper, and others without."""
+def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, Windows]]:
+    """All sensors that WORK holds, by number; InputError where some are with the gripper, and others without."""
     numbers = sorted(int(path.stem) for path in work.glob("*.json") if path.stem.isdigit())
     held = {number: one for number in numbers if (one := kept(work, number)) is not None}
     others = [str(number) for number, (result, _) in held.items() if result["camera_only"] != camera_only]
     if others:
         how = "with" if camera_only else "without"
-        raise ValueError(
-            f"{work} holds sensors that were made {how} the gripper: {', '.join(others)}; take another folder"
+        raise InputError(
+            f"there are sensors that were made {how} the gripper: {', '.join(others)}",
+            where=str(work),
+            hint="take another folder, with --out",
         )
     return held
 
@@ -278,14 +297,14 @@ def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
     row = next((row for row in result["rows"] if row["parameter"] == parameter.name), None)
     if row is None or row["estimate"] is None:
         return None
-    size = parameter.high - parameter.low
+    low, high = parameter.prior
     if parameter.name == PLACES:
         if result["places_off_px"] is None:
             return None
         half_px = row["estimate"]
         held = float(np.mean(np.array(result["places_off_px"]) <= half_px))
-        return 2 * half_px / size, held >= HELD
-    return (row["high"] - row["low"]) / size, bool(row["low"] <= result["truth"][parameter.name] <= row["high"])
+        return 2 * half_px / (high - low), held >= HELD
+    return (row["high"] - row["low"]) / (high - low), bool(row["low"] <= result["truth"][parameter.name] <= row["high"])
 
 
 def parameter_rows(results: list[Row]) -> list[Row]:
@@ -298,24 +317,15 @@ def parameter_rows(results: list[Row]) -> list[Row]:
         is_found = (
             width is not None and len(intervals) == len(results) and width <= QUARTER and held >= HELD * len(intervals)
         )
-        rows.append(
-            {
-                "parameter": parameter.name,
-                "part": parameter.part,
-                "prior_low": parameter.low,
-                "prior_high": parameter.high,
-                "sensors": len(results),
-                "told": len(intervals),
-                "held": held if intervals else None,
-                "width_mean": width,
-                "width_worst": max(one[0] for one in intervals) if intervals else None,
-                "found": is_found,
-            }
-        )
+        low, high = parameter.prior
+        row = {"parameter": parameter.name, "part": parameter.part, "prior_low": low, "prior_high": high}
+        row |= {"sensors": len(results), "told": len(intervals), "held": held if intervals else None}
+        worst = max(one[0] for one in intervals) if intervals else None
+        rows.append({**row, "width_mean": width, "width_worst": worst, "found": is_found})
     return rows
 
 
-def area_rows(windows: Mapping[int, Mapping[str, NDArray[np.float64]]]) -> list[Row]:
+def area_rows(windows: Mapping[int, Windows]) -> list[Row]:
     """A row for every sensor: how well its windows are told from its own again, its twin's, and the next one's."""
     numbers = list(windows)
     rows = []
@@ -357,58 +367,20 @@ def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
     }
 
 
-def main() -> None:
-    """Make what is not there yet, and print and write the table of all that is."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("work", type=Path, help="folder of the recordings and of what is found")
-    parser.add_argument("--first", type=int, required=True, help="number of the first sensor, as in randomized:N")
-    parser.add_argument("--count", type=int, default=1, help="sensors")
-    parser.add_argument("--jobs", type=int, default=1, help="sensors at once")
-    parser.add_argument("--out", type=Path, default=None, help="JSON of the tables, as docs/results/NAME.json")
-    parser.add_argument("--camera-only", action="store_true", help="neither gripper nor gel")
-    parser.add_argument("--keep", action="store_true", help="keep the recordings, about 150 MB a sensor")
-    asked = parser.parse_args()
-    asked.work.mkdir(parents=True, exist_ok=True)
-    for name, values in (("rest", REST), ("press", PRESS), ("grip-steps", GRIP)):
-        (asked.work / f"{name}.toml").write_text(changed(name, values), encoding="utf-8")
-    try:
-        all_kept(asked.work, camera_only=asked.camera_only)
-    except ValueError as error:
-        raise SystemExit(f"error: {error}") from None
-    numbers = range(asked.first, asked.first + asked.count)
-    with ThreadPoolExecutor(asked.jobs) as pool:
-        made = [
-            pool.submit(identify_one, asked.work, one, camera_only=asked.camera_only, keep=asked.keep)
-            for one in numbers
-        ]
-        for one in made:
-            one.result()
-    held = all_kept(asked.work, camera_only=asked.camera_only)
+def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
+    """Make the sensors that are not there yet, so many at once; the parameters of all that are, and the classifier."""
+    work, camera_only = folder.resolve(), not sizes["grips"]
+    for name, changes in SCENES.items():
+        (work / f"{name}.toml").write_text(changed(name, changes))
+    all_kept(work, camera_only=camera_only)
+    numbers = range(sizes["first"], sizes["first"] + sizes["sensors"])
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(lambda number: identify_one(work, number, sizes["grips"]), numbers))
+    held = all_kept(work, camera_only=camera_only)
     results = [result for result, _ in held.values()]
     parameters = parameter_rows(results)
     areas = area_rows({number: windows for number, (_, windows) in held.items()})
     of_all = summary(results, parameters, areas)
-    print_table("blind identification", parameters, {}, simulated=True)
     print_table("windows told apart", areas, of_all, simulated=True)
-    if asked.out is not None:
-        head, changes = commit()
-        options = " --camera-only" if asked.camera_only else ""
-        first, last = results[0]["number"], results[-1]["number"]
-        command = f"python scripts/blind_identification.py WORK --first {first} --count {last - first + 1}{options}"
-        about = {
-            "name": asked.out.stem,
-            "title": f"Parameters of sensors randomized:{first} to {last} in blind identification",
-            "simulated": True,
-            "made": time.strftime("%Y-%m-%d", time.gmtime()),
-            "commit": head,
-            "uncommitted_changes": changes,
-            "commands": [command],
-            "summary": of_all,
-            "rows": parameters,
-            "classifier": areas,
-        }
-        asked.out.write_text(json.dumps(about, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    about = {"sizes": {"trials": len(held), "first": min(held), "last": max(held)}, "classifier": areas}
+    return {"blind-identification": Evaluation(parameters, of_all, simulated=True, about=about)}

@@ -13,12 +13,13 @@ Rows = list[Row]
 
 
 class Evaluation(NamedTuple):
-    """What an evaluation printed, and the header of its report."""
+    """What an evaluation printed, and the header of its report; `about` has what no header says of a measurement."""
 
     rows: Rows
     summary: Row
     simulated: bool
-    header: Row
+    header: Row | None = None
+    about: Row | None = None
 
 
 Evaluations = dict[str, Evaluation]
@@ -44,6 +45,7 @@ class Table:
     columns: tuple[Column, ...]
     across: Column | None = None
     notes: tuple[str, ...] = ()
+    measured: bool = False  # all figures of rows and summaries are kept, and columns without a figure left out
 
 
 def demo_rows(evaluations: Evaluations) -> Rows:

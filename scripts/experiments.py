@@ -1,10 +1,11 @@
-"""Every experiment of the paper as a row of one table; scripts/reproduce.py runs it."""
+"""Every experiment of the paper, and every study beside them, as a row of one table; scripts/reproduce.py runs it."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import experiment_steps as steps
 import experiment_tables as tables
+import studies
 from experiment_steps import SLIP, SMALL_SLIP, Command, Sizes, evetac
 from experiment_tables import Table
 
@@ -19,11 +20,13 @@ class Experiment:
     hours: float  # at full size on two cores: an estimate
     full: Sizes
     small: Sizes  # those that differ
-    steps: Callable[[Sizes], Iterator[Command]]
+    steps: Callable[[Sizes], Iterator[Command]] = lambda sizes: iter(())
     evaluations: Callable[[Sizes], dict[str, Command]] = lambda sizes: {}
+    measure: str = ""  # MODULE.FUNCTION of this folder that measures what no command evaluates
     tables: tuple[Table, ...] = ()
     after: tuple[str, ...] = ()  # experiments that come first
     published: bool = True  # its tables go to docs/results/; else they stay in its folder
+    in_plan: bool = True  # plan.py counts its commands
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
@@ -44,7 +47,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "slip-table", "slip detectors judged on unseen slips", "data/slip", 0.3,
-        full=SLIP, small=SMALL_SLIP, steps=lambda sizes: iter(()), evaluations=steps.slip_evaluations,
+        full=SLIP, small=SMALL_SLIP, evaluations=steps.slip_evaluations,
         after=("slip-models",),
         tables=(tables.SLIP_TRAINING_OBJECTS, tables.SLIP_UNSEEN_OBJECTS, tables.MODEL_COST),
     ),
@@ -111,9 +114,63 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "strips", "a picture of every scene: events, forces and slip", "strips", 0.2,
-        full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",),
+        full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",), in_plan=False,
     ),
     Experiment(
-        "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps,
+        "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps, in_plan=False,
+    ),
+    Experiment(
+        "slip-by-sensor", "how well the package's detector travels, and what it says of light contact",
+        "data/slip-by-sensor", 0.6,
+        full={
+            "seed": 20_000, "objects": "10-17", "each": 25,
+            "sensors": ("evetac", "second", "bare-dvxplorer", "realistic"),
+            "randomized": 20, "randomized_objects": "10-19", "randomized_each": 2, "grasped": "1-20",
+            "first_edition": "",  # file of the detector that evetac had before, to compare with
+        },
+        small={
+            "objects": "11", "each": 1, "sensors": ("evetac",), "randomized": 1, "randomized_objects": "11",
+            "randomized_each": 1, "grasped": "11",
+        },
+        steps=studies.slip_by_sensor_steps, measure="slip_by_sensor.measure", in_plan=False,
+        tables=(studies.SLIP_BY_SENSOR, studies.SLIP_IN_CONTACT),
+    ),
+    Experiment(
+        "part-effects", "what each part of a sensor or a scene does to each stage", "data/part-effects", 1.0,
+        full={"seed": 20_000, "slips": 15, "grasps": 9, "parts": ()},
+        small={"slips": 3, "grasps": 0, "parts": ("leak",)},
+        measure="part_effects.measure", in_plan=False,
+        tables=(studies.PART_EFFECTS,),
+    ),
+    Experiment(
+        "blind-identification", "are sensors that identify has never seen found again", "data/blind-identification",
+        0.8, full={"first": 20_020, "sensors": 20, "grips": 3}, small={"sensors": 1},
+        measure="blind_identification.measure", in_plan=False,
+        tables=(studies.BLIND_IDENTIFICATION,),
+    ),
+    Experiment(
+        "force-sensors", "shear and normal force on sensors that no model saw", "data/force-sensors", 1.5,
+        full={"first": 20_020, "sensors": 20, "adapt": 12}, small={"sensors": 1, "adapt": 1},
+        steps=studies.force_sensor_steps, evaluations=studies.force_sensor_evaluations, in_plan=False,
+        tables=(studies.FORCE_SENSORS, studies.FORCE_OBJECTS), after=("blind-identification",),
+    ),
+    Experiment(
+        "touch-cost", "what a step of the touch sensor costs", "data/touch-cost", 0.1,
+        full={"rounds": 4, "ms": 500}, small={"rounds": 2, "ms": 50},
+        measure="robot_tables.touch_cost", in_plan=False,
+        tables=(studies.TOUCH_COST,),
+    ),
+    Experiment(
+        "mujoco-grasps", "grasps in MuJoCo with our touch, detector and laws", "data/mujoco-grasps", 0.1,
+        full={"trials": 20, "seed": 22_000}, small={"trials": 1},
+        steps=studies.mujoco_steps, measure="robot_tables.mujoco_grasps", in_plan=False,
+        tables=(studies.MUJOCO_GRASPS,),
+    ),
+    Experiment(
+        "lift-baseline", "a grip law found by CMA-ES against fixed grips", "data/lift-baseline", 0.5,
+        full={"runs": 5, "generations": 4, "candidates": 6, "episodes": 2, "judged": 20, "judged_from": 22_000},
+        small={"runs": 1, "generations": 1, "candidates": 4, "episodes": 1, "judged": 1},
+        steps=studies.lift_steps, measure="robot_tables.lift_baseline", in_plan=False,
+        tables=(studies.LIFT_BASELINE,),
     ),
 )  # fmt: skip

@@ -2,13 +2,13 @@
 
     python scripts/force_randomized.py FOLDER --first 20000 --sensors 20
 
-For each sensor randomized:N, 5 s each (10 s with --waypoints 4), tracked by `stable`, and by `paper` in a folder of
-its own:
+For each sensor randomized:N, 5 s each (10 s with --waypoints 4):
 
 - N-adapt-0 to 11: a flat face, pressed on with 6 to 20 N and sheared: a minute that a model is adapted on;
 - N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
 - N-disc: a disc of 16 mm, 10 N; N-slip: an object of the paper's table slips out of the grip (a cut gel).
 
+Beside them is scenes/evetac.toml, of `shear-0` with eight waypoints, for the sensor on which the paper's method learns.
 What is there already is not made again.
 """
 
@@ -16,10 +16,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.params.learning import Track
 from evetac_cli.params.recording import Record
 from evetac_cli.sim.setup.scene_file import changed
-from evetac_cli.stages import record, track
+from evetac_cli.stages import record
 
 FLAT: dict[str, Any] = {}  # that of the scene, 30 mm x 30 mm
 DISC = {"size_mm": None, "radius_mm": 8.0}
@@ -37,6 +36,7 @@ FIRST_TRIALS = (*PRESSES, "slip")
 PRESSES |= {f"adapt-{number}": PRESSES[f"adapt-{number % 4}"] for number in range(4, 12)}
 TRIALS = (*FIRST_TRIALS, *(name for name in PRESSES if name not in FIRST_TRIALS))  # their seeds follow from their order
 OBJECTS = 20
+EVETAC_WAYPOINTS = 8
 
 
 def scene_text(face: dict[str, Any], normal_n: float, shear_n: float, waypoints: int) -> str:
@@ -46,14 +46,10 @@ def scene_text(face: dict[str, Any], normal_n: float, shear_n: float, waypoints:
 
 
 def make(scene_name: str, sensor: int, seed: int, objects: str, output: Path) -> None:
-    """Record and track one trial, unless that is done."""
+    """Record one trial, unless that is done."""
     chosen = Record(scene=scene_name, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
     (trial,) = record.jobs([], chosen, output)
     record.run(trial, chosen)
-    for preset, out in (("stable", None), ("paper", output.parent / "paper")):
-        by = Track(preset=preset)
-        (job,) = track.jobs([output], by, out)
-        track.run(job, by)
 
 
 def main() -> None:
@@ -64,16 +60,17 @@ def main() -> None:
     parser.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS, help="only these of each sensor")
     parser.add_argument("--waypoints", type=int, default=2, help="places that a face is moved to")
     chosen = parser.parse_args()
-    for folder in (chosen.folder, chosen.folder / "paper", chosen.folder / "scenes"):
-        folder.mkdir(parents=True, exist_ok=True)
+    scenes = chosen.folder / "scenes"
+    scenes.mkdir(parents=True, exist_ok=True)
     for name, press in PRESSES.items():
-        (chosen.folder / "scenes" / f"{name}.toml").write_text(scene_text(*press, chosen.waypoints))
+        (scenes / f"{name}.toml").write_text(scene_text(*press, chosen.waypoints))
+    (scenes / "evetac.toml").write_text(scene_text(*PRESSES["shear-0"], EVETAC_WAYPOINTS))
     for number, name in enumerate(TRIALS):
         if name not in chosen.trials:
             continue
         for place in range(chosen.sensors):
             sensor, seed = chosen.first + place, chosen.first + chosen.sensors * number + place
-            scene_name = "slip" if name == "slip" else str(chosen.folder / "scenes" / f"{name}.toml")
+            scene_name = "slip" if name == "slip" else str(scenes / f"{name}.toml")
             objects = str(1 + place % OBJECTS) if name == "slip" else "8"
             make(scene_name, sensor, seed, objects, chosen.folder / f"{sensor}-{name}.recording.h5")
             print(f"randomized:{sensor} {name}", flush=True)

@@ -1,14 +1,14 @@
 """What each part of a sensor or a scene does to each stage: the same slips and grasps with the part, and without.
 
-    python scripts/part_effects.py -o effects.jsonl --seed 20000 --jobs 2 --publish       # the table of the docs
-    python scripts/part_effects.py -o look.jsonl --seed 0 --slips 3 --grasps 0 --part leak --part "slow pixels"
-    python scripts/part_effects.py -o effects.jsonl --seed 20000 --slips 0 --grasps 0     # the tables of what is there
+    make part-effects                                       # goes on where it was stopped
+    make part-effects SIZES="slips=0 grasps=0"              # the table of what is there
+    python scripts/reproduce.py --only part-effects --size seed=0 --size slips=3 --size "parts=leak,slow pixels"
 
 Every part is added alone to the quiet sensor `evetac` in the scenes `slip` (objects 2, 8, 14 in turn) and `lift` (11,
 12, 17), at the worse end of what `--sensor randomized` samples, or as the docs have it; what needs another part is
 compared with that one. From every slip are made labels, tracks, features, and the detections of the package's detector,
-by the default methods; a grasp is by the default controller. A trial is a line of JSON; trials whose line is there are
-not run again.
+by the default methods; a grasp is by the default controller. A trial is a line of data/part-effects/effects.jsonl;
+trials whose line is there are not run again.
 
 Figures over the trials, all against the truth of the simulation itself: events_ms and tracking_px (root mean square
 over all dots) up to gross slip; the share of trials in which the labels' onset is -4 to +3 ms off it, and the F1 of
@@ -18,10 +18,9 @@ many grasps are held, and how far their object moved. Intervals of changes, 95 %
 trials; with fewer than some ten pairs such intervals are too narrow.
 """
 
-import argparse
 import json
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -30,11 +29,12 @@ from typing import Any
 
 import numpy as np
 from compare_steps import commit, finished_rows
+from experiment_steps import Sizes
+from experiment_tables import Evaluation, Evaluations
 from numpy.typing import NDArray
-from results import publish
+from studies import PART_FIGURES
 
-from evetac_cli.console import show
-from evetac_cli.errors import EvetacError
+from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.labels import shift_labels
@@ -53,9 +53,6 @@ from evetac_cli.text_files import as_toml
 Row = dict[str, Any]
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parents[1]
-NAME = "part-effects"
-PAGE = ROOT / "docs" / "disturbances.md"
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
 RESAMPLES = 2000
@@ -124,20 +121,6 @@ PARTS = (
 )
 BY_NAME = {part.name: part for part in PARTS}
 
-# Column: heading and format of its cells.
-FIGURES = {
-    "events_ms": ("events a ms", ".1f"),
-    "tracking_px": ("tracking error [px]", ".3f"),
-    "labels_in_time": ("labels in time", ".2f"),
-    "labels_f1": ("F1 of labels", ".2f"),
-    "slip_in_time": ("slip detected in time", ".2f"),
-    "slip_f1": ("F1 of detector", ".2f"),
-    "record_us": ("simulated in [us a slice]", ".0f"),
-    "rest_us": ("labelled to judged in [us a slice]", ".0f"),
-    "held": ("grasps held", ".2f"),
-    "moved_mm": ("object moved in a grasp [mm]", ".2f"),
-}
-
 
 def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tuple[SimulatedTrial, Any]:
     """The trial with a part, from files of a scene and a sensor, and the parameters of its stage."""
@@ -203,18 +186,20 @@ def identity(row: Row) -> tuple[Any, ...]:
     return tuple(row[name] for name in ("part", "says", "kind", "object", "seed"))
 
 
-def trials(chosen: argparse.Namespace) -> Iterator[Row]:
+def trials(sizes: Sizes) -> Iterator[Row]:
     """The trials that are asked for, those of one part after the other's of the same seed."""
-    for kind, count, objects in (("slip", chosen.slips, SLIPPED), ("lift", chosen.grasps, GRASPED)):
+    for kind, count, objects in (("slip", sizes["slips"], SLIPPED), ("lift", sizes["grasps"], GRASPED)):
         for number in range(count):
-            for part in named(chosen.part):
+            for part in named(sizes["parts"]):
                 if part.slips or kind == "lift":
                     what = {"part": part.name, "says": part.says, "kind": kind}
-                    yield {**what, "object": objects[number % len(objects)], "seed": chosen.seed + number}
+                    yield {**what, "object": objects[number % len(objects)], "seed": sizes["seed"] + number}
 
 
-def named(names: list[str] | None) -> list[Part]:
+def named(names: Sequence[str]) -> list[Part]:
     """The parts of these names, and those that they are compared with; all without names."""
+    if wrong := set(names) - set(BY_NAME):
+        raise InputError("no such part", where="--size parts", expected=", ".join(BY_NAME), found=", ".join(wrong))
     wanted = [BY_NAME[name] for name in names] if names else list(PARTS)
     while others := {part.against for part in wanted} - {part.name for part in wanted}:
         wanted += [BY_NAME[name] for name in others]
@@ -278,7 +263,7 @@ def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
         kinds = [row["kind"] for row in own]
         shown: Row = {"part": part.name, "size": part.says, "slips": kinds.count("slip"), "grasps": kinds.count("lift")}
         shown["refused"] = sum("refused" in row for row in own)
-        for name in FIGURES:
+        for name in PART_FIGURES:
             shown[name] = figure(name, own)
             theirs = {pair(row): row for row in of_part(rows, BY_NAME[part.against]) if knows(name, row)}
             both = [(row, theirs[pair(row)]) for row in own if knows(name, row) and pair(row) in theirs]
@@ -304,73 +289,39 @@ def sure(changes: Iterable[Row]) -> list[Row]:
     return [row for row in changes if row["low"] > 0.0 or row["high"] < 0.0]
 
 
-def result(figures: list[Row], changes: list[Row], rows: list[Row], chosen: argparse.Namespace) -> Row:
-    """The file of docs/results: cells have the interval of a change where it does not hold 0."""
+def evaluation(rows: list[Row]) -> Evaluation:
+    """The figures of each part, with the interval of a change where it does not hold 0; the file has every change."""
+    figures, changes = tables(rows)
     certain = {(row["part"], row["figure"]): row for row in sure(changes)}
-    cells = []
     for row in figures:
-        ends: Row = {}
-        for name in FIGURES:
+        for name in PART_FIGURES:
             one = certain.get((row["part"], name))
-            ends |= {f"{name}_low": one and one["low"], f"{name}_high": one and one["high"]}
-        cells.append({**row, **ends})
-    columns = [{"heading": "part", "cell": "{part}"}, {"heading": "size", "cell": "{size}"}]
-    for name, (heading, form) in FIGURES.items():
-        interval = f"{{{name}_low:+{form}}} to {{{name}_high:+{form}}}"
-        columns.append({"heading": heading, "cell": f"{{{name}:{form}}}, {interval}"})
-    seeds = sorted({row["seed"] for row in rows})
+            row |= {f"{name}_low": one and one["low"], f"{name}_high": one and one["high"]}
     commits = sorted({row["commit"] for row in rows})
-    flags = f"--seed {chosen.seed} --slips {chosen.slips} --grasps {chosen.grasps}"
-    slips, grasps = figures[0]["slips"], figures[0]["grasps"]
-    return {
-        "name": NAME,
-        "title": f"What each part does to each stage, {slips} slips and {grasps} grasps with each",
-        "simulated": True,
-        "made": f"commit {', '.join(commits)}, seeds {seeds[0]} to {seeds[-1]}",
+    counts = {"trials": len(rows), "slips": figures[0]["slips"], "grasps": figures[0]["grasps"]}
+    about = {
+        "made": f"commit {', '.join(commits)}",
         "commit": ", ".join(commits),
         "uncommitted_changes": any(one.endswith("-dirty") for one in commits),
-        "commands": [f"python scripts/part_effects.py -o effects.jsonl {flags} --publish"],
         "methods": {"record": record.METHOD, "label": label.METHOD, "grasp": grasp.METHOD},
         "recipe_ids": [package_model().header["id"]],
-        "columns": columns,
-        "across": None,
-        "notes": [
-            "Behind a figure stands the interval of its change, 95 % by a bootstrap over pairs of trials, where that"
-            " does not hold 0; with fewer than some ten pairs it is too narrow, and of so many figures one in 20 would"
-            " have one by chance. Run times are of the processor, beside whatever else it did."
-        ],
-        "rows": cells,
+        "sizes": {**counts, "recording_seeds": sorted({row["seed"] for row in rows})},
         "changes": changes,
     }
+    return Evaluation(figures, {}, simulated=True, about=about)
 
 
-def main() -> None:
-    """Run what is missing, print the tables, publish them if asked to."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a trial")
-    parser.add_argument("--part", action="append", choices=[part.name for part in PARTS], help="default: all")
-    parser.add_argument("--seed", type=int, default=20_000, help="of the first trial; each has the next")
-    parser.add_argument("--slips", type=int, default=15, help="slips of each part")
-    parser.add_argument("--grasps", type=int, default=9, help="grasps of each part")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--publish", action="store_true", help="write docs/results and the page")
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
-    chosen = parser.parse_args()
-
-    rows = finished_rows(chosen.out)
+def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
+    """Run what is missing, in so many processes; the figures of all trials that there are."""
+    path = folder / "effects.jsonl"
+    rows = finished_rows(path)
     done, made_by = {identity(row) for row in rows}, {"commit": commit()}
-    missing = [row for row in trials(chosen) if identity(row) not in done]
-    with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool, chosen.out.open("a") as file:
+    missing = [row for row in trials(sizes) if identity(row) not in done]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool, path.open("a") as file:
         for future in as_completed([pool.submit(run, row | made_by) for row in missing]):
             rows.append(future.result())
             file.write(json.dumps(rows[-1]) + "\n")
             file.flush()
-    figures, changes = tables(rows)
-    whole = {"trials": len(rows), "commits": ", ".join(sorted({row["commit"] for row in rows}))}
-    show("part_effects", [*figures, *sure(changes)], whole, simulated=True, as_json=chosen.json)
-    if chosen.publish:
-        publish(result(figures, changes, rows, chosen), PAGE)
-
-
-if __name__ == "__main__":
-    main()
+    if not rows:
+        raise InputError("no trials", where=str(path), expected="--size slips or grasps above 0")
+    return {"part-effects": evaluation(rows)}

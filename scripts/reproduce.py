@@ -1,4 +1,4 @@
-"""Run the experiments of the paper (scripts/experiments.py) and keep their tables, one small JSON each.
+"""Run the experiments and studies (scripts/experiments.py) and keep their tables, one small JSON each.
 
     python scripts/reproduce.py --list
     python scripts/reproduce.py --only labels [--small] [--size each=2] [--jobs 4] [--dry-run]
@@ -13,29 +13,42 @@ Ctrl-C ends the command at work, which takes its unfinished files away, and then
 
 import argparse
 import dataclasses
+import importlib
 import json
+import shlex
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from experiment_steps import Command, Sizes
 from experiment_tables import Column, Evaluation, Row, Table
 from experiments import EXPERIMENTS, Experiment
-from results import STAGES, keys, ranges, text
+from report_facts import facts, methods, report_header, words_for
+from results import fill, keys, text
 
+from evetac_cli.errors import EvetacError
 from evetac_cli.stages.evaluate import paper
 from evetac_cli.stages.evaluate.source import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-IN_PARALLEL = ("record", "track", "label", "featurize", "train", "grasp", "track-rgb")  # commands given --jobs
+IN_PARALLEL = (
+    "record",
+    "track",
+    "label",
+    "featurize",
+    "train",
+    "grasp",
+    "track-rgb",
+    "examples/cma_lift.py",
+)  # commands given --jobs; fmt: skip
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
 INTERRUPTS_TO_KILL = 3  # after so many a command that does not end is killed
-COUNTS = ("recordings", "objects", "models", "training_steps")  # what makes one run larger than another
+COUNTS = ("recordings", "objects", "models", "training_steps", "trials")  # what makes one run larger than another
 
 # Run a command in a folder; what it printed, and its exit code.
 Run = Callable[[Command, Path], tuple[int, str]]
@@ -80,21 +93,18 @@ def wait_for(process: "subprocess.Popen[str]") -> str:
     return printed
 
 
-def report_header(path: Path) -> Row:
-    """The header of a report, with its history."""
-    from evetac_cli.store.files import StageFile
-
-    with StageFile(path, "report") as file:
-        header: Row = file.header
-        return header
-
-
 def expand(words: Command, folder: Path) -> Command:
-    """The command with its globs replaced by the files that they match, in order."""
+    """The command with its globs replaced by the files that they match, in order, but for those of --flag=GLOB."""
     expanded: Command = []
     for word in words:
-        expanded += sorted(str(path.relative_to(folder)) for path in folder.glob(word)) if "*" in word else [word]
+        is_glob = "*" in word and not word.startswith("--")
+        expanded += sorted(str(path.relative_to(folder)) for path in folder.glob(word)) if is_glob else [word]
     return expanded
+
+
+def as_text(size: Any) -> str:
+    """A size as --size takes it."""
+    return ",".join(size) if isinstance(size, tuple) else str(size)
 
 
 def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> Sizes:
@@ -113,10 +123,11 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
 
 def with_engine(words: Command, jobs: int, engine: str) -> Command:
     """A command that works on files, told where, and on how many at a time; a cluster that runs knows that itself."""
-    if words[0] != "evetac" or (words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]):
+    if words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]:
         return words
-    at_once = [] if engine.startswith("dask:") else ["--jobs", str(jobs)]
-    return [*words, *at_once, *(["--engine", engine] if engine != "local" else [])]
+    ours = words[0] == "evetac"
+    at_once = [] if ours and engine.startswith("dask:") else ["--jobs", str(jobs)]
+    return [*words, *at_once, *(["--engine", engine] if ours and engine != "local" else [])]
 
 
 def in_order(names: Iterable[str]) -> list[Experiment]:
@@ -136,86 +147,6 @@ def in_order(names: Iterable[str]) -> list[Experiment]:
     return list(ordered.values())
 
 
-# --- what the headers of reports say ----------------------------------------------------------------------------------
-
-
-def ancestors(header: Row, history: Row) -> Iterator[Row]:
-    """A header's parents of the kinds recording and model, looking through the files in between."""
-    for parent_id in header["parents"]:
-        parent = history[parent_id]
-        if parent["kind"] in ("recording", "model", "force-model"):
-            yield parent
-            if parent["kind"] == "recording":  # of a grasp: the detector's model
-                yield from (model for model in ancestors(parent, history) if model["kind"] != "recording")
-        else:
-            yield from ancestors(parent, history)
-
-
-def facts(headers: Iterable[Row]) -> Row:
-    """What was judged and what was trained on, from the headers of the reports of a table."""
-    judged: dict[str, Row] = {}
-    models: dict[str, Row] = {}
-    training: dict[str, Row] = {}
-    for header in headers:
-        history = {id_: {**entry, "id": id_} for id_, entry in header["history"].items()}
-        for node in ancestors(header, history):
-            (judged if node["kind"] == "recording" else models)[node["id"]] = node
-        for model in list(models.values()):
-            for node in ancestors(model, history) if model["id"] in history else ():
-                training[node["id"]] = node
-
-    def parameters(nodes: dict[str, Row], name: str) -> list[Any]:
-        values = {json.dumps(node["parameters"].get(name)) for node in nodes.values()} - {"null"}
-        return sorted(map(json.loads, values))
-
-    tones = {node["parameters"].get("scene", {}).get("time", {}).get("tone_s", 0.0) for node in judged.values()}
-    return {
-        "recordings": len(judged),
-        "objects": parameters(judged, "object"),
-        "sensors": parameters(judged, "sensor"),
-        "recording_seeds": sorted({node["seed"] for node in judged.values() if node["seed"] is not None}),
-        "models": len(models),
-        "training_seeds": sorted(set(parameters(models, "seed"))),
-        "training_steps": max(parameters(models, "max_steps"), default=0),
-        "training_recordings": len(training),
-        "training_objects": parameters(training, "object"),
-        "training_sensors": parameters(training, "sensor"),
-        "tone_s": max(tones, default=0.0),
-    }
-
-
-COMMANDS = {
-    "recording": "record", "labels": "label", "features": "featurize", "model": "train", "force-model": "train-force",
-}  # fmt: skip
-
-
-def methods(headers: Iterable[Row]) -> dict[str, int]:
-    """The number of the method of each command behind the reports of a table; the oldest where there are several."""
-    numbers: dict[str, int] = {}
-    for header in headers:
-        for node in (header, *header["history"].values()):
-            command = node["parameters"].get("command", COMMANDS.get(node["kind"], ""))
-            if node["kind"] == "force-model" and node["parameters"].get("method") == "gel":
-                command = "train-force --method gel"
-            if node["kind"] == "tracks":
-                command = "track" if node["seed"] is None else "track-rgb"
-            if node["kind"] == "recording" and "controller" in node["parameters"]:
-                command = "grasp"
-            if command in STAGES:
-                numbers[command] = min(node["method"], numbers.get(command, node["method"]))
-    return {command: numbers[command] for command in STAGES if command in numbers}
-
-
-def words_for(known: Row) -> Row:
-    """The facts as they stand in a title."""
-    shown = {name: value for name, value in known.items() if not isinstance(value, list)}
-    for name, value in known.items():
-        if isinstance(value, list):
-            whole = all(isinstance(entry, int) for entry in value)
-            shown[name] = ranges(value) if whole else ", ".join(map(str, value))
-    return shown
-
-
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
@@ -230,12 +161,12 @@ def commit() -> tuple[str, bool]:
 
 
 def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
-    """The figures that the table shows, and what names the paper's beside them."""
+    """The figures that the table shows, all of a measured one, and what names the paper's beside them."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
     for key in wanted & paper.SHOWN.keys():
         wanted |= {*paper.SHOWN[key].needs, *paper.SHOWN[key].may_need}
-    return [{key: value for key, value in row.items() if key in wanted} for row in rows]
+    return [{key: value for key, value in row.items() if table.measured or key in wanted} for row in rows]
 
 
 def layout(column: Column) -> Row:
@@ -244,9 +175,16 @@ def layout(column: Column) -> Row:
 
 
 def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[str]) -> Row:
-    """A table as it is kept: everything that it says of itself comes from the reports."""
-    known = facts(evaluation.header for evaluation in evaluations.values())
+    """A table as it is kept: what it says of itself comes from the reports, or from a measurement that has none."""
+    headers = [evaluation.header for evaluation in evaluations.values() if evaluation.header]
+    about = {key: value for evaluation in evaluations.values() for key, value in (evaluation.about or {}).items()}
+    known = facts(headers) | about.pop("sizes", {})
     head, changed = commit()
+    head, changed = about.get("commit", head), about.get("uncommitted_changes", changed)
+    rows, columns = table.rows(evaluations), table.columns
+    if table.measured:
+        columns = tuple(column for column in columns if any(fill(column.cell, row) for row in rows))
+        about["summaries"] = {name: evaluation.summary for name, evaluation in evaluations.items()}
     return {
         "name": table.name,
         "title": table.title.format(**words_for(known)),
@@ -255,15 +193,15 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "commit": head,
         "uncommitted_changes": changed,
         "commands": list(commands),
-        "methods": methods(evaluation.header for evaluation in evaluations.values()),
-        "recipe_ids": [evaluation.header["id"] for evaluation in evaluations.values()],
+        "methods": methods(headers),
+        "recipe_ids": [header["id"] for header in headers],
         "sizes": known,
-        "source": dataclasses.asdict(Source.of(evaluation.header for evaluation in evaluations.values())),
-        "columns": [layout(column) for column in table.columns],
+        "source": dataclasses.asdict(Source.of(headers)),
+        "columns": [layout(column) for column in columns],
         "across": layout(table.across) if table.across else None,
         "notes": list(table.notes),
-        "rows": shown_rows(table, table.rows(evaluations)),
-    }
+        "rows": shown_rows(table, rows),
+    } | about
 
 
 def extent(value: Any) -> int:
@@ -272,7 +210,7 @@ def extent(value: Any) -> int:
 
 def smaller(new: Row, old: Row) -> list[str]:
     """In what a new table is smaller than the one there is, in words."""
-    counts = ((name, extent(new["sizes"][name]), extent(old["sizes"].get(name, 0))) for name in COUNTS)
+    counts = ((name, extent(new["sizes"].get(name, 0)), extent(old["sizes"].get(name, 0))) for name in COUNTS)
     return [f"{name.replace('_', ' ')} {ours} (there {theirs})" for name, ours, theirs in counts if ours < theirs]
 
 
@@ -302,6 +240,26 @@ def evaluate(name: str, words: Command, folder: Path, run: Run, header: Callable
     return Evaluation(answer["rows"], answer["summary"], answer["simulated"], header(folder / f"{name}.report.h5"))
 
 
+def is_there(words: Command, folder: Path) -> bool:
+    """Whether a program's file of figures is there: it has no recipe to compare, and is made once."""
+    return words[0] == "python" and "--json" in words and (folder / words[words.index("--json") + 1]).exists()
+
+
+def measured(experiment: Experiment, sizes: Sizes, folder: Path, jobs: int) -> dict[str, Evaluation]:
+    """What the experiment's own function measures; nothing for one that has none."""
+    module, _, function = experiment.measure.partition(".")
+    if not module:
+        return {}
+    evaluations: dict[str, Evaluation] = getattr(importlib.import_module(module), function)(sizes, folder, jobs)
+    return evaluations
+
+
+def own_command(experiment: Experiment, sizes: Sizes) -> str:
+    """The command that makes an experiment with these sizes."""
+    others = (f"--size={name}={as_text(value)}" for name, value in sizes.items() if value != experiment.full[name])
+    return shlex.join(["python", "scripts/reproduce.py", "--only", experiment.name, *others])
+
+
 def perform(
     experiment: Experiment,
     sizes: Sizes,
@@ -314,24 +272,27 @@ def perform(
     run: Run = run_command,
     header: Callable[[Path], Row] = report_header,
 ) -> None:
-    """Run an experiment's commands and evaluations, print its tables and keep them."""
+    """Run an experiment's commands, evaluations and measurement, print its tables and keep them."""
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
     print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
     for step in experiment.steps(sizes):
         print("+", *step, flush=True)
+        if is_there(step, folder):
+            continue
         code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
         if code:
             raise Refusal(f"{' '.join(step)} ended with exit code {code}")
-    commands = experiment.evaluations(sizes)
-    evaluations = {}
-    for name, words in commands.items():
+    evaluations = measured(experiment, sizes, folder, jobs)
+    commands = dict.fromkeys(evaluations, own_command(experiment, sizes))
+    for name, words in experiment.evaluations(sizes).items():
         print("+", *words, flush=True)
         evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
+        commands[name] = " ".join(words)
     refusals = []
     for table in experiment.tables:
         chosen = {name: evaluations[name] for name in table.evaluations}
-        made = result(table, chosen, (" ".join(commands[name]) for name in chosen))
+        made = result(table, chosen, dict.fromkeys(commands[name] for name in chosen))
         print(f"\n{text(made)}")
         try:
             keep(made, results, replace=replace)
@@ -352,8 +313,7 @@ def print_list() -> None:
             f"{experiment.name:12} {experiment.shows}; estimated {experiment.hours:g} h at full size"
             + (f"; {names}" * bool(names))
         )
-        print(f"{'':12} " + " ".join(f"{name}={','.join(value) if isinstance(value, tuple) else value}"
-                                     for name, value in experiment.full.items()))  # fmt: skip
+        print(f"{'':12} " + " ".join(f"{name}={as_text(value)}" for name, value in experiment.full.items()))
 
 
 def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, engine: str) -> None:
@@ -362,6 +322,8 @@ def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, e
         print(*with_engine(step, jobs, engine))
     for name, words in experiment.evaluations(sizes).items():
         print(*with_engine(words, jobs, engine), "--out", f"{name}.report.h5", "--json")
+    if experiment.measure:
+        print(f"# {experiment.measure} of scripts/ measures the rest")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -407,7 +369,7 @@ def main(arguments: list[str] | None = None) -> None:
                 table_folder = chosen.results or usual
                 how = {"jobs": chosen.jobs, "replace": chosen.replace, "engine": chosen.engine}
                 perform(experiment, sizes, out, table_folder, **how)
-    except Refusal as refusal:
+    except (Refusal, EvetacError) as refusal:
         raise SystemExit(f"error: {refusal}") from None
     except KeyboardInterrupt:
         print("interrupted: complete files are kept, and the same command goes on with them", file=sys.stderr)

@@ -120,9 +120,10 @@ def keys(template: str) -> list[str]:
 
 
 def fill(template: str, row: Row) -> str:
-    """The parts of a format string, between commas, of which the row has every figure."""
+    """The parts of a format string, between commas, of which the row has every figure; yes or no for a bool."""
     parts = template.split(", ")
-    return ", ".join(part.format(**row) for part in parts if all(row.get(key) is not None for key in keys(part)))
+    shown = {key: ("no", "yes")[value] if isinstance(value, bool) else value for key, value in row.items()}
+    return ", ".join(part.format(**shown) for part in parts if all(row.get(key) is not None for key in keys(part)))
 
 
 def published(column: Row, row: Row, result: Result) -> tuple[str, str]:
@@ -252,13 +253,6 @@ def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
         raise SystemExit(f"{page}: expected {begin.strip()} and {end}")
     _, _, after = rest.partition(end)
     page.write_text(f"{before}{begin}\n{said}:\n\n{table}\n\n{end}{after}")
-
-
-def publish(result: Result, page: Path) -> None:
-    """Write a result into docs/results, and its table into a page."""
-    folder = ROOT / "docs" / "results"
-    (folder / f"{result['name']}.json").write_text(json.dumps(result, indent=1) + "\n")
-    page.write_text(fill_page(page.read_text(), folder))
 
 
 def main() -> None:

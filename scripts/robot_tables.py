@@ -1,32 +1,21 @@
-"""Tables of docs/robot-simulators.md: what a step of the touch sensor costs, and what the examples came to.
+"""What a step of the touch sensor costs, and what the examples came to: the tables of docs/robot-simulators.md."""
 
-    python scripts/robot_tables.py cost
-    python scripts/robot_tables.py mujoco grasps.json       of examples/mujoco_grasp.py
-    python scripts/robot_tables.py lift lift.json           of examples/cma_lift.py
-
-Each goes into docs/results/ with commit and command, and into the page.
-"""
-
-import argparse
 import json
 import statistics
-import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from results import put_measured
+from experiment_steps import Sizes
+from experiment_tables import Evaluation, Evaluations
+from studies import trials_file
 
 import evetac_cli as evetac
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "robot-simulators.md"
 BOX = {"shape": "flat", "static_friction": 0.8}
 BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
-MADE_MS = 500
-ROUNDS = 4
 
 Row = dict[str, Any]
 Drive = Callable[[int], dict[str, Any]]  # what is asked for at the end of a millisecond
@@ -41,23 +30,23 @@ CASES: dict[str, tuple[Any, Drive]] = {
 }
 
 
-def cost_rows() -> Iterator[Row]:
+def cost_rows(rounds: int, duration_ms: int) -> Iterator[Row]:
     """Microseconds of CPU a simulated millisecond, median of rounds: the sensor alone, and with the slip detector."""
     for case, (touching, drive) in CASES.items():
         row: Row = {"contact": case}
         for heading, detects in (("CPU_us_a_ms", False), ("with_slip_detector_CPU_us_a_ms", True)):
             took = []
-            for number in range(ROUNDS):
+            for number in range(rounds):
                 begin_m = drive(0).get("place_m", (0.0, 0.0))
                 sensor = evetac.TouchSensor(object=touching, rng=np.random.default_rng(number), at_m=begin_m)
                 detector = evetac.SlipDetector(sensor) if detects else None
                 sensor.step(0.05, normal_n=drive(0)["normal_n"])
                 began = time.process_time()
-                for ms in range(1, MADE_MS + 1):
+                for ms in range(1, duration_ms + 1):
                     touch = sensor.step(1e-3, **drive(ms))
                     if detector is not None:
                         detector.step(touch.slices[0])
-                took.append((time.process_time() - began) / MADE_MS * 1e6)
+                took.append((time.process_time() - began) / duration_ms * 1e6)
             row[heading] = statistics.median(took[1:])  # the first round may compile
         yield row
 
@@ -86,25 +75,23 @@ def lift_rows(policies: list[Row]) -> Iterator[Row]:
     yield {"policy": f"CMA-ES, mean of {len(runs)} runs", **means}
 
 
-def main() -> None:
-    """Write one table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=["cost", "mujoco", "lift"])
-    parser.add_argument("made", nargs="?", type=Path, help="the file of the example")
-    chosen = parser.parse_args()
-    asked = ["git", "rev-parse", "--short", "HEAD"]
-    commit = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-    made = json.loads(chosen.made.read_text()) if chosen.made else []
-    name, command, rows = {
-        "cost": ("touch-cost", "python scripts/robot_tables.py cost", cost_rows),
-        "mujoco": ("mujoco-grasps", "python examples/mujoco_grasp.py", lambda: mujoco_rows(made)),
-        "lift": ("lift-baseline", "python examples/cma_lift.py", lambda: lift_rows(made)),
-    }[chosen.table]
-    said = f"Simulated, by `{command}` at commit {commit}"
-    result = {"name": name, "simulated": True, "commit": commit, "command": command, "said": said, "rows": list(rows())}
-    (ROOT / "docs" / "results" / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
-    put_measured(PAGE, name, result["rows"], said)
+def simulated(name: str, rows: Iterable[Row], trials: int) -> Evaluations:
+    """Rows of one table, of so many trials."""
+    return {name: Evaluation(list(rows), {}, simulated=True, about={"sizes": {"trials": trials}})}
 
 
-if __name__ == "__main__":
-    main()
+def touch_cost(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
+    """Measure what a step costs."""
+    return simulated("touch-cost", cost_rows(sizes["rounds"], sizes["ms"]), sizes["rounds"] * len(CASES))
+
+
+def mujoco_grasps(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
+    """Sum up the trials of examples/mujoco_grasp.py."""
+    trials = json.loads((folder / trials_file(sizes)).read_text())
+    return simulated("mujoco-grasps", mujoco_rows(trials), len(trials))
+
+
+def lift_baseline(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
+    """Sum up the policies of examples/cma_lift.py."""
+    policies = json.loads((folder / trials_file(sizes)).read_text())
+    return simulated("lift-baseline", lift_rows(policies), len(policies) * sizes["judged"])

@@ -1,40 +1,34 @@
 """How well slip detectors travel: timing and F1 sensor by sensor, and false alarms in light contact.
 
-    python scripts/slip_by_sensor.py data/evetac data/randomized-* \\
-        --model shipped=evetac_cli/data/models/slip-10ms.model.h5 --model "first edition=first.model.h5" \\
-        --contact data/grasps --publish                                  # the tables of docs/slip-detector.md
-
-A folder holds the labelled features of one sensor, their recordings beside them or one folder up. Intervals of 95 % are
-of whole objects drawn again with replacement, as trials of one object are alike. `--contact` folders hold recordings
-with light contact, tracked and featurized: of their slices in contact without slip, and of those below 0.3 N, the share
-that is called slip. All of it simulated. --publish writes docs/results/slip-by-sensor.json, slip-in-contact.json and
-their tables.
+Intervals of 95 % are of whole objects drawn again with replacement, as trials of one object are alike. Of the slices of
+grasps in contact without slip, and of those below 0.3 N, the share that is called slip is counted. All of it simulated.
 """
 
-import argparse
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from experiment_steps import Sizes
+from experiment_tables import Evaluation, Evaluations
 from numpy.typing import NDArray
-from reproduce import commit, facts, methods, ranges
-from results import publish, text
+from report_facts import facts
+from results import ranges
+from studies import LIGHT_N
 
+from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction, score
+from evetac_cli.resources import MODEL
 from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.slip_detectors import predict, read_series, read_trajectory
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Header
+from evetac_cli.store.provenance import Header, Recipe
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "slip-detector.md"
-LIGHT_N = 0.3
-RESAMPLES = 2000
+RESAMPLES, SEED = 2000, 0  # of the intervals
 AROUND_SLIP_MS = 20  # before a true slip, where a detector that looks ahead may call it already
 FIGURES = ("slip_correct", "f1")
 Row = dict[str, Any]
@@ -55,7 +49,7 @@ def features(folder: Path) -> tuple[list[Path], list[Header]]:
         with StageFile(path, "features") as file:
             headers.append(file.header)
     if not paths:
-        raise SystemExit(f"{folder}: no features")
+        raise InputError("no features", where=str(folder))
     return paths, headers
 
 
@@ -148,29 +142,6 @@ def sensor_rows(models: dict[str, Model], sensors: Sequence[Sensor], seed: int) 
     return rows
 
 
-def sensor_columns(models: Sequence[str]) -> list[Row]:
-    """How the rows are shown: all figures of the first model, and timing and F1 of the others beside."""
-
-    def cell(model: str, figure: str, *, interval: bool = False) -> str:
-        one = f"{key(model)}_{figure}"
-        return f"{{{one}:.2f}}" + (f" ({{{one}_low:.2f}} to {{{one}_high:.2f}})" if interval else "")
-
-    first, *others = models
-    return [
-        {"heading": "sensor", "cell": "{sensor}"},
-        {"heading": "trials", "cell": "{trials}"},
-        {"heading": "early", "cell": cell(first, "slip_early")},
-        {"heading": "correct", "cell": cell(first, "slip_correct", interval=True)},
-        {"heading": "late", "cell": cell(first, "slip_late")},
-        {"heading": "F1", "cell": cell(first, "f1", interval=True)},
-        *(
-            {"heading": f"{heading}, {other}", "cell": cell(other, figure)}
-            for other in others
-            for heading, figure in (("correct", "slip_correct"), ("F1", "f1"))
-        ),
-    ]
-
-
 def in_contact(name: str, model: Model, paths: Sequence[Path]) -> Row:
     """Share of slices that are called slip in contact without slip, all and below 0.3 N."""
     detector = model.detector()
@@ -193,76 +164,29 @@ def in_contact(name: str, model: Model, paths: Sequence[Path]) -> Row:
     }
 
 
-CONTACT_COLUMNS = [
-    {"heading": "detector", "cell": "{detector}"},
-    {"heading": "trials", "cell": "{trials}"},
-    {"heading": f"slices below {LIGHT_N} N", "cell": "{light_slices:,}"},
-    {"heading": "of these called slip", "cell": "{light_called_slip:.2%}"},
-    {"heading": "slices in contact", "cell": "{contact_slices:,}"},
-    {"heading": "of these called slip", "cell": "{called_slip:.2%}"},
-]
-
-
 def near_slip(slips: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Slices that slip, those shortly before, and, as an object that slipped is let go, all after the first."""
     first = int(np.argmax(slips)) if slips.any() else len(slips)
     return np.arange(len(slips)) >= first - AROUND_SLIP_MS
 
 
-def result(name: str, title: str, rows: list[Row], columns: list[Row], headers: list[Header], about: Row) -> Row:
-    """A file of docs/results, with what the headers of the features say."""
-    known = facts(headers)
-    head, changed = commit()
+def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
+    """Rows of both tables, with headers as a report on these files has them."""
+    files = {"shipped": MODEL} | ({"first edition": Path(sizes["first_edition"])} if sizes["first_edition"] else {})
+    models = {name: Model.read(path) for name, path in files.items()}
+    randomized = (f"randomized-{number}" for number in range(sizes["seed"], sizes["seed"] + sizes["randomized"]))
+    sensors = [sensor_in(folder / "slips" / name) for name in (*sizes["sensors"], *randomized)]
+    grasps, of_grasps = features(folder / "grasps")
+    about = {"thresholds": {name: model.threshold for name, model in models.items()}}
+
+    def evaluation(rows: list[Row], headers: list[Header]) -> Evaluation:
+        parents = (*headers, *(model.header for model in models.values()))
+        report = Recipe("report", 1, {}, parents=parents).header()
+        return Evaluation(rows, {}, report["simulated"], report, about)
+
     return {
-        "name": name,
-        "title": title,
-        "simulated": any(header["simulated"] for header in headers),
-        "made": f"commit {head}, seeds {ranges(known['recording_seeds'])}",
-        "commit": head,
-        "uncommitted_changes": changed,
-        "methods": methods(headers),
-        "sizes": {size: known[size] for size in ("recordings", "objects", "sensors", "recording_seeds")},
-        "columns": columns,
-        "across": None,
-        "rows": rows,
-        **about,
+        "slip-by-sensor": evaluation(
+            sensor_rows(models, sensors, SEED), [header for sensor in sensors for header in sensor.headers]
+        ),
+        "slip-in-contact": evaluation([in_contact(name, model, grasps) for name, model in models.items()], of_grasps),
     }
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--model", action="append", required=True, metavar="NAME=FILE", help="the first in full")
-    parser.add_argument("--contact", nargs="*", type=Path, default=[])
-    parser.add_argument("--seed", type=int, default=0, help="of the intervals")
-    parser.add_argument("--publish", action="store_true", help="write docs/results and the page")
-    options = parser.parse_args()
-    models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in options.model)}
-    sensors = [sensor_in(folder) for folder in options.folders]
-    words = [folder.name for folder in options.folders]
-    words += [f'--model "{name}={model.path.name}"' for name, model in models.items()]
-    words += ["--contact", *(folder.name for folder in options.contact)] if options.contact else []
-    about = {
-        "commands": [f"python scripts/slip_by_sensor.py {' '.join(words)} --publish"],
-        "recipe_ids": [model.header["id"] for model in models.values()],
-        "thresholds": {name: model.threshold for name, model in models.items()},
-        "notes": [],
-    }
-    title = "Slip detection sensor by sensor, with intervals of 95 %"
-    headers = [header for sensor in sensors for header in sensor.headers]
-    rows = sensor_rows(models, sensors, options.seed)
-    tables = [result("slip-by-sensor", title, rows, sensor_columns(list(models)), headers, about)]
-    if options.contact:
-        grasps = [features(folder) for folder in options.contact]
-        paths, headers = [path for group, _ in grasps for path in group], [one for _, group in grasps for one in group]
-        rows = [in_contact(name, model, paths) for name, model in models.items()]
-        title = "Contact without slip: slices at which nothing slips, nor will within 20 ms, that are called slip"
-        tables.append(result("slip-in-contact", title, rows, CONTACT_COLUMNS, headers, about))
-    for table in tables:
-        print(text(table))
-        if options.publish:
-            publish(table, PAGE)
-
-
-if __name__ == "__main__":
-    main()

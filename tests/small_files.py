@@ -16,7 +16,8 @@ from evetac_cli import resources
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.new_contents import NewContents
-from evetac_cli.store.provenance import Header, Recipe, content_digest
+from evetac_cli.store.provenance import Header, Recipe
+from tests.make import event_arrays, truth_arrays, write_recording
 
 SLICES = 24
 ROWS, COLUMNS = 3, 4
@@ -52,19 +53,9 @@ def events() -> Events:
 def recording_of(path: Path, counts: list[int]) -> Path:
     """A recording with so many events in each slice, and nothing else."""
     of_slice = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
-    t = of_slice * SLICE_US
-    arrays: dict[str, Any] = {
-        "events/t": t,
-        "events/x": (of_slice % FRAME_PX[0]).astype(np.uint16),
-        "events/y": (of_slice % FRAME_PX[1]).astype(np.uint16),
-        "events/p": (of_slice % 2).astype(np.uint8),
-        "ms_to_idx": slice_starts(t, len(counts)),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array(FRAME_PX, np.int32),
-        "sensor/name": "unknown",
-    }
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
-    return path
+    x, y = ((of_slice % size).astype(np.uint16) for size in FRAME_PX)
+    events = Events(of_slice * SLICE_US, x, y, (of_slice % 2).astype(np.uint8))
+    return write_recording(path, event_arrays(events, len(counts)))
 
 
 def recording(path: Path, *, lost_slices: bool = True) -> Header:
@@ -72,8 +63,6 @@ def recording(path: Path, *, lost_slices: bool = True) -> Header:
     made = events()
     slices = np.arange(SLICES)
     steps = SLICES // 2
-    slip = (slices >= ONSET).astype(np.uint8)
-    dots = np.broadcast_to(GRID_PX.reshape(1, DOTS, 2), (SLICES, DOTS, 2)).astype(np.float32)
     spread = np.array([1.0, 2.0, 3.0])
     arrays = {
         **{f"events/{name}": getattr(made, name) for name in Events._fields},
@@ -98,18 +87,9 @@ def recording(path: Path, *, lost_slices: bool = True) -> Header:
         "capture/latency_us": spread,
         "capture/released_us": np.float64(0.0),
         "capture/scheduling": "normal",
-        "truth/dot_xy_px": dots,
-        "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
-        "truth/slid_px": np.zeros(SLICES, np.float32),
-        "truth/slip": slip,
-        "truth/every_node_slid_px": np.zeros(SLICES, np.float32),
-        "truth/slip_share": np.zeros(SLICES, np.float32),
-        "truth/visible_slip_share": np.zeros(SLICES, np.float32),
-        "truth/normal_force_n": np.ones(SLICES, np.float32),
-        "truth/shear_force_n": np.zeros((SLICES, 2), np.float32),
+        **truth_arrays(np.tile(GRID_PX.reshape(1, DOTS, 2), (SLICES, 1, 1)), slices >= ONSET, 1.0),
         "truth/tone_hz": np.zeros(SLICES, np.float32),
         "truth/tone_amplitude_um": np.zeros(SLICES, np.float32),
-        "truth/sampled_parameters": "{}",
         "control/t_us": np.arange(steps, dtype=np.int64) * 2000,
         "control/u_ff_ticks": np.zeros(steps, np.float32),
         "control/x_ref_ticks": np.full(steps, np.nan, np.float32),

@@ -4,18 +4,16 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.formats.write import write_dsec
 from evetac_cli.jobs import silent
 from evetac_cli.store.read import open_recording
 from tests import small_files
+from tests.make import answer_of, evetac
 from tests.quick import few
 
 
@@ -57,38 +55,32 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "data"
 
 
-def run(*words: str) -> tuple[Any, str]:
-    result = CliRunner().invoke(app, [*words, "--json"])
-    assert result.exit_code == 0, result.output + result.stderr
-    return json.loads(result.stdout), result.stderr
-
-
 @pytest.mark.parametrize("name", few(FOREIGN, "a name of ours", "links to elsewhere"))
 def test_they_are_passed_over_and_counted(name: str, folder: Path) -> None:
     """Assert that every command that takes a folder works as without it, and says what it passed over."""
     file, make = FOREIGN[name]
     make(folder / file)
-    shown, _ = run("info", "data")
+    shown = answer_of("info", "data")
     assert shown["summary"] == {"folder": "data", "files": 2, "unreadable": 0, "foreign": 1}
-    shown, _ = run("info", "data", "--where", "kind=none")
+    shown = answer_of("info", "data", "--where", "kind=none")
     assert [(row["path"], row["error"]) for row in shown["rows"]] == [(file, None)]
-    shown, _ = run("index", "data")
+    shown = answer_of("index", "data")
     assert {name: shown["rows"][0][name] for name in ("files", "read", "unreadable", "foreign")} == {
         "files": 2,
         "read": 0,  # it is not opened again
         "unreadable": 0,
         "foreign": 1,
     }
-    shown, _ = run("report", "data")
+    shown = answer_of("report", "data")
     assert shown["rows"][0]["unreadable"] == 0
     assert f"Passed over: 1 HDF5 file of another program ({file})." in (folder / "report.html").read_text()
-    shown, _ = run("share", "data", "-o", "hub")
+    shown = answer_of("share", "data", "-o", "hub")
     assert f"passed over: 1 HDF5 file of another program ({file})" in shown["summary"]["notes"]
     assert sorted(path.name for path in Path("hub/data").iterdir()) == ["a.recording.h5", "a.tracks.h5"]
-    shown, said = run("validate", "data")
+    shown, said = answer_of("validate", "data"), evetac("validate", "data", "--json").stderr
     assert [row["valid"] for row in shown["rows"]] == [True, True]
     assert (f"passed over: 1 HDF5 file of other programs ({file})" in said) == (file.count(".") > 1)
-    shown, _ = run("info", *(str(path) for path in folder.glob("a.*.h5") if path.name != file))
+    shown = answer_of("info", *(str(path) for path in folder.glob("a.*.h5") if path.name != file))
     assert len(shown["rows"]) == 2
 
 
@@ -96,9 +88,9 @@ def test_many_of_them_and_nothing_else(folder: Path) -> None:
     """Assert that several are counted, and that a folder of them alone is none of ours, in words."""
     for number in range(3):
         arrays(folder / f"n{number}.other.h5")
-    shown, _ = run("index", "data")
+    shown = answer_of("index", "data")
     assert shown["rows"][0]["foreign"] == 3
-    _, said = run("validate", "data")
+    said = evetac("validate", "data", "--json").stderr
     assert "passed over: 3 HDF5 files of other programs (n0.other.h5)" in said
     for path in folder.glob("a.*"):
         path.unlink()
@@ -106,28 +98,28 @@ def test_many_of_them_and_nothing_else(folder: Path) -> None:
         (("report", "data"), "no evetac files there"),
         (("share", "data", "-o", "hub"), "nothing to"),
     ):
-        result = CliRunner().invoke(app, [*words])
+        result = evetac(*words)
         assert result.exit_code == 2 and expected in result.stderr
-    assert "other programs" in CliRunner().invoke(app, ["report", "data"]).stderr
+    assert "other programs" in evetac("report", "data").stderr
 
 
 def test_a_file_that_is_named_is_still_refused(folder: Path) -> None:
     """Assert that a foreign file among those named one by one is an error, with the way to import it."""
     arrays(folder / "results.other.h5")
-    result = CliRunner().invoke(app, ["validate", "data/results.other.h5", "--json"])
+    result = evetac("validate", "data/results.other.h5", "--json")
     assert result.exit_code == 2
     assert "record --from" in json.loads(result.stdout)["rows"][0]["faults"]
-    result = CliRunner().invoke(app, ["info", "data/results.other.h5"])
+    result = evetac("info", "data/results.other.h5")
     assert result.exit_code == 2 and "was not made by evetac" in result.stderr
 
 
 def test_a_broken_file_is_not_taken_for_a_foreign_one(folder: Path) -> None:
     """Assert that damage still stops what needs all files: only what is sound HDF5 is somebody else's."""
     (folder / "b.recording.h5").write_bytes((folder / "a.recording.h5").read_bytes()[:5000])
-    shown, _ = run("info", "data")
+    shown = answer_of("info", "data")
     assert (shown["summary"]["unreadable"], shown["summary"]["foreign"]) == (1, 0)
-    assert CliRunner().invoke(app, ["share", "data", "-o", "hub"]).exit_code == 2
-    assert CliRunner().invoke(app, ["validate", "data"]).exit_code == 2
+    assert evetac("share", "data", "-o", "hub").exit_code == 2
+    assert evetac("validate", "data").exit_code == 2
 
 
 def test_pipes_and_devices_beside_the_files(folder: Path) -> None:
@@ -137,9 +129,9 @@ def test_pipes_and_devices_beside_the_files(folder: Path) -> None:
     (folder / "d.csv").symlink_to("/dev/zero")
     (folder / "e.html").symlink_to("/dev/zero")
     for words in (("report", "data"), ("info", "data"), ("share", "data", "-o", "hub"), ("validate", "data")):
-        run(*words)
+        answer_of(*words)
     os.mkfifo(folder / "f.recording.h5")
-    shown, _ = run("info", "data")
+    shown = answer_of("info", "data")
     assert shown["summary"]["unreadable"] == 1
-    result = CliRunner().invoke(app, ["validate", "data/f.recording.h5"])
+    result = evetac("validate", "data/f.recording.h5")
     assert result.exit_code == 2

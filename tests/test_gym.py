@@ -34,7 +34,7 @@ def quick_touch(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-def made(quick_touch: str, **more: Any) -> Any:
+def make_lift(quick_touch: str, **more: Any) -> Any:
     return gymnasium.make("evetac/Lift-v0", scene=quick_touch, **{"objects": "8,4", **SHORT, **more})
 
 
@@ -52,12 +52,12 @@ def episode(env: Any, share: float, seed: int, **options: Any) -> tuple[list[flo
 @pytest.mark.slow
 def test_the_checker_passes(quick_touch: str) -> None:
     """Assert that Gymnasium's checker is content; its warnings are errors here."""
-    env_checker.check_env(made(quick_touch).unwrapped)
+    env_checker.check_env(make_lift(quick_touch).unwrapped)
 
 
 def test_an_episode_is_a_grasp(quick_touch: str) -> None:
     """Assert that a goal of 20 ticks that stays is the controller fixed:20: the same events and forces."""
-    env = made(quick_touch, objects="8").unwrapped
+    env = make_lift(quick_touch, objects="8").unwrapped
     env.reset(seed=5)
     drawn, _ = gymnasium.utils.seeding.np_random(5)
     drawn.choice([8])
@@ -75,7 +75,7 @@ def test_an_episode_is_a_grasp(quick_touch: str) -> None:
 
 def test_reward_and_end(quick_touch: str) -> None:
     """Assert what an episode comes to: lifted and held, 2 less the costs; a hand that does not close, no reward."""
-    env = made(quick_touch)
+    env = make_lift(quick_touch)
     rewards, info, terminated, truncated = episode(env, 0.5, 3, object=8)
     assert (info["lifted"], info["balanced"], terminated, truncated) == (True, True, False, True)
     assert info["simulated"] and info["object"] == 8
@@ -90,7 +90,7 @@ def test_reward_and_end(quick_touch: str) -> None:
 
 def test_what_is_drawn(quick_touch: str) -> None:
     """Assert that a seed gives the same object, mass and first observation, and that seeds differ."""
-    env = made(quick_touch, render_mode="rgb_array")
+    env = make_lift(quick_touch, render_mode="rgb_array")
     (one, drawn), (same, again), (_, other) = (env.reset(seed=seed) for seed in (7, 7, 8))
     assert drawn == again != other
     assert all(np.array_equal(one[name], same[name]) for name in one)

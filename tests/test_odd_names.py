@@ -11,13 +11,12 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.resources import SCENES
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 from tests import small_files
+from tests.make import answer_of
 from tests.quick import few
 
 NAMES = {
@@ -76,12 +75,9 @@ def folder(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return folder
 
 
-def run(words: str, name: str) -> Any:
-    """A command, as JSON, with the name put in after it was taken apart."""
-    result = CliRunner().invoke(app, [*(word.replace("{n}", name) for word in words.split()), "--json"])
-    assert result.exit_code == 0, (words, result.output[-2000:], result.stderr[-2000:])
-    assert result.exception is None
-    return json.loads(result.stdout)
+def answer_with(words: str, name: str) -> Any:
+    """The answer of a command, with the name put in after it was taken apart."""
+    return answer_of(*(word.replace("{n}", name) for word in words.split()))
 
 
 @pytest.mark.parametrize("folder", few(NAMES, "no UTF-8"), indirect=True)
@@ -93,7 +89,7 @@ def test_commands_work_with_odd_names(command: str, folder: Path, monkeypatch: p
     for words in COMMANDS[command]:
         if "--import" in words and not as_utf8(name).isprintable():
             continue
-        shown = run(words, name)
+        shown = answer_with(words, name)
         for row in shown["rows"]:
             for key in ("output", "page", "file"):
                 if isinstance(row.get(key), str) and "{n}" in words:
@@ -110,14 +106,14 @@ def test_what_tables_and_cards_say_of_a_name(folder: Path, monkeypatch: pytest.M
     """Assert that the trial's name in a table is text, with odd bytes spelt out, and that a card is UTF-8."""
     monkeypatch.chdir(folder)
     name = folder.name
-    run("export {n}.recording.h5 --format parquet -o t.parquet", name)
+    answer_with("export {n}.recording.h5 --format parquet -o t.parquet", name)
     assert set(pyarrow.parquet.read_table("t.parquet")["trial"].to_pylist()) == {as_utf8(name)}
-    run("share . -o ../hub --title {n}", name)
+    answer_with("share . -o ../hub --title {n}", name)
     (folder.parent / "hub" / "README.md").read_text(encoding="utf-8")
     about = json.loads((folder.parent / "hub" / "card.json").read_text(encoding="utf-8"))
     assert about["title"] == name
     assert (folder.parent / "hub" / "data" / f"{name}.recording.h5").exists()
-    run("report . -o page.html", name)
+    answer_with("report . -o page.html", name)
     Path("page.html").read_text(encoding="utf-8")
 
 
@@ -130,6 +126,6 @@ def test_text_in_a_file_that_is_no_utf8(tmp_path: Path, monkeypatch: pytest.Monk
         file["streams/arm/about"] = about
     monkeypatch.chdir(tmp_path)
     for words in ("info a.recording.h5", "view a.recording.h5 --rrd", "view a.recording.h5"):
-        run(words, "")
+        answer_with(words, "")
     for format_ in ("csv", "parquet", "mcap"):
-        run(f"export a.recording.h5 --format {format_}", "")
+        answer_with(f"export a.recording.h5 --format {format_}", "")

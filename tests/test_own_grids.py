@@ -3,7 +3,6 @@
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_toml
+from tests.make import output_of
 
 Dots = NDArray[np.float64]
 
@@ -64,19 +64,13 @@ def sensor(folder: Path, name: str) -> str:
     return str(path)
 
 
-def run(stage: Any, chosen: Any, *files: Path, out: Path | None = None) -> Path:
-    (job,) = stage.jobs(list(files), chosen, out)
-    stage.run(job, chosen)
-    return Path(job.output)
-
-
 def slipped(name: str, scene: Path, folder: Path, seed: int = 0) -> Path:
     """The features of a trial with this gel, with its recording, tracks and labels beside them."""
     slips = Record(scene=str(scene), objects="8", sensor=sensor(folder, name), seed=seed)
-    recording = run(record, slips, out=folder / f"{seed}.recording.h5")
-    run(track, Track(), recording)
-    run(label, Label(after_ms=25), recording)
-    return run(featurize, Featurize(images=True), recording)
+    recording = output_of(record, slips, out=folder / f"{seed}.recording.h5")
+    output_of(track, Track(), recording)
+    output_of(label, Label(after_ms=25), recording)
+    return output_of(featurize, Featurize(images=True), recording)
 
 
 @pytest.mark.slow
@@ -113,16 +107,16 @@ def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     in_a_grid = GELS[name][2][0] > 1
     if not in_a_grid:
         with pytest.raises(InputError, match="looks at a grid of dots") as refused:
-            run(train, Train(max_steps=2, preset="adam"), *features)
+            output_of(train, Train(max_steps=2, preset="adam"), *features)
         assert "40 dots in no grid" in str(refused.value) and "no-hist-img" in str(refused.value)
     architecture = "hist10" if in_a_grid else "no-hist-img-6x6"
-    model = run(train, Train(model=architecture, max_steps=2, preset="adam"), *features)
+    model = output_of(train, Train(model=architecture, max_steps=2, preset="adam"), *features)
     with StageFile(model, "model") as made:
         assert made.read("dot_shape").tolist() == list(GELS[name][2])
     grasped = tmp_path / "grasp.recording.h5"
     with pytest.raises(InputError, match="the model is for another dot grid"):
-        run(grasp, Grasp(sensor=sensor(tmp_path, name)), out=grasped)
-    run(grasp, Grasp(sensor=sensor(tmp_path, name), model=model, lift_s=1.0, balance_s=0.2), out=grasped)
+        output_of(grasp, Grasp(sensor=sensor(tmp_path, name)), out=grasped)
+    output_of(grasp, Grasp(sensor=sensor(tmp_path, name), model=model, lift_s=1.0, balance_s=0.2), out=grasped)
     with StageFile(grasped, "recording") as grip:
         assert np.isfinite(grip.read("control/probability")).any()
 
@@ -133,7 +127,7 @@ def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
     twice = {"frame_px": [640, 480], "radius_px": 15.0, "dot_xy_px": [[[50, 50], [90, 200], [300, 70], [50, 50]]]}
     (tmp_path / "twice.json").write_text(json.dumps(twice))
     with pytest.raises(InputError, match=r"dots that no gel can have(.|\n)*two at \(50, 50\)"):
-        run(track, Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
+        output_of(track, Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
 
 
 @pytest.mark.slow
@@ -145,16 +139,16 @@ def test_calibration_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> No
     scene["time"]["rest_s"] = 0.1
     (tmp_path / "press.toml").write_text(as_toml(scene))
     pressing = Record(scene=str(tmp_path / "press.toml"), sensor=sensor(tmp_path, "staggered"))
-    pressed = run(record, pressing, out=tmp_path / "press.recording.h5")
+    pressed = output_of(record, pressing, out=tmp_path / "press.recording.h5")
     with pytest.raises(InputError, match="staggered rows") as refused:
-        run(calibrate, Calibrate(), pressed)
+        output_of(calibrate, Calibrate(), pressed)
     assert "--irregular" in str(refused.value)
-    made = run(calibrate, Calibrate(irregular=True), pressed)
+    made = output_of(calibrate, Calibrate(irregular=True), pressed)
     dots = read_calibration(made).dot_xy_px
     assert dots.shape == (1, 63, 2)
     assert np.linalg.norm(dots[0][:, None] - staggered()[None], axis=2).min(axis=1).max() < 0.5
     recording = slipped("staggered", short_scene, tmp_path).with_name("0.recording.h5")
-    tracks = run(track, Track(calibration=made), recording, out=tmp_path / "calibrated.tracks.h5")
+    tracks = output_of(track, Track(calibration=made), recording, out=tmp_path / "calibrated.tracks.h5")
     with StageFile(tracks, "tracks") as tracked, StageFile(recording, "recording") as truth:
         true_px = truth.read("truth/dot_xy_px")
         same = np.linalg.norm(dots[0][:, None] - true_px[0][None], axis=2).argmin(axis=1)
@@ -167,11 +161,11 @@ def test_forces_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> None:
     for seed in (0, 1):
         slipped("scattered", short_scene, tmp_path, seed)
     tracks = [tmp_path / f"{seed}.tracks.h5" for seed in (0, 1)]
-    model = run(train_force, TrainForce(samples=10, epochs=2), *tracks, out=tmp_path / "a.force-model.h5")
-    forces = run(predict_force, PredictForce(model=model), tracks[0])
+    model = output_of(train_force, TrainForce(samples=10, epochs=2), *tracks, out=tmp_path / "a.force-model.h5")
+    forces = output_of(predict_force, PredictForce(model=model), tracks[0])
     with StageFile(forces, "forces") as made, StageFile(tmp_path / "0.recording.h5", "recording") as truth:
         assert made.read("regression_n").shape == truth.read("truth/shear_force_n").shape
     other = slipped("3 x 4", short_scene, tmp_path, 2).with_name("2.tracks.h5")
     with pytest.raises(InputError, match="another dot grid") as refused:
-        run(predict_force, PredictForce(model=model), other)
+        output_of(predict_force, PredictForce(model=model), other)
     assert "40 dots in no grid" in str(refused.value)

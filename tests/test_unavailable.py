@@ -14,10 +14,8 @@ from typing import Any
 
 import h5py
 import pytest
-from typer.testing import CliRunner
 
 from evetac_cli import errors, text_files
-from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError, UnavailableError, cannot_read
 from evetac_cli.formats import imports
 from evetac_cli.formats.imports import read_events
@@ -27,6 +25,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store import checked_hdf5, segments
 from evetac_cli.store.files import StageFile
 from tests import small_files
+from tests.make import evetac
 from tests.store.test_recovery import STATIC, broken_off
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
@@ -57,10 +56,6 @@ def folder(tmp_path: Path) -> Path:
     small_files.tracks(tmp_path / "a.tracks.h5", header)
     small_files.recording(tmp_path / "b.recording.h5")
     return tmp_path
-
-
-def evetac(*words: Any) -> Any:
-    return CliRunner().invoke(app, list(map(str, words)))
 
 
 @pytest.mark.parametrize(

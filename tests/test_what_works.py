@@ -28,6 +28,7 @@ from evetac_cli.resources import MODEL
 from evetac_cli.stages import calibrate, calibrated_gel
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
+from tests.make import run_stage
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = (DOCS / "what-works.md").read_text()
@@ -102,8 +103,7 @@ def test_the_grid_by_hand(tmp_path: Path) -> None:
     text = block(RECORDINGS, "by hand", "json")
     (tmp_path / "gel.json").write_text(text)
     chosen = Calibrate(source=tmp_path / "gel.json")
-    (job,) = calibrate.jobs([], chosen, tmp_path / "checked.json")
-    (made,) = calibrate.run(job, chosen).rows
+    (made,) = run_stage(calibrate, [], chosen, tmp_path / "checked.json")[1].rows
     assert (made["rows"], made["columns"], made["missing_dots"], made["window_px"]) == (2, 3, 1, "540 0 640 480")
     assert [key for key in json.loads(text) if f"| `{key}` |" not in RECORDINGS] == []
 
@@ -123,8 +123,7 @@ def test_the_grid_from_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     program = compile(ast.parse(block(RECORDINGS, "from a picture", "python")), "recordings.md", "exec")
     exec(program, {})
     chosen = Calibrate(source=Path("dots.json"), rows=7, columns=columns, gel="cut" if columns == 8 else "closed")
-    (job,) = calibrate.jobs([], chosen, Path("gel.json"))
-    (made,) = calibrate.run(job, chosen).rows
+    (made,) = run_stage(calibrate, [], chosen, Path("gel.json"))[1].rows
     assert (made["dots"], made["missing_dots"]) == (7 * columns, 0)
     assert made["window_px"] == ("540 0 640 480" if columns == 8 else None)
     dots: Any = read_calibration(Path("gel.json")).dot_xy_px

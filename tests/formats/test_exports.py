@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, slice_starts
+from evetac_cli.events import Events
 from evetac_cli.formats.exports import FORMATS, export, target_path
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.note import Note, read_note
@@ -29,9 +29,9 @@ from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.formats.write import pieces, write_dsec, write_text
 from evetac_cli.store import disk
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.files import StageFile
 from tests.importing import FRAME, same
+from tests.make import event_arrays, write_recording
 from tests.patience import PATIENCE_S
 
 ROUND_TRIPS = ("aedat4", "dsec", "text", "raw", "raw-evt2", "dat", "mcap")
@@ -57,17 +57,8 @@ def drawn(count: int, first_us: int = 0, seed: int = 1, gap_us: int = 400) -> Ev
 def write(
     path: Path, events: Events, slices: int, t_offset: int = 0, *, simulated: bool = False, more: Any = None
 ) -> Path:
-    arrays: dict[str, Any] = {
-        **{f"events/{name}": getattr(events, name) for name in Events._fields},
-        "ms_to_idx": slice_starts(events.t, slices),
-        "t_offset": np.int64(t_offset),
-        "sensor/frame_px": np.array(FRAME, np.int32),
-        "sensor/name": "unknown",
-        **(more or {}),
-    }
-    recipe = Recipe("recording", 1, {}, content=content_digest(arrays), simulated_source=simulated)
-    write_stage(path, recipe, arrays)
-    return path
+    arrays = event_arrays(events, slices, FRAME, t_offset) | (more or {})
+    return write_recording(path, arrays, simulated=simulated)
 
 
 def needs(format_: str) -> None:

@@ -28,9 +28,9 @@ from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import record
-from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.files import StageFile
 from tests.importing import FRAME, event_rows, real, refusal, same
+from tests.make import event_arrays, events_at, run_stage, write_recording
 from tests.patience import PATIENCE_S
 
 
@@ -474,8 +474,7 @@ def test_what_the_docs_tell_to_write_is_read(tmp_path: Path, monkeypatch: pytest
     exec(next(block for block in blocks if block.startswith("import numpy")))
     command = next(block for block in blocks if "touch.npz" in block and block.startswith("evetac")).split()
     params = Record(source=Path(command[command.index("--from") + 1]), frame_size="640x480")
-    (job,) = record.jobs([], params, Path(command[command.index("--out") + 1]))
-    (row,) = record.run(job, params).rows
+    (row,) = run_stage(record, [], params, Path(command[command.index("--out") + 1]))[1].rows
     assert (row["events"], row["notes"]) == (2, None)
     (tmp_path / "a.txt").write_text(next(block for block in blocks if block.startswith("t_us x y p")))
     written = [(0, 312, 77, 1), (7, 313, 77, 0)]
@@ -491,8 +490,7 @@ def test_an_import_is_all_or_nothing(
 
     def imported(content: str, folder: Path = tmp_path) -> Outcome:
         params = Record(source=text(content), frame_size="640x480")
-        (job,) = record.jobs([], params, folder / "out.recording.h5")
-        return record.run(job, params)
+        return run_stage(record, [], params, folder / "out.recording.h5")[1]
 
     for folder in (tmp_path, tmp_path / "new" / "folder"):
         with pytest.raises(InputError, match="line 11 from 0.013500 s to 0.000100 s"):
@@ -748,19 +746,7 @@ def test_broken_hdf5_is_refused(dsec: Callable[..., Path], tmp_path: Path) -> No
 
 def test_our_own_files_need_no_import(tmp_path: Path) -> None:
     """Assert that a recording is not imported a second time."""
-    t = np.array([0, 1], np.int64)
-    arrays: dict[str, Any] = {
-        "events/t": t,
-        "events/x": np.zeros(2, np.uint16),
-        "events/y": np.zeros(2, np.uint16),
-        "events/p": np.zeros(2, np.uint8),
-        "ms_to_idx": slice_starts(t, 1),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array(FRAME, np.int32),
-        "sensor/name": "unknown",
-    }
-    path = tmp_path / "a.recording.h5"
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(arrays)), arrays)
+    path = write_recording(tmp_path / "a.recording.h5", event_arrays(events_at([0, 1]), 1, FRAME))
     assert "a recording needs no import" in refusal(path, frame_px=FRAME)
 
 

@@ -24,7 +24,7 @@ from evetac_cli.formats.write.lerobot import episodes, statistics, write_lerobot
 from evetac_cli.inspect.export import trial_files
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.store.read import Recording
-from tests.formats.trials import trial
+from tests.formats.trials import write_grasp
 from tests.small_files import DOTS, SLICES
 
 av = pytest.importorskip("av")
@@ -55,7 +55,7 @@ def read(folder: Path) -> tuple[dict[str, Any], pd.DataFrame, pd.DataFrame]:
 def sources(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Three grasps, of objects 8, 3 and 8."""
     folder = tmp_path_factory.mktemp("grasps")
-    return [trial(folder, name, number, seed) for name, number, seed in (("a", 8, 1), ("b", 3, 2), ("c", 8, 3))]
+    return [write_grasp(folder, name, number, seed) for name, number, seed in (("a", 8, 1), ("b", 3, 2), ("c", 8, 3))]
 
 
 @pytest.fixture(scope="module")
@@ -255,18 +255,20 @@ def test_files_grow_no_larger_than_they_may(
 @pytest.mark.slow
 def test_trials_that_make_no_episodes_are_refused(tmp_path: Path) -> None:
     """Assert that words say what a trial lacks, and what to do."""
-    whole = trial(tmp_path / "in", "a")
-    bare = trial(tmp_path / "in", "b", kinds="tracks labels")
+    whole = write_grasp(tmp_path / "in", "a")
+    bare = write_grasp(tmp_path / "in", "b", kinds="tracks labels")
     assert "evetac featurize" in refusal(tmp_path / "out", [whole, bare])
     without = ("t_us", "current_target_ma", "current_written_ma", "current_ma", "position_ticks")
-    no_gripper = trial(tmp_path / "in", "c", **{f"gripper__{name}": None for name in without})
+    no_gripper = write_grasp(tmp_path / "in", "c", **{f"gripper__{name}": None for name in without})
     assert "there is no gripper" in refusal(tmp_path / "out", [no_gripper])
     assert "too short" in refusal(tmp_path / "out", [whole], fps=50)
     assert "no trial has such an object" in refusal(tmp_path / "out", [whole], test_objects=[3])
     controls = ("t_us", "u_ff_ticks", "x_ref_ticks", "goal_ticks", "slip", "phase", "missed", "slices_processed")
-    ramp = trial(tmp_path / "in", "e", **{f"control__{name}": None for name in (*controls, "probability", "outcome")})
+    ramp = write_grasp(
+        tmp_path / "in", "e", **{f"control__{name}": None for name in (*controls, "probability", "outcome")}
+    )
     assert "control_goal_ticks in some of them" in refusal(tmp_path / "out", [whole, ramp])
-    larger = trial(tmp_path / "in", "d", sensor__frame_px=np.array([1280, 720], np.int32))
+    larger = write_grasp(tmp_path / "in", "d", sensor__frame_px=np.array([1280, 720], np.int32))
     assert "1280 x 720" in refusal(tmp_path / "out", [whole, larger])
 
 
@@ -275,7 +277,7 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
     """Assert that a slip, which has no goal position, has the wanted current one frame later as its action."""
     controls = ("t_us", "u_ff_ticks", "x_ref_ticks", "goal_ticks", "slip", "phase", "missed", "slices_processed")
     none = {f"control__{name}": None for name in (*controls, "probability", "outcome")}
-    path = trial(tmp_path / "in", "a", gripper__current_target_ma=np.linspace(60.0, 5.0, SLICES // 2), **none)
+    path = write_grasp(tmp_path / "in", "a", gripper__current_target_ma=np.linspace(60.0, 5.0, SLICES // 2), **none)
     written(tmp_path / "out", [path])
     info, frames, _ = read(tmp_path / "out")
     assert info["features"]["action"]["names"] == ["gripper_current_target_ma", "gripper_current_written_ma"]
@@ -287,7 +289,7 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:
     """Assert that forces of one trial alone are left out of all, and that is said."""
-    sources = [trial(tmp_path / "in", "a"), trial(tmp_path / "in", "b", kinds="tracks labels features")]
+    sources = [write_grasp(tmp_path / "in", "a"), write_grasp(tmp_path / "in", "b", kinds="tracks labels features")]
     row = written(tmp_path / "out", sources)
     assert "not in all trials: force_network_x_n" in row["left_out"]
     info, _, _ = read(tmp_path / "out")

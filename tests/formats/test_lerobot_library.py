@@ -17,7 +17,7 @@ import pytest
 
 from evetac_cli.formats.exports import export_folder
 from evetac_cli.inspect.export import trial_files
-from tests.formats.trials import trial
+from tests.formats.trials import write_grasp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import first_hour
@@ -68,7 +68,7 @@ def lerobot(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: dict[str, str]) -> None:
     """Assert that its class gives every frame with the values, times, pictures and tasks of ours, and parts of it."""
-    grasps = [trial(tmp_path / "in", name, number, seed) for name, number, seed in (("a", 8, 1), ("b", 3, 2))]
+    grasps = [write_grasp(tmp_path / "in", name, number, seed) for name, number, seed in (("a", 8, 1), ("b", 3, 2))]
     export_folder(grasps, "lerobot", tmp_path / "out", {"fps": 250, "test_objects": [3]}, opened=trial_files)
     call = [str(LEROBOT / "bin" / "python"), "-c", READ, str(tmp_path / "out")]
     done = subprocess.run(call, capture_output=True, text=True, env=lerobot, check=False)

@@ -29,7 +29,7 @@ from evetac_cli.store.schema import load
 from evetac_cli.text_files import csv_text
 from tests import small_files
 from tests.conftest import Made
-from tests.formats.trials import trial
+from tests.formats.trials import write_grasp
 from tests.quick import few
 from tests.small_files import DOTS, EVENTS_A_SLICE, SLICES
 
@@ -71,7 +71,7 @@ def stored(recording: Path, kind: str, dataset: str, value: Any) -> Any:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A trial with a file of every kind."""
-    return trial(tmp_path_factory.mktemp("tables"), "a")
+    return write_grasp(tmp_path_factory.mktemp("tables"), "a")
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_every_dataset_with_slices_is_there(source: Path, table: Path) -> None:
 def test_rows_of_a_clock_stand_until_the_next(tmp_path: Path) -> None:
     """Assert that a slice has the last row before its end with its time, none before the first, and losses are said."""
     t_us = np.array([1999, 2000, 5000, 5400, *range(6000, 14000, 1000)], np.int64)
-    path = trial(tmp_path, "a", gripper__t_us=t_us)
+    path = write_grasp(tmp_path, "a", gripper__t_us=t_us)
     target = tmp_path / "a.parquet"
     row = export(path, "parquet", target, opened=trial_files)
     frame = pd.read_parquet(target)
@@ -152,7 +152,7 @@ LATER = "{} followed by a later one before the slice ends, which is shown"
 )
 def test_rows_that_are_left_out_say_why(tmp_path: Path, t_us: Sequence[int], said: str) -> None:
     """Assert that each row of a clock which no slice shows is said with the reason, a row at the very end too."""
-    path = trial(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
+    path = write_grasp(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
     with open_recording(path) as recording:
         missing_rows = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
     missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|followed)", said))
@@ -183,7 +183,7 @@ def test_other_streams_stand_beside(tmp_path: Path) -> None:
     t_us = np.array([-500, 2500, 2600, 90_000], np.int64)
     columns = {"t_us": t_us, "about": about, "force": np.array([1.5, 2.5, np.nan, 4.5]), "height_mm": np.arange(4.0)}
     more: dict[str, Any] = {f"streams__probe__{name}": values for name, values in columns.items()}
-    path = trial(tmp_path, "a", **more, streams__probe__frames=np.zeros((4, 2, 3, 1), np.uint8))
+    path = write_grasp(tmp_path, "a", **more, streams__probe__frames=np.zeros((4, 2, 3, 1), np.uint8))
     target = tmp_path / "a.parquet"
     row = export(path, "parquet", target, opened=trial_files)
     why = "1 followed by a later one before the slice ends, which is shown, 1 after the end of the last slice"
@@ -275,7 +275,7 @@ def test_pieces_make_no_difference(source: Path, table: Path, tmp_path: Path, mo
 
 def test_a_folder_becomes_one_data_set(tmp_path: Path) -> None:
     """Assert that object, sensor, seed and outcome are columns, and what a trial lacks is null."""
-    sources = [trial(tmp_path / "in", "a", 8, 1), trial(tmp_path / "in", "c", 3, 3, kinds="tracks")]
+    sources = [write_grasp(tmp_path / "in", "a", 8, 1), write_grasp(tmp_path / "in", "c", 3, 3, kinds="tracks")]
     out = tmp_path / "out"
     row = export_folder(sources, "parquet", out, {}, opened=trial_files)
     assert (row["recordings"], row["files"], row["slices"], row["simulated"]) == (2, 2, 2 * SLICES, True)
@@ -305,8 +305,8 @@ def test_unknown_objects_and_odd_names_are_read(tmp_path: Path) -> None:
     polars = pytest.importorskip("polars")
     odd = "a b/ü=1"
     sources = [
-        trial(tmp_path / "in", "a", 8, 1, kinds="tracks"),
-        trial(tmp_path / "in", "b", None, 2, kinds="tracks", name_of_sensor=odd),
+        write_grasp(tmp_path / "in", "a", 8, 1, kinds="tracks"),
+        write_grasp(tmp_path / "in", "b", None, 2, kinds="tracks", name_of_sensor=odd),
     ]
     export_folder(sources, "parquet", tmp_path / "out", {}, opened=trial_files)
     expected = [("a", 8, "evetac"), ("b", None, odd)]
@@ -352,7 +352,7 @@ def test_what_a_killed_data_set_left_goes_with_the_next(source: Path, tmp_path: 
 @pytest.mark.slow
 def test_features_of_other_tracks_are_left_out(tmp_path: Path) -> None:
     """Assert that a table does not mix what was made from two sets of tracks, and says so."""
-    path = trial(tmp_path, "a")
+    path = write_grasp(tmp_path, "a")
     with StageFile(path) as file:
         header = file.header
     (tmp_path / "a.tracks.h5").unlink()
@@ -413,7 +413,7 @@ def test_a_model_has_to_fit(source: Path, tmp_path: Path) -> None:
     assert run.exit_code == 2 and "another dot grid" in run.stderr
     run = CliRunner().invoke(app, [*arguments, "--format", "text"])
     assert run.exit_code == 2 and "--model: has no effect" in run.stderr
-    bare = trial(tmp_path / "in", "a", kinds="tracks")
+    bare = write_grasp(tmp_path / "in", "a", kinds="tracks")
     run = CliRunner().invoke(app, ["export", str(bare), "--model", "shipped", "--format", "csv"])
     assert run.exit_code == 2 and "evetac featurize" in run.stderr
     assert not (tmp_path / "out").exists()

@@ -14,7 +14,7 @@ from tests.small_files import DOTS, SLICES
 COMMANDS = SLICES // 2
 
 
-def trial(
+def write_grasp(
     folder: Path,
     name: str,
     number: int | None = 8,

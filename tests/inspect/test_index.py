@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import index
 from tests.conftest import Made
+from tests.make import evetac
 
 
 @pytest.fixture
@@ -66,25 +65,25 @@ def test_other_conditions_are_refused(folder: Path, condition: str) -> None:
         index.answer(folder, (condition,))
 
 
-def run(*words: Any) -> tuple[int, Any]:
-    done = CliRunner().invoke(app, [*map(str, words), "--json"])
+def code_and_answer(*words: Any) -> tuple[int, Any]:
+    done = evetac(*words, "--json")
     return done.exit_code, json.loads(done.stdout)
 
 
 def test_the_commands(folder: Path, made: Made) -> None:
     """Assert that index and info say what they found, and that --where without a folder is refused."""
-    code, result = run("index", folder)
+    code, result = code_and_answer("index", folder)
     assert code == 0
     assert result["rows"] == [
         {"folder": str(folder), "files": 5, "read": 5, "removed": 0, "unreadable": 1, "foreign": 0, "stored": True}
     ]
-    code, result = run("info", folder, "--where", "kind=labels", "--where", "outcome=slips")
+    code, result = code_and_answer("info", folder, "--where", "kind=labels", "--where", "outcome=slips")
     assert (code, result["summary"]["fit"], len(result["rows"])) == (0, 2, 2)
-    code, result = run("info", made.recordings[0], "--where", "kind=labels")
+    code, result = code_and_answer("info", made.recordings[0], "--where", "kind=labels")
     assert (code, result["error"]["where"]) == (2, "--where")
-    code, result = run("index", made.recordings[0])
+    code, result = code_and_answer("index", made.recordings[0])
     assert (code, result["error"]["message"]) == (2, "no such folder")
-    assert run("info", made.recordings[0])[0] == 0
+    assert code_and_answer("info", made.recordings[0])[0] == 0
 
 
 def test_a_table_for_people(folder: Path) -> None:

@@ -18,6 +18,7 @@ from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
 from tests import small_files
 from tests.conftest import Made
+from tests.make import event_arrays, events_at, run_stage
 
 
 def shown(path: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -28,14 +29,8 @@ def shown(path: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 def captured(path: Path, **more: Any) -> Path:
     """A recording of two silent slices from devices."""
-    arrays: dict[str, Any] = {
-        **{f"events/{name}": np.empty(0, dtype) for name, dtype in zip("txyp", ("i8", "u2", "u2", "u1"), strict=True)},
-        "ms_to_idx": np.zeros(3, np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array((640, 480), np.int32),
-        "sensor/name": "unknown",
-        **{f"capture/{name.replace('__', '/')}": value for name, value in more.items()},
-    }
+    arrays = event_arrays(events_at([]), 2)
+    arrays |= {f"capture/{name.replace('__', '/')}": value for name, value in more.items()}
     write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
     return path
 
@@ -75,9 +70,8 @@ def test_notes_of_an_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     source = tmp_path / "a.txt"
     source.write_text("0 1 1 1\n1 9999 1 1\n")
     chosen = Record(source=source, frame_size="640x480")
-    (job,) = record.jobs([], chosen, tmp_path / "a.recording.h5")
-    record.run(job, chosen)
-    lines = shown(job.output, capsys)
+    output, _ = run_stage(record, [], chosen, tmp_path / "a.recording.h5")
+    lines = shown(output, capsys)
     assert "source a.txt (text)" in lines and "events_dropped 1" in lines
     assert any(line.startswith("notes 50% of the events lie outside 640x480") for line in lines)
 

@@ -26,6 +26,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from tests import small_files
 from tests.conftest import Made
+from tests.make import run_stage
 
 HUB = "huggingface_hub"
 CHECK = """
@@ -273,9 +274,8 @@ def test_the_hub_reads_the_cards(made: Made, trials: Path, tmp_path: Path) -> No
     if installed.returncode:
         pytest.skip(f"{HUB} cannot be installed: {installed.stderr[-200:]}")
     chosen = EvaluateSlip(model=made.model)
-    (job,) = slip.jobs([made.folder / "apart.features.h5"], chosen, tmp_path / "apart.slip.report.h5")
-    slip.run(job, chosen)
-    shared(made.model, job.output, out=tmp_path / "m")
+    output, _ = run_stage(slip, [made.folder / "apart.features.h5"], chosen, tmp_path / "apart.slip.report.h5")
+    shared(made.model, output, out=tmp_path / "m")
     shared(trials, out=tmp_path / "d", title='Slips: *one* | "two"\n---', license="cc-by-4.0")
     for kind, out in (("model", tmp_path / "m"), ("data", tmp_path / "d")):
         command = [python, "-c", CHECK, kind, out / "README.md"]

@@ -5,25 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.events import slice_starts
 from evetac_cli.inspect import validate
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import event_arrays, events_at
 
 
 def write_long(path: Path, slices: int, events_a_slice: int) -> Path:
     """A recording with so many events in each slice, at the slice's beginning."""
-    t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, events_a_slice)
-    arrays = {
-        "events/t": t,
-        "events/x": np.zeros(len(t), np.uint16),
-        "events/y": np.zeros(len(t), np.uint16),
-        "events/p": np.zeros(len(t), np.uint8),
-        "ms_to_idx": slice_starts(t, slices),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
+    arrays = event_arrays(events_at(np.repeat(np.arange(slices) * 1000, events_a_slice)), slices)
     write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays)
     return path
 

@@ -26,6 +26,7 @@ from evetac_cli.sim.camera.scanning.camera import CameraModel
 from evetac_cli.sim.gel import gel
 from evetac_cli.stages.evaluate import picture
 from evetac_cli.store.files import StageFile
+from tests.make import run_stage
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 BESIDE = picture.beside
@@ -86,12 +87,7 @@ def pictures(small, monkeypatch):
     monkeypatch.setattr(picture, "beside", BESIDE)
 
 
-def make(stage, chosen, out=None, **how):
-    (job,) = stage.jobs([], chosen, out)
-    return job.output, stage.run(job, chosen, **how)
-
-
-def evetac(*arguments):
+def evaluate(*arguments):
     wide = {"COLUMNS": "400", "TERM": "dumb", "NO_COLOR": "1"}
     return CliRunner().invoke(main.app, ["evaluate", *map(str, arguments)], env=wide)
 
@@ -109,7 +105,7 @@ def test_where_the_report_goes(name, stage, cls, tmp_path):
 @each
 def test_the_report_is_valid_and_says_simulated(name, stage, cls):
     """Assert that the report holds the rows shown, is valid, has no parents, and says simulated and its parameters."""
-    output, outcome = make(stage, cls(seed=3))
+    output, outcome = run_stage(stage, [], cls(seed=3))
     assert outcome.made
     assert outcome.simulated
     assert outcome.summary["report"] == str(output)
@@ -127,23 +123,23 @@ def test_the_report_is_valid_and_says_simulated(name, stage, cls):
 @each
 def test_a_report_is_kept(name, stage, cls):
     """Assert that the same recipe measures nothing again, and another one is refused until forced."""
-    output, first = make(stage, cls())
+    output, first = run_stage(stage, [], cls())
     before = output.read_bytes()
-    _, again = make(stage, cls(), progress=lambda *_: pytest.fail("measured again"))
+    _, again = run_stage(stage, [], cls(), progress=lambda *_: pytest.fail("measured again"))
     assert not again.made
     assert again.simulated
     assert again.rows == plain(first.rows)
     with pytest.raises(InputError, match="another recipe"):
-        make(stage, cls(seed=1))
+        run_stage(stage, [], cls(seed=1))
     assert output.read_bytes() == before
-    assert make(stage, cls(seed=1), force=True)[1].made
+    assert run_stage(stage, [], cls(seed=1), force=True)[1].made
 
 
 @each
 def test_progress_ends_at_its_total(name, stage, cls):
     """Assert that progress rises to the total announced from the start."""
     reports = []
-    make(stage, cls(), progress=lambda done, total: reports.append((done, total)))
+    run_stage(stage, [], cls(), progress=lambda done, total: reports.append((done, total)))
     assert [done for done, _ in reports] == list(range(1, reports[-1][1] + 1))
     assert len({total for _, total in reports}) == 1
 
@@ -156,14 +152,14 @@ def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make(stage, cls(), progress=interrupt)
+        run_stage(stage, [], cls(), progress=interrupt)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
 def test_cost_of_the_simulator():
     """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
-    _, outcome = make(cost, EvaluateCost())
+    _, outcome = run_stage(cost, [], EvaluateCost())
     parts = [row["part"] for row in outcome.rows]
     assert parts[:MECHANICS_ROWS] == ["mechanics, constant friction"] * MECHANICS_ROWS
     assert parts[-7:] == ["camera"] * 7
@@ -204,15 +200,15 @@ def test_parts_without_files(given, tmp_path):
 @pytest.mark.slow
 def test_the_picture_lies_beside_the_report(pictures, tmp_path):
     """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
-    output, outcome = make(cost, EvaluateCost(), tmp_path / "here.h5")
+    output, outcome = run_stage(cost, [], EvaluateCost(), tmp_path / "here.h5")
     picture = tmp_path / "here.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert outcome.summary["plot"] == str(picture)
     written = picture.stat().st_mtime_ns
-    assert "plot" not in make(cost, EvaluateCost(), output)[1].summary
+    assert "plot" not in run_stage(cost, [], EvaluateCost(), output)[1].summary
     assert picture.stat().st_mtime_ns == written
     picture.unlink()
-    make(cost, EvaluateCost(), output)
+    run_stage(cost, [], EvaluateCost(), output)
     assert picture.exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here.h5", "here.png"]
 
@@ -233,7 +229,7 @@ def test_lines_of_the_picture():
     """Assert a panel for each error, a line for each integrator, and no points for a blow-up, 0, or infinity."""
     from matplotlib.figure import Figure
 
-    _, outcome = make(cost, EvaluateCost())
+    _, outcome = run_stage(cost, [], EvaluateCost())
     axes = Figure().subplots()
     plots.draw_panel(axes, outcome.rows[:MECHANICS_ROWS], "error_um_object_rms")
     labels = axes.get_legend_handles_labels()[1]
@@ -273,7 +269,7 @@ def test_what_a_line_is_called():
 def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    output, outcome = make(cost, EvaluateCost())
+    output, outcome = run_stage(cost, [], EvaluateCost())
     assert "'.[plot]'" in outcome.summary["plot"]
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
@@ -301,7 +297,7 @@ def by_hand(monkeypatch):
 
 def test_stability_counts_what_is_ok(by_hand):
     """Assert that the summary counts cases, refusals and what is not ok, and that rows that are not ok come first."""
-    outcome = make(stability, EvaluateStability())[1]
+    outcome = run_stage(stability, [], EvaluateStability())[1]
     counts = {"cases": 3, "refused": 1, "cases_not_ok": 1, "not_ok_by_part": "gel 0 of 2, gripper 1 of 1"}
     assert outcome.summary.items() >= {**counts, "not_ok": "gripper: b"}.items()
     assert [(row["case"], row["ok"]) for row in outcome.rows] == [
@@ -313,27 +309,27 @@ def test_stability_counts_what_is_ok(by_hand):
 
 def test_strict(by_hand, tmp_path):
     """Assert that a case that is not ok is printed with exit 0, and with --strict with 1, also from an old report."""
-    assert evetac("stability").exit_code == 0
+    assert evaluate("stability").exit_code == 0
     for _ in range(2):
-        result = evetac("stability", "--strict")
+        result = evaluate("stability", "--strict")
         assert result.exit_code == 1
         assert "sim: cases outside their bounds" in result.stderr
         assert "1 of 3 that are not ok" in result.stderr
         assert "force left unbalanced" in result.stdout
         (tmp_path / "sim.stability.report.h5").unlink(missing_ok=True)
-    shown = json.loads(evetac("stability", "--strict", "--json").stdout)
+    shown = json.loads(evaluate("stability", "--strict", "--json").stdout)
     assert shown["error"]["exit_status"] == 1
     assert [row["case"] for row in shown["rows"] if not row["ok"]] == ["b"]
 
 
 def test_strict_is_satisfied(tmp_path):
     """Assert that where all is ok, --strict exits with 0."""
-    assert evetac("stability", "--strict").exit_code == 0
+    assert evaluate("stability", "--strict").exit_code == 0
 
 
 def test_a_fault_in_the_gel_is_reported(monkeypatch):
     """Assert that all real cases are ok, and that a step which gives the object energy turns some to not ok."""
-    assert make(stability, EvaluateStability())[1].summary["not_ok"] is None
+    assert run_stage(stability, [], EvaluateStability())[1].summary["not_ok"] is None
     real = gel.step
 
     def step(state, *given, **changes):
@@ -342,7 +338,7 @@ def test_a_fault_in_the_gel_is_reported(monkeypatch):
         return info
 
     monkeypatch.setattr(gel, "step", step)
-    faulty = make(stability, EvaluateStability(seed=1), force=True)[1]
+    faulty = run_stage(stability, [], EvaluateStability(seed=1), force=True)[1]
     assert bounds.ENERGY.quantity in [row["quantity"] for row in faulty.rows if not row["ok"]]
     assert faulty.summary["cases_not_ok"] > 0
 
@@ -350,12 +346,12 @@ def test_a_fault_in_the_gel_is_reported(monkeypatch):
 @pytest.mark.parametrize("name", [pytest.param("cost", marks=pytest.mark.slow), "stability"])
 def test_commands(name):
     """Assert that `evaluate cost sim` prints one JSON object, and that the part may be left out."""
-    result = evetac(name, "sim", "--json")
+    result = evaluate(name, "sim", "--json")
     assert result.exit_code == 0, result.output
     shown = json.loads(result.stdout, parse_constant=pytest.fail)
     assert (shown["command"], shown["simulated"]) == (f"evaluate {name}", True)
     assert len(shown["rows"]) > 10
-    result = evetac(name)
+    result = evaluate(name)
     assert result.exit_code == 0
     assert f"evaluate {name} (simulated)" in result.stdout
     assert "up to date" in result.stderr
@@ -365,7 +361,7 @@ def test_commands(name):
 @pytest.mark.parametrize("given", [["simm"], ["sim", "sim"], ["sim", "--seed", "-1"], ["--part", "sim"]])
 def test_wrong_arguments(name, given, tmp_path):
     """Assert that another part, two parts, and a part as a flag are refused before any work."""
-    result = evetac(name, *given)
+    result = evaluate(name, *given)
     assert result.exit_code == 2
     assert (result.stdout, list(tmp_path.iterdir())) == ("", [])
     if given == ["simm"]:
@@ -375,7 +371,7 @@ def test_wrong_arguments(name, given, tmp_path):
 
 def test_help_names_the_part():
     """Assert that the help lists PART as an argument, which is not a flag."""
-    text = evetac("cost", "--help").output
+    text = evaluate("cost", "--help").output
     assert "[PART]" in text
     assert "--part" not in text
 
@@ -384,9 +380,9 @@ def test_config_file(tmp_path):
     """Assert that part, seed and full come from a config file too, and a flag goes before it."""
     config = tmp_path / "c.toml"
     config.write_text('[evaluate.stability]\npart = "sim"\nseed = 5\n')
-    assert evetac("stability", "--config", config).exit_code == 0
+    assert evaluate("stability", "--config", config).exit_code == 0
     with StageFile(tmp_path / "sim.stability.report.h5") as file:
         assert file.header["parameters"]["seed"] == 5
-    assert evetac("stability", "--config", config, "--seed", 6, "--force").exit_code == 0
+    assert evaluate("stability", "--config", config, "--seed", 6, "--force").exit_code == 0
     with StageFile(tmp_path / "sim.stability.report.h5") as file:
         assert file.header["parameters"]["seed"] == 6

@@ -18,6 +18,7 @@ from evetac_cli.numerics import cost, models
 from evetac_cli.params.evaluation import EvaluateCost, EvaluateSlip
 from evetac_cli.stages.evaluate import slip
 from evetac_cli.store.files import StageFile
+from tests.make import run_stage
 from tests.stages.evaluate.test_slip import features_file, trained
 
 
@@ -36,8 +37,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
 def evaluated(files: dict[str, list[Path]], models: list[Path], out: Path) -> Path:
     """The report of evaluate slip on these models."""
     params = EvaluateSlip()
-    (job,) = slip.jobs([*files["features"], *models], params, out)
-    slip.run(job, params)
+    run_stage(slip, [*files["features"], *models], params, out)
     return out
 
 
@@ -50,8 +50,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def make(inputs: list[Path], out: Path, **values: Any) -> Any:
     params = EvaluateCost(part="model", **values)
-    (job,) = cost.jobs(inputs, params, out)
-    return cost.run(job, params)
+    return run_stage(cost, inputs, params, out)[1]
 
 
 def points(*values: tuple[float | None, float], horizon_ms: int = 0) -> list[dict[str, Any]]:

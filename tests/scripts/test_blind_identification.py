@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import blind_identification as blind
 
+from evetac_cli.errors import InputError
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
@@ -25,19 +26,25 @@ def test_truths_lie_in_their_prior_ranges() -> None:
     for number in range(9000, 9050):
         sensor = one_sensor(f"randomized:{number}")
         for parameter in blind.PARAMETERS:
-            assert parameter.low <= parameter.truth(sensor) <= parameter.high, (number, parameter.name)
+            low, high = parameter.prior
+            assert low <= parameter.truth(sensor) <= high, (number, parameter.name)
 
 
-def test_scenes_are_as_packaged_but_for_what_is_changed(tmp_path: Path) -> None:
-    """Assert that the scenes are read, with what is changed, and that a key which is not there is an error."""
-    for name, values in (("rest", blind.REST), ("press", blind.PRESS), ("grip-steps", blind.GRIP)):
-        (tmp_path / f"{name}.toml").write_text(blind.changed(name, values))
-        packaged, made = (as_table(scene_file.load(file)) for file in (name, str(tmp_path / f"{name}.toml")))
-        assert made != packaged
-        flat = {key: value for group in made.values() if isinstance(group, dict) for key, value in group.items()}
-        assert all(flat[key] == value for key, value in values.items())
-    with pytest.raises(ValueError, match="expected one lines"):
-        blind.changed("rest", {"lines": 3})
+def test_priors_are_those_of_the_table() -> None:
+    """Assert that ranges that follow from those of sensors are as they were when the table was made."""
+    table = json.loads((blind.ROOT / "docs" / "results" / "blind-identification.json").read_text())
+    assert [row["parameter"] for row in table["rows"]] == NAMES
+    for row, parameter in zip(table["rows"], blind.PARAMETERS, strict=True):
+        assert parameter.prior == pytest.approx((row["prior_low"], row["prior_high"]), rel=2e-3, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", blind.SCENES)
+def test_scenes_are_as_packaged_but_for_what_is_changed(name: str, tmp_path: Path) -> None:
+    """Assert that the scenes are read, with what is changed and nothing else."""
+    (tmp_path / "changed.toml").write_text(blind.changed(name, blind.SCENES[name]))
+    packaged, made = (as_table(scene_file.load(file)) for file in (name, str(tmp_path / "changed.toml")))
+    assert made != packaged
+    assert made == scene_file.merged(packaged, blind.SCENES[name])
 
 
 def result(low: float, high: float, *, truth: float = 0.05, name: str = "noise_hz") -> dict[str, Any]:
@@ -102,11 +109,11 @@ def test_a_sensor_that_was_cut_off_is_not_kept(tmp_path: Path) -> None:
 
 
 def test_runs_with_and_without_a_gripper_are_not_mixed(tmp_path: Path) -> None:
-    """Assert that a folder of whole runs is refused to --camera-only, and the other way round."""
+    """Assert that a folder of whole runs is refused to a run without grips, and the other way round."""
     keep(tmp_path, 7, camera_only=True)
     assert list(blind.all_kept(tmp_path, camera_only=True)) == [7]
-    with pytest.raises(ValueError, match="without the gripper: 7"):
+    with pytest.raises(InputError, match="without the gripper: 7"):
         blind.all_kept(tmp_path, camera_only=False)
     keep(tmp_path, 8, camera_only=False)
-    with pytest.raises(ValueError, match="with the gripper: 8"):
+    with pytest.raises(InputError, match="with the gripper: 8"):
         blind.all_kept(tmp_path, camera_only=True)

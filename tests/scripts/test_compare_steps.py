@@ -11,7 +11,7 @@ from scripts import compare_steps
 from scripts.compare_steps import DEFAULT, FINE
 
 
-def trial(kind: str, number: int, default: dict[str, Any], fine: dict[str, Any]) -> dict[str, Any]:
+def trial_line(kind: str, number: int, default: dict[str, Any], fine: dict[str, Any]) -> dict[str, Any]:
     """The line of a trial."""
     made = {"kind": kind, "object": 1, "number": number, "seed": 0, "step_ms": 0.1, "commit": "c"}
     return {**made, DEFAULT: default, FINE: fine}
@@ -20,12 +20,12 @@ def trial(kind: str, number: int, default: dict[str, Any], fine: dict[str, Any])
 def slip(number: int, *onsets: tuple[int | None, ...]) -> dict[str, Any]:
     """A slip with the onsets t_s, of every node, of labels and of the detection, by default and with the fine step."""
     default, fine = (dict(zip(compare_steps.ONSETS, of_one, strict=True)) for of_one in onsets)
-    return trial("slip", number, default, fine)
+    return trial_line("slip", number, default, fine)
 
 
 def grasp(number: int, default: bool, fine: bool) -> dict[str, Any]:
     """A grasp that held or not, by default and with the fine step."""
-    return trial("grasp", number, {"held": default}, {"held": fine})
+    return trial_line("grasp", number, {"held": default}, {"held": fine})
 
 
 def table(rows: list[dict[str, Any]], column: str) -> dict[str, dict[str, Any]]:

@@ -1,6 +1,5 @@
 """Which parts there are, that each is one of scene or sensor that evetac knows, and what is made of trials."""
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -10,7 +9,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import part_effects
+import reproduce
 import results
+import studies
 from part_effects import BY_NAME, NONE, PARTS, Part
 
 from evetac_cli.errors import InputError
@@ -48,13 +49,15 @@ def test_a_part_that_is_none(tmp_path: Path) -> None:
 
 def test_trials_that_are_to_be_run() -> None:
     """Assert that a part comes with those it is compared with, by the same seeds, and is not slipped in vain."""
-    chosen = argparse.Namespace(part=["uneven light", "encoder noise"], slips=2, grasps=1, seed=7)
-    planned = list(part_effects.trials(chosen))
+    sizes = {"parts": ("uneven light", "encoder noise"), "slips": 2, "grasps": 1, "seed": 7}
+    planned = list(part_effects.trials(sizes))
     assert [row["part"] for row in planned[:4]] == [NONE, "slow pixels", "bandwidth by light", "uneven light"]
     assert [(row["object"], row["seed"]) for row in planned[::4]][:2] == [(2, 7), (8, 8)]
     assert [row["part"] for row in planned if row["kind"] == "lift"].count("encoder noise") == 1
     assert len(planned) == 2 * 4 + 5
     assert len({part_effects.identity(row) for row in planned}) == len(planned)
+    with pytest.raises(InputError, match="no such part"):
+        list(part_effects.trials({**sizes, "parts": ("leek",)}))
 
 
 def test_figures() -> None:
@@ -102,13 +105,12 @@ def test_a_part_that_a_stage_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_table_of_the_docs(tmp_path: Path) -> None:
     """Assert that it shows a figure of each part, and the interval of its change where it does not hold 0."""
     rows = [slip(part, seed, events_ms=50.0 + 9.0 * (part == "leak")) for part in (NONE, "leak") for seed in range(3)]
-    figures, changes = part_effects.tables(rows)
-    chosen = argparse.Namespace(seed=0, slips=3, grasps=0)
-    whole = part_effects.result(figures, changes, rows, chosen)
+    evaluations = {"part-effects": part_effects.evaluation(rows)}
+    whole = reproduce.result(studies.PART_EFFECTS, evaluations, ["make part-effects"])
     (tmp_path / "part-effects.json").write_text(json.dumps(whole))
     page = "<!-- table part-effects -->\nas it was\n<!-- end of part-effects -->\n"
     filled = results.fill_page(page, tmp_path)
-    assert "3 slips and 0 grasps with each (commit c, seeds 0 to 2" in filled
+    assert "3 slips and 0 grasps with each (commit c" in filled and "seeds of recordings 0-2" in filled
     assert f"| none | {BY_NAME[NONE].says} | 50.0 |" in filled
     assert "| leak | 0.1 Hz a pixel | 59.0, +9.0 to +9.0 |" in filled
     assert "as it was" not in filled

@@ -1,5 +1,6 @@
 """scripts/reproduce.py: tables say what was run, and no run destroys what another has kept."""
 
+import importlib
 import json
 import os
 import re
@@ -19,6 +20,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.params.evaluation import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
 from tests.conftest import Made
+from tests.make import run_stage
 from tests.patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -211,7 +213,33 @@ def test_experiments_fit_together(name: str) -> None:
     assert set(experiment.after) <= set(BY_NAME)
     assert set(experiment.small) <= set(experiment.full)
     evaluations = set(experiment.evaluations(dict(experiment.full)))
+    if experiment.measure:
+        module, _, function = experiment.measure.partition(".")
+        assert callable(getattr(importlib.import_module(module), function))
+        evaluations |= {table.name for table in experiment.tables}
     assert {name for table in experiment.tables for name in table.evaluations} <= evaluations
+
+
+def test_what_is_measured_is_kept_like_a_report(tmp_path: Path) -> None:
+    """Assert that figures that are there are not made again, and that the table has rows, sizes and command."""
+    experiment = BY_NAME["mujoco-grasps"]
+    trial = {"controller": "paper", "lifted": True, "grip_n": 2.0, "steps_per_cpu_s": 1000.0}
+    folder = tmp_path / experiment.folder
+    folder.mkdir(parents=True)
+    (folder / "3-22000.json").write_text(json.dumps([trial] * 3))
+
+    def run(words: list[str], folder: Path) -> tuple[int, str]:
+        raise AssertionError(words)
+
+    sizes = {**experiment.full, "trials": 3}
+    reproduce.perform(experiment, sizes, tmp_path, tmp_path / "results", jobs=1, replace=False, run=run)
+    table = json.loads((tmp_path / "results" / "mujoco-grasps.json").read_text())
+    assert (table["sizes"]["trials"], table["recipe_ids"], table["simulated"]) == (3, [], True)
+    assert table["commands"] == ["python scripts/reproduce.py --only mujoco-grasps --size=trials=3"]
+    assert "| paper | 3 | 3 | 2.00 | 1,000 |" in results.text(table)
+    (folder / "2-22000.json").write_text(json.dumps([trial] * 2))
+    with pytest.raises(Refusal, match=r"trials 2 \(there 3\)"):
+        reproduce.perform(experiment, {**sizes, "trials": 2}, tmp_path, tmp_path / "results", jobs=1, replace=False)
 
 
 def test_rows_are_spread_and_marked() -> None:
@@ -281,9 +309,8 @@ def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
     ]
     evaluations = {}
     for name, stage, chosen, file in stages:
-        (job,) = stage.jobs([file], chosen, tmp_path / f"{name}.report.h5")
-        outcome = stage.run(job, chosen)
-        header = reproduce.report_header(job.output)
+        output, outcome = run_stage(stage, [file], chosen, tmp_path / f"{name}.report.h5")
+        header = reproduce.report_header(output)
         evaluations[name] = Evaluation(outcome.rows, outcome.summary, outcome.simulated, header)
     table = reproduce.result(experiment_tables.DEMO, evaluations, ["evetac evaluate labels"])
     figures = {row["what"]: row["figure"] for row in table["rows"]}

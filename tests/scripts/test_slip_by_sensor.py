@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import reproduce
 import results
 import slip_by_sensor
+import studies
+from experiment_tables import Evaluation
 from slip_by_sensor import Sensor
 
+from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Header, Recipe
@@ -59,16 +63,24 @@ def test_rows_and_their_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
         (2, 2, "2000-2001"),
         (6, 6, "1000-1003, 2000-2001"),
     ]
-    columns = slip_by_sensor.sensor_columns(["shipped", "first edition"])
-    about = {"commands": ["python"], "recipe_ids": ["a"], "notes": []}
-    headers = [header(7, "evetac")]
-    whole = slip_by_sensor.result("slip-by-sensor", "A title", rows, columns, headers, about)
+    whole = table(rows)
     assert whole["simulated"] and whole["sizes"]["recording_seeds"] == [7]
+    assert [row["seeds"] for row in whole["rows"]] == [row["seeds"] for row in rows]
     (tmp_path / "slip-by-sensor.json").write_text(json.dumps(whole))
     page = "<!-- table slip-by-sensor -->\n<!-- end of slip-by-sensor -->\n"
     filled = results.fill_page(page, tmp_path)
     assert "| sensor | trials | early | correct | late | F1 | correct, first edition | F1, first edition |" in filled
     assert "| evetac | 2 | 0.00 | 1.00 (1.00 to 1.00) | 0.00 | 1.00 (1.00 to 1.00) | 1.00 | 1.00 |" in filled
+    alone = table([{key: row[key] for key in row if not key.startswith("first_edition")} for row in rows])
+    assert "| sensor | trials | early | correct | late | F1 |\n" in results.text(alone)
+
+
+def table(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The table of these rows, from one recording."""
+    evaluation = Evaluation(
+        rows, {}, simulated=True, header=Recipe("report", 1, {}, parents=(header(7, "evetac"),)).header()
+    )
+    return reproduce.result(studies.SLIP_BY_SENSOR, {"slip-by-sensor": evaluation}, ["python"])
 
 
 def test_sensors_that_never_slip(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,7 +90,7 @@ def test_sensors_that_never_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     alone, other, _, mean = rows_of(said, monkeypatch)
     assert (alone["slips"], alone["shipped_slip_correct"], alone["shipped_slip_correct_low"]) == (0, None, None)
     assert other["shipped_slip_correct"] == mean["shipped_slip_correct"] == 0.5
-    cells = [results.cell(column, alone, {}) for column in slip_by_sensor.sensor_columns(["shipped"])]
+    cells = [results.cell(column, alone, {}) for column in table([alone, other])["columns"]]
     assert cells[:5] == ["randomized:1", "2", "", "", ""]
     (nothing,) = rows_of({"evetac": still}, monkeypatch)
     assert nothing["shipped_slip_early"] is None and nothing["shipped_f1"] is not None
@@ -99,5 +111,5 @@ def test_a_sensor_is_called_as_in_its_recordings(tmp_path: Path) -> None:
             }
             write_stage(path, Recipe("features", 1, {}, parents=(recording,)), arrays)
     assert [slip_by_sensor.sensor_in(tmp_path / folder).name for folder in ("one", "many")] == ["randomized:5", "many"]
-    with pytest.raises(SystemExit, match="no features"):
+    with pytest.raises(InputError, match="no features"):
         slip_by_sensor.sensor_in(tmp_path)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, slice_starts
+from evetac_cli.events import Events
 from evetac_cli.formats import exports
 from evetac_cli.formats.read.bags import read_bag_stream
 from evetac_cli.inspect import info, validate, view
@@ -24,6 +24,7 @@ from evetac_cli.params.recording import Attach, Trim
 from evetac_cli.stages import attach, trim
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import event_arrays, run_stage
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("rosbags.rosbag1")
@@ -41,13 +42,7 @@ def recording(tmp_path: Path) -> Path:
     """A recording of 0.1 s, as an import leaves it."""
     t = np.arange(0, 1000 * SLICES, 500)
     events = Events(t, np.full(t.size, 3, np.uint16), np.full(t.size, 2, np.uint16), np.ones(t.size, np.uint8))
-    arrays = {
-        **{f"events/{column}": getattr(events, column) for column in Events._fields},
-        "ms_to_idx": slice_starts(t, SLICES),
-        "t_offset": np.int64(START_S * 10**6),
-        "sensor/frame_px": np.array([8, 6], np.int32),
-        "sensor/name": "unknown",
-    }
+    arrays = event_arrays(events, SLICES, (8, 6), START_S * 10**6)
     path = tmp_path / "a.recording.h5"
     write_stage(path, Recipe("recording", 2, {"source": "a.aedat4"}, content="0" * 64), arrays)
     return path
@@ -236,9 +231,8 @@ def test_trim_cuts_streams_in_time(recording: Path, tmp_path: Path) -> None:
     """Assert that a piece has the samples of its own time, in its own clock, and what they are."""
     whole, _ = attached(recording, f"arm={pose_csv(tmp_path)}", f"wrist={bag(tmp_path, 'ros1')}:/image")
     chosen = Trim(from_ms=20, to_ms=45)
-    (job,) = trim.jobs([whole], chosen, tmp_path / "piece.recording.h5")
-    trim.run(job, chosen)
-    with StageFile(whole) as source, StageFile(job.output) as piece:
+    output, _ = run_stage(trim, [whole], chosen, tmp_path / "piece.recording.h5")
+    with StageFile(whole) as source, StageFile(output) as piece:
         assert piece.contents().keys() == source.contents().keys()
         assert piece.read("streams/arm/t_us").tolist() == [0, 10_000, 20_000]
         np.testing.assert_array_equal(piece.read("streams/arm/x_m"), source.read("streams/arm/x_m", 2, 5))

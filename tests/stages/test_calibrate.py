@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, concatenate, empty, slice_starts
+from evetac_cli.events import Events, concatenate, empty
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.params.recording import Calibrate, Record
@@ -27,6 +27,7 @@ from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
+from tests.make import event_arrays, run_stage, write_recording
 from tests.quick import few
 
 Grid = NDArray[np.float64]
@@ -60,9 +61,8 @@ def pressed(tmp_path_factory: pytest.TempPathFactory, truth: Grid) -> Path:
     chosen = Record(scene=str(folder / "press.toml"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gel_camera, "dot_grid", lambda sensor, cut: truth)
-        (job,) = record.jobs([], chosen, folder / "press.recording.h5")
-        record.run(job, chosen)
-    return job.output
+        output, _ = run_stage(record, [], chosen, folder / "press.recording.h5")
+    return output
 
 
 @pytest.fixture(scope="module")
@@ -73,15 +73,8 @@ def events(pressed: Path) -> Events:
 
 def recorded(path: Path, events: Events, frame_px: tuple[int, int] = (640, 480)) -> Path:
     """Events as an imported recording without a grid."""
-    arrays: dict[str, Any] = {
-        **{f"events/{column}": getattr(events, column) for column in Events._fields},
-        "ms_to_idx": slice_starts(events.t, int(events.t[-1]) // 1000 + 1 if events.size else 0),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array(frame_px, np.int32),
-        "sensor/name": "unknown",
-    }
-    write_stage(path, Recipe("recording", 1, {"made": path.name}, content="0" * 64), arrays)
-    return path
+    slices = int(events.t[-1]) // 1000 + 1 if events.size else 0
+    return write_recording(path, event_arrays(events, slices, frame_px), source=path.name)
 
 
 def selected(events: Events, keep: NDArray[np.bool_]) -> Events:
@@ -151,8 +144,7 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="irregular is false in the file, true wanted"):
         calibrated(short, irregular=True)
     forced = Calibrate(irregular=True)
-    (job,) = calibrate.jobs([short], forced, path)
-    assert calibrate.run(job, forced, force=True).made
+    assert run_stage(calibrate, [short], forced, path, force=True)[1].made
     path.write_text("{}")
     with pytest.raises(InputError, match="no calibration made by evetac"):
         calibrated(short)
@@ -424,11 +416,10 @@ def test_nothing_moved(tmp_path: Path, events: Events) -> None:
 def test_noise_is_no_dot(tmp_path: Path) -> None:
     """Assert that a real camera's noise at a still scene is refused, also when taken for strokes."""
     importing = Record(source=NOISE)
-    (job,) = record.jobs([], importing, tmp_path / "noise.recording.h5")
-    record.run(job, importing)
+    output, _ = run_stage(record, [], importing, tmp_path / "noise.recording.h5")
     with pytest.raises(InputError, match="no dot was seen to move"):
-        calibrated(job.output)
-    with open_recording(job.output) as recording:
+        calibrated(output)
+    with open_recording(output) as recording:
         noise = recording.between(0, len(recording))
     rests = selected(noise, (noise.t // 1000 % 400 >= 100) | (noise.x < 40))
     with pytest.raises(InputError, match=r"too few dots were seen to move(.|\n)*found: +0"):
@@ -441,12 +432,11 @@ def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
     tables = []
     for source in (PICKLE, REAL):
         chosen = Calibrate(source=source)
-        (job,) = calibrate.jobs([], chosen, tmp_path / f"{source.suffix[1:]}.json")
-        outcome = calibrate.run(job, chosen)
+        output, outcome = run_stage(calibrate, [], chosen, tmp_path / f"{source.suffix[1:]}.json")
         assert not outcome.simulated
         assert (outcome.rows[0]["dots"], outcome.rows[0]["gel"]) == (63, "closed")
-        assert worst_px(job.output, truth) < 1e-3
-        tables.append(json.loads(job.output.read_text()))
+        assert worst_px(output, truth) < 1e-3
+        tables.append(json.loads(output.read_text()))
     first, second = ({key: table[key] for key in table if key != "provenance"} for table in tables)
     assert first == second
     assert {4 * 9 + 3, 4 * 9 + 5, 3 * 9 + 4, 5 * 9 + 4} <= set(first["neighbours"][4 * 9 + 4])
@@ -460,10 +450,9 @@ def test_the_file_of_a_sensor_is_imported(tmp_path: Path) -> None:
         "distortion = [-0.05, 0.0]\n"
     )
     chosen = Calibrate(source=source)
-    (job,) = calibrate.jobs([], chosen, tmp_path / "mine.json")
-    outcome = calibrate.run(job, chosen)
+    output, outcome = run_stage(calibrate, [], chosen, tmp_path / "mine.json")
     assert (outcome.rows[0]["dots"], outcome.rows[0]["gel"]) == (56, "cut")
-    result = read_calibration(job.output)
+    result = read_calibration(output)
     assert result.sensitivity == pytest.approx(((1.5 / 0.25 + 1.5 / 0.3) / 2, 9e4))
     straight = gel_camera.dot_grid(one_sensor("evetac"), cut=True)
     moved_px = np.linalg.norm(result.dot_xy_px - straight, axis=2)

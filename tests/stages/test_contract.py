@@ -45,6 +45,7 @@ from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Header
 from tests.conftest import Made
+from tests.make import run_stage
 
 
 class Stage(NamedTuple):
@@ -118,9 +119,8 @@ def force_models(folder: Path) -> str:
 def another_grasp(folder: Path) -> list[Path]:
     """A grasp without the detector, which is quickly made."""
     chosen = Grasp(controller="none", lift_s=1.0, balance_s=0.0)
-    (job,) = grasp.jobs([], chosen, folder / "contact-alone.recording.h5")
-    grasp.run(job, chosen, force=True)
-    return [job.output]
+    output, _ = run_stage(grasp, [], chosen, folder / "contact-alone.recording.h5", force=True)
+    return [output]
 
 
 GRASP = {"model": model, "lift_s": 1.0}
@@ -205,13 +205,8 @@ def copy_of(made: Made, work: Path) -> Path:
     return work
 
 
-def run(stage: Stage, folder: Path, out: Path, **options: Any) -> tuple[Path, Any]:
-    return run_on(stage, stage.params(folder), stage.inputs(folder), out, **options)
-
-
-def run_on(stage: Stage, chosen: Any, inputs: list[Path], out: Path, **options: Any) -> tuple[Path, Any]:
-    (job,) = stage.module.jobs(inputs, chosen, out)
-    return job.output, stage.module.run(job, chosen, **options)
+def run_in(stage: Stage, folder: Path, out: Path, **options: Any) -> tuple[Path, Any]:
+    return run_stage(stage.module, stage.inputs(folder), stage.params(folder), out, **options)
 
 
 def arrays(path: Path) -> dict[str, bytes]:
@@ -226,7 +221,7 @@ def first_run(made: Made, tmp_path_factory: pytest.TempPathFactory) -> FirstRun:
     @cache
     def first(stage: Stage) -> tuple[Path, Any]:
         place = tmp_path_factory.mktemp("first")
-        return run(stage, copy_of(made, place / "work"), place / "out")
+        return run_in(stage, copy_of(made, place / "work"), place / "out")
 
     return first
 
@@ -271,7 +266,7 @@ def test_output_carries_its_history(stage: Stage, folder: Path, first_run: First
 def test_same_recipe_same_arrays(stage: Stage, folder: Path, tmp_path: Path, first_run: FirstRun) -> None:
     """Assert that two runs of one recipe, in two folders, give one id and the same arrays, bit for bit."""
     one, _ = first_run(stage)
-    other, _ = run(stage, folder, tmp_path / "other")
+    other, _ = run_in(stage, folder, tmp_path / "other")
     assert header(one)["id"] == header(other)["id"]
     assert arrays(one) == arrays(other)
 
@@ -282,7 +277,7 @@ def test_output_is_skipped_when_up_to_date(stage: Stage, folder: Path, tmp_path:
     target = tmp_path / "target.h5"
     shutil.copy(first_run(stage)[0], target)
     written = target.stat().st_mtime_ns
-    _, outcome = run(stage, folder, target)
+    _, outcome = run_in(stage, folder, target)
     assert not outcome.made
     assert target.stat().st_mtime_ns == written
 
@@ -296,12 +291,12 @@ def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path, f
     target = tmp_path / "target.h5"
     shutil.copy(first_run(stage)[0], target)
     before, first_id = target.read_bytes(), header(target)["id"]
-    another = stage.another(folder)
-    assert another != (stage.params(folder), stage.inputs(folder))
+    chosen, inputs = stage.another(folder)
+    assert (chosen, inputs) != (stage.params(folder), stage.inputs(folder))
     with pytest.raises(InputError, match="another recipe"):
-        run_on(stage, *another, target)
+        run_stage(stage.module, inputs, chosen, target)
     assert target.read_bytes() == before
-    _, outcome = run_on(stage, *another, target, force=True)
+    _, outcome = run_stage(stage.module, inputs, chosen, target, force=True)
     assert outcome.made
     assert header(target)["id"] != first_id
 
@@ -336,7 +331,7 @@ def test_bad_input_is_refused(stage: Stage, fault: str, folder: Path, tmp_path: 
             h5.attrs["header"] = json.dumps(json.loads(h5.attrs["header"]) | {"version": "2.0"})
     before = files(tmp_path)
     with pytest.raises(InputError):
-        run(stage, folder, tmp_path / "out")
+        run_in(stage, folder, tmp_path / "out")
     assert files(tmp_path) == before
 
 
@@ -350,7 +345,7 @@ def test_interruption_leaves_nothing_behind(stage: Stage, folder: Path, tmp_path
 
     before = files(tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        run(stage, folder, tmp_path / "out", progress=interrupt)
+        run_in(stage, folder, tmp_path / "out", progress=interrupt)
     assert {path for path in files(tmp_path) if path.parent.suffix != ".judged"} == before
 
 

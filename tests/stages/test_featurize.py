@@ -15,6 +15,7 @@ from evetac_cli.stages.slip_detectors import read_series
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from tests.conftest import Made
+from tests.make import run_stage
 
 
 def test_directions_are_the_displacement(made: Made) -> None:
@@ -60,9 +61,8 @@ def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> N
     """Assert that --images stores every slice's event image without the window, and nothing else changes."""
     path = made.recordings[0]
     chosen = Featurize(images=True)
-    (job,) = featurize.jobs([path], chosen, tmp_path)
-    featurize.run(job, chosen)
-    with StageFile(job.output) as features, StageFile(made.beside(path, "features")) as plain:
+    output, _ = run_stage(featurize, [path], chosen, tmp_path)
+    with StageFile(output) as features, StageFile(made.beside(path, "features")) as plain:
         for name in plain.contents():
             np.testing.assert_array_equal(features.read(name), plain.read(name))
         start, pixel, sign = (features.read(f"image/{name}") for name in ("start", "pixel", "sign"))

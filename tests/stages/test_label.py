@@ -21,14 +21,15 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe, content_digest
 from evetac_cli.store.read import open_recording, ramp_start
 from tests.conftest import Made
+from tests.make import event_arrays, run_stage, write_recording
 
 METHODS = ("event-flow", "farneback", "dis", "event-count", "truth")
 
 
-def run(recording: Path, out: Path, **chosen: Any) -> tuple[Path, dict[str, Any]]:
-    given = Label(after_ms=15, **chosen)
-    (job,) = label.jobs([recording], given, out)
-    return job.output, label.run(job, given).rows[0]
+def label_of(recording: Path, out: Path, **chosen: Any) -> tuple[Path, dict[str, Any]]:
+    """The labels of a recording, and their row."""
+    output, outcome = run_stage(label, [recording], Label(after_ms=15, **chosen), out)
+    return output, outcome.rows[0]
 
 
 def recording_of(
@@ -40,25 +41,18 @@ def recording_of(
     dots: bool = True,
 ) -> Path:
     """A recording without truth or gripper, of one dot."""
-    content: dict[str, Any] = {f"events/{name}": getattr(events, name) for name in Events._fields}
-    content |= {
-        "ms_to_idx": np.searchsorted(events.t, np.arange(slices + 1) * 1000).astype(np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
+    content = event_arrays(events, slices)
     if window:
         content["sensor/window_px"] = np.array([540, 0, 640, 480], np.int32)
     if dots:
         content |= {"sensor/dot_xy_px": np.full((1, 1, 2), 200.0), "sensor/dot_radius_px": np.float64(15.0)}
-    write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
-    return path
+    return write_recording(path, content)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_makes_valid_labels_that_name_it(made: Made, tmp_path: Path, method: str) -> None:
     """Assert that each method's labels are valid, are those of a slice-by-slice rule, and name it in their header."""
-    output, row = run(made.recordings[0], tmp_path, method=method)
+    output, row = label_of(made.recordings[0], tmp_path, method=method)
     assert row["method"] == method
     assert [result["faults"] for result in validate.run([output]).rows] == [None]
     with StageFile(output, "labels") as file:
@@ -70,7 +64,7 @@ def test_every_method_makes_valid_labels_that_name_it(made: Made, tmp_path: Path
 
 def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:
     """Assert that labels from truth are the truth from the ramp's start up to 15 ms after its onset."""
-    output, row = run(made.recordings[0], tmp_path, method="truth")
+    output, row = label_of(made.recordings[0], tmp_path, method="truth")
     with StageFile(output) as labels, open_recording(made.recordings[0]) as recording:
         slips = recording.read("truth/slip")
         onset = int(np.flatnonzero(slips)[0])
@@ -92,14 +86,14 @@ def test_truth_from_the_first_slice(made: Made, tmp_path: Path) -> None:
         early = ramp_start(recording) - 5
     with h5py.File(beside, "a") as file:
         file["truth/slip"][early] = 1  # slides a little while it is loaded: left out
-    output, row = run(beside, tmp_path, method="truth", from_start=True)
+    output, row = label_of(beside, tmp_path, method="truth", from_start=True)
     with StageFile(output) as labels:
         expected = slips[: onset + 15].astype(int)
         expected[early] = -1
         np.testing.assert_array_equal(labels.read("label")[: onset + 15], expected)
     assert row["onset_ms"] == onset
     with pytest.raises(InputError, match="only the truth is known before the ramp"):
-        run(made.recordings[0], tmp_path / "other", method="event-flow", from_start=True)
+        label_of(made.recordings[0], tmp_path / "other", method="event-flow", from_start=True)
 
 
 def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
@@ -112,10 +106,9 @@ def test_slip_before_the_ramp_is_no_onset(made: Made, tmp_path: Path) -> None:
     with h5py.File(beside, "a") as file:
         file["truth/slip"][early] = 1
         file["truth/every_node_slid_px"][early] = 1.0
-    output, row = run(beside, tmp_path, method="truth")
+    output, row = label_of(beside, tmp_path, method="truth")
     assert row["onset_ms"] == onset
-    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
-    (evaluated,) = evaluate_labels.run(job, EvaluateLabels()).rows
+    (evaluated,) = run_stage(evaluate_labels, [output], EvaluateLabels(), tmp_path)[1].rows
     assert evaluated["t_s_ms"] == onset
     assert evaluated["t_every_node_ms"] >= onset
 
@@ -124,7 +117,7 @@ def test_reports_name_labels_from_truth(made: Made, tmp_path: Path) -> None:
     """Assert that a report on labels from truth says so in its summary and carries it in its history."""
     beside = tmp_path / made.recordings[0].name
     beside.write_bytes(made.recordings[0].read_bytes())
-    output, _ = run(beside, tmp_path, method="truth")
+    output, _ = label_of(beside, tmp_path, method="truth")
     (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
     outcome = evaluate_labels.run(job, EvaluateLabels())
     assert outcome.summary["method"] == "truth"
@@ -144,10 +137,9 @@ def test_an_onset_that_was_missed_counts_against(made: Made, tmp_path: Path) -> 
     """Assert that a slip without an onset in the labels lowers the share within the limits."""
     beside = tmp_path / made.recordings[0].name
     beside.write_bytes(made.recordings[0].read_bytes())
-    output, row = run(beside, tmp_path, method="event-count", threshold_events=10**6)
+    output, row = label_of(beside, tmp_path, method="event-count", threshold_events=10**6)
     assert row["onset_ms"] is None
-    (job,) = evaluate_labels.jobs([output], EvaluateLabels(), tmp_path)
-    summary = evaluate_labels.run(job, EvaluateLabels()).summary
+    summary = run_stage(evaluate_labels, [output], EvaluateLabels(), tmp_path)[1].summary
     assert summary["onsets_found"] == 0
     assert summary["within_minus4_plus3_ms"] == 0
 
@@ -155,7 +147,7 @@ def test_an_onset_that_was_missed_counts_against(made: Made, tmp_path: Path) -> 
 def test_the_default_finds_the_onset(made: Made, tmp_path: Path) -> None:
     """Assert that event-flow finds the onset of every short trial within 10 ms (its gel is coarse, and fast)."""
     for recording in made.recordings:
-        _, row = run(recording, tmp_path)
+        _, row = label_of(recording, tmp_path)
         with open_recording(recording) as file:
             true = int(np.flatnonzero(file.read("truth/slip"))[0])
         assert abs(row["onset_ms"] - true) <= 10
@@ -166,7 +158,7 @@ def test_without_a_window_it_says_so(tmp_path: Path, method: str) -> None:
     """Assert that a gel without window is refused in words, and nothing is written."""
     path = recording_of(tmp_path / "a.recording.h5", empty(), 50, window=False)
     with pytest.raises(InputError, match="the gel has no window"):
-        run(path, tmp_path, method=method)
+        label_of(path, tmp_path, method=method)
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -186,17 +178,17 @@ def test_without_texture_it_says_so(tmp_path: Path, method: str) -> None:
     events = Events(np.array(t), np.array(x, np.uint16), np.array(y, np.uint16), np.array(p, np.uint8))
     path = recording_of(tmp_path / "a.recording.h5", events, 400)
     with pytest.raises(InputError, match=r"slip cannot be labelled: texture(.|\n)*try: "):
-        run(path, tmp_path, method=method)
+        label_of(path, tmp_path, method=method)
 
 
 def test_event_flow_needs_dots_and_truth_needs_truth(tmp_path: Path) -> None:
     """Assert that what a method needs and the recording lacks is named, with another method to try."""
     path = recording_of(tmp_path / "a.recording.h5", empty(), 50, dots=False)
     with pytest.raises(InputError, match=r"no dot grid(.|\n)*--method farneback"):
-        run(path, tmp_path)
+        label_of(path, tmp_path)
     with pytest.raises(InputError, match=r"no truth(.|\n)*another --method"):
-        run(path, tmp_path, method="truth")
-    assert run(path, tmp_path, method="farneback")[1]["onset_ms"] is None
+        label_of(path, tmp_path, method="truth")
+    assert label_of(path, tmp_path, method="farneback")[1]["onset_ms"] is None
 
 
 def test_regions_keep_clear_of_the_cut_edge(made: Made) -> None:
@@ -284,5 +276,5 @@ def test_impossible_flow_constants(wrong: dict[str, Any]) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_pairs_of_flow_are_those_of_a_method_that_has_some(made: Made, tmp_path: Path, method: str) -> None:
     """Assert that a row counts pairs of images only where the method compares images."""
-    _, row = run(made.recordings[0], tmp_path / "a.labels.h5", method=method)
+    _, row = label_of(made.recordings[0], tmp_path / "a.labels.h5", method=method)
     assert (row["flow_pairs"] is None) == (method in ("event-flow", "truth"))

@@ -24,6 +24,7 @@ from evetac_cli.store import chunks, contents, read
 from evetac_cli.store.read import open_recording
 from scripts.attack.long_recording import Repeated
 from tests.conftest import Made
+from tests.make import run_stage
 
 SHORT, LONG = 1000, 3000  # slices
 MOST_BYTES_A_SLICE = 200  # a number or two for every slice, such as ms_to_idx; all else is some 1,000 bytes
@@ -40,30 +41,26 @@ def folders(made: Made, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
             patch.setattr(module, name, size)
         for folder, slices in zip(both, (SHORT, LONG), strict=True):
             repeated.write(folder / "a.recording.h5", slices)
-            _run(track, Track(), folder)
+            _on_recording(track, Track(), folder)
             export(folder / "a.recording.h5", "dsec", folder / "a.dsec.h5")
             _import("a.dsec.h5")(folder, folder / "imported.recording.h5")
     return both
 
 
-def _run(stage: object, chosen: object, folder: Path, out: Path | None = None) -> None:
-    (job,) = stage.jobs([folder / "a.recording.h5"], chosen, out)  # type: ignore[attr-defined]
-    stage.run(job, chosen)  # type: ignore[attr-defined]
+def _on_recording(stage: object, chosen: object, folder: Path, out: Path | None = None) -> None:
+    run_stage(stage, [folder / "a.recording.h5"], chosen, out)
 
 
 def _import(source: str, **options: object) -> Callable[[Path, Path], None]:
-    def run(folder: Path, out: Path) -> None:
-        chosen = Record(source=folder / source, **options)  # type: ignore[arg-type]
-        (job,) = record.jobs([], chosen, out)
-        record.run(job, chosen)
+    def import_file(folder: Path, out: Path) -> None:
+        run_stage(record, [], Record(source=folder / source, **options), out)  # type: ignore[arg-type]
 
-    return run
+    return import_file
 
 
 def _replay(folder: Path, out: Path) -> None:
     chosen = Grasp(camera=f"replay:{folder / 'a.recording.h5'}")
-    (job,) = grasp.jobs([], chosen, out)
-    grasp.run(job, chosen)
+    run_stage(grasp, [], chosen, out)
 
 
 CHUNKS = ((chunks, "CHUNK_ROWS", 1 << 13), (chunks, "CHUNK_BYTES", 1 << 16))  # of which a reader holds one
@@ -84,12 +81,12 @@ BLOCKS = (
     *CHUNKS,
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
-    "trim": lambda folder, out: _run(trim, Trim(from_ms=100), folder, out),
-    "track": lambda folder, out: _run(track, Track(), folder, out),
-    "featurize": lambda folder, out: _run(featurize, Featurize(images=True), folder, out),
-    "track-rgb": lambda folder, out: _run(track_rgb, TrackRgb(), folder, out),
-    "label": lambda folder, out: _run(label, Label(), folder, out),
-    "label by flow": lambda folder, out: _run(label, Label(method="farneback"), folder, out),
+    "trim": lambda folder, out: _on_recording(trim, Trim(from_ms=100), folder, out),
+    "track": lambda folder, out: _on_recording(track, Track(), folder, out),
+    "featurize": lambda folder, out: _on_recording(featurize, Featurize(images=True), folder, out),
+    "track-rgb": lambda folder, out: _on_recording(track_rgb, TrackRgb(), folder, out),
+    "label": lambda folder, out: _on_recording(label, Label(), folder, out),
+    "label by flow": lambda folder, out: _on_recording(label, Label(method="farneback"), folder, out),
     "grasp again": _replay,
     "evaluate tracking": lambda folder, out: _evaluate(folder / "a.tracks.h5", out),
     "import": _import("a.dsec.h5"),
@@ -117,8 +114,7 @@ def _export(folder: Path, format_: str, out: Path) -> None:
 
 
 def _evaluate(tracks: Path, out: Path) -> None:
-    (job,) = tracking.jobs([tracks], EvaluateTracking(), out)
-    assert tracking.run(job, EvaluateTracking()).summary["with_truth"] == 1
+    assert run_stage(tracking, [tracks], EvaluateTracking(), out)[1].summary["with_truth"] == 1
 
 
 def _validate(*files: Path) -> None:

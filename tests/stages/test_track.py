@@ -19,6 +19,7 @@ from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import open_recording
 from tests.conftest import DATA, Made
+from tests.make import run_stage
 
 NOISE = DATA / "dvxplorer_static_noise.aedat4"
 GRID = DATA / "evetac_base_calibration.json"
@@ -91,9 +92,8 @@ def test_the_radius_is_the_recordings(made: Made, tmp_path: Path) -> None:
         for stated_px in (radius_px, radius_px - 2.0):
             grid = calibration(tmp_path / f"{stated_px}.json", rest_px, stated_px)
             params = Track(preset=preset, calibration=grid)
-            (job,) = track.jobs([made.recordings[0]], params, tmp_path / f"{preset}-{stated_px}.tracks.h5")
-            track.run(job, params)
-            with StageFile(job.output, "tracks") as tracks:
+            output, _ = run_stage(track, [made.recordings[0]], params, tmp_path / f"{preset}-{stated_px}.tracks.h5")
+            with StageFile(output, "tracks") as tracks:
                 tracks_px.append(tracks.read("dot_xy_px"))
                 assert tracks.header["parameters"]["dot_radius_px"] == stated_px
                 assert tracks.header["parameters"]["constants"]["radius_px"] == PRESETS[preset].radius_px

@@ -11,35 +11,20 @@ from evetac_cli.params.learning import TrackRgb
 from evetac_cli.stages import track_rgb
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import event_arrays, events_at, run_stage, truth_arrays
 
 SLICES = 240
 
 
-def recording(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
+def moving_grid(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
     """A recording without events of a grid of dots that move by 1 px, with the parameters of a trial."""
     time = np.arange(SLICES)
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(9), 40.0 + 62.0 * np.arange(7)), axis=-1)
-    none = np.empty(0, np.int64)
-    arrays: dict[str, Any] = {
-        "events/t": none,
-        **{f"events/{name}": none.astype(np.uint16) for name in "xy"},
-        "events/p": none.astype(np.uint8),
-        "ms_to_idx": np.zeros(SLICES + 1, np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
+    arrays = event_arrays(events_at([]), SLICES) | {
         "sensor/name": "evetac",
         "sensor/dot_xy_px": rest,
         "sensor/dot_radius_px": np.float64(15.0),
-        "truth/dot_xy_px": (rest.reshape(1, -1, 2) + time[:, None, None] / SLICES).astype(np.float32),
-        "truth/object_xy_px": np.zeros((SLICES, 2), np.float32),
-        "truth/slid_px": np.zeros(SLICES, np.float32),
-        "truth/slip": np.zeros(SLICES, np.uint8),
-        "truth/every_node_slid_px": np.zeros(SLICES, np.float32),
-        "truth/slip_share": np.zeros(SLICES, np.float32),
-        "truth/visible_slip_share": np.zeros(SLICES, np.float32),
-        "truth/normal_force_n": np.ones(SLICES, np.float32),
-        "truth/shear_force_n": np.zeros((SLICES, 2), np.float32),
-        "truth/sampled_parameters": "{}",
+        **truth_arrays(rest.reshape(1, -1, 2) + time[:, None, None] / SLICES, normal_n=1.0),
     }
     parameters = {"object": 8, "trial": trial, **more}
     write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=True), arrays)
@@ -48,23 +33,22 @@ def recording(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
 
 def tracks(path: Path) -> np.ndarray:
     """Where the dots of a recording are found in its frames."""
-    (job,) = track_rgb.jobs([path], TrackRgb(), None)
-    track_rgb.run(job, TrackRgb())
-    with StageFile(job.output) as made:
+    output, _ = run_stage(track_rgb, [path], TrackRgb())
+    with StageFile(output) as made:
         result: np.ndarray = made.read("dot_xy_px")
     return result
 
 
 def test_the_noise_is_that_of_the_trial(tmp_path: Path) -> None:
     """Assert that two trials have different noise, and that a parameter of another name changes none."""
-    first = recording(tmp_path / "a.recording.h5")
-    renamed = recording(tmp_path / "renamed.recording.h5", another_name=1)
+    first = moving_grid(tmp_path / "a.recording.h5")
+    renamed = moving_grid(tmp_path / "renamed.recording.h5", another_name=1)
     with StageFile(first) as one, StageFile(renamed) as other:
         assert one.header["id"] != other.header["id"]
     same = tracks(first)
     assert np.array_equal(same, tracks(renamed))
     for name, changed in {"trial": {"trial": 1}, "seed": {"seed": 6}, "object": {"object": 9}}.items():
-        assert not np.array_equal(same, tracks(recording(tmp_path / f"{name}.recording.h5", **changed))), name
+        assert not np.array_equal(same, tracks(moving_grid(tmp_path / f"{name}.recording.h5", **changed))), name
 
 
 @pytest.mark.parametrize("change", [{"trial": 4}, {"object": 2}, {"tone_hz": 200.0}, {"trimmed": {"from_ms": 10}}])

@@ -21,16 +21,16 @@ from evetac_cli.store.read import open_recording
 from evetac_cli.store.segments import RecordingWriter
 from tests.conftest import Made
 from tests.inspect.test_repair import control
+from tests.make import run_stage
 from tests.store.test_recovery import STATIC, events_of
 
 
 def piece(path: Path, out: Path, **flags: Any) -> Path:
     """Cut one recording."""
     params = Trim(**flags)
-    (job,) = trim.jobs([path], params, out)
-    trim.run(job, params)
-    assert validate.run([job.output]).rows[0]["faults"] is None
-    return job.output
+    output, _ = run_stage(trim, [path], params, out)
+    assert validate.run([output]).rows[0]["faults"] is None
+    return output
 
 
 def rich_recording(path: Path, slices: int = 12) -> Path:
@@ -110,10 +110,9 @@ def test_features_of_a_beginning_are_those_of_the_whole(made: Made, tmp_path: Pa
     source = made.recordings[0]
     part = piece(source, tmp_path / "a.recording.h5", to_ms=250)
     for stage, params, kind in ((track, Track(), "tracks"), (featurize, Featurize(), "features")):
-        (job,) = stage.jobs([part], params, None)
-        stage.run(job, params)
+        output, _ = run_stage(stage, [part], params)
         compared = 0
-        with StageFile(job.output) as ours, StageFile(made.beside(source, kind)) as theirs:
+        with StageFile(output) as ours, StageFile(made.beside(source, kind)) as theirs:
             for name, (_, shape) in ours.contents().items():
                 if shape and shape[0] == 250:
                     np.testing.assert_array_equal(ours.read(name), theirs.read(name, 0, 250))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.events import slice_starts
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import architectures, networks
@@ -21,21 +20,12 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
 from tests import small_files
+from tests.make import event_arrays, events_at
 
 
 def write_long(path: Path, slices: int, events_a_slice: int) -> Path:
     """A recording with so many events in each slice, at the slice's beginning."""
-    t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, events_a_slice)
-    arrays = {
-        "events/t": t,
-        "events/x": np.zeros(len(t), np.uint16),
-        "events/y": np.zeros(len(t), np.uint16),
-        "events/p": np.zeros(len(t), np.uint8),
-        "ms_to_idx": slice_starts(t, slices),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
+    arrays = event_arrays(events_at(np.repeat(np.arange(slices) * 1000, events_a_slice)), slices)
     write_stage(path, Recipe("recording", 1, {}, seed=1), arrays)
     return path
 

@@ -47,7 +47,7 @@ REPORT = {"command": "evaluate slip", "rows": "[]", "summary": '{"Größe": 1}'}
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> Path:
+def labels_file(tmp_path: Path) -> Path:
     """A real labels file."""
     path = tmp_path / "a.labels.h5"
     write_stage(path, RECIPE, labels())
@@ -87,10 +87,10 @@ def refusal(path: Path, kind: str | None = None) -> str:
     return str(refused.value)
 
 
-def test_what_is_written_is_read(made: Path) -> None:
+def test_what_is_written_is_read(labels_file: Path) -> None:
     """Assert that arrays, scalars, text, parts and lengths come back as they were stored, with their dtypes."""
     stored = labels()
-    with StageFile(made, "labels") as file:
+    with StageFile(labels_file, "labels") as file:
         assert file.kind == "labels"
         assert file.header["id"] == RECIPE.id
         assert file.contents() == {name: (np.asarray(v).dtype.name, np.shape(v)) for name, v in stored.items()}
@@ -100,22 +100,22 @@ def test_what_is_written_is_read(made: Path) -> None:
         assert file.length("label") == SLICES
         assert file.has("label")
         assert not file.has("curve/step")
-    report = made.with_name("a.report.h5")
+    report = labels_file.with_name("a.report.h5")
     write_stage(report, Recipe("report", 1, {}), REPORT)
     with StageFile(report, ("model", "report")) as file:
         assert {name: file.read(name) for name in file.contents()} == REPORT
 
 
 @pytest.mark.parametrize("path", ["nothing", "curve/step", "label/deeper", ""])
-def test_reading_what_is_not_there(made: Path, path: str) -> None:
+def test_reading_what_is_not_there(labels_file: Path, path: str) -> None:
     """Assert that a dataset that is not there is an error in words, not a KeyError."""
-    with StageFile(made) as file, pytest.raises(InputError, match="is not in this labels"):
+    with StageFile(labels_file) as file, pytest.raises(InputError, match="is not in this labels"):
         file.read(path or "/")
 
 
-def test_arrays_outlive_the_file(made: Path) -> None:
+def test_arrays_outlive_the_file(labels_file: Path) -> None:
     """Assert that what was read stays valid when the file is closed, and that closing twice does nothing."""
-    file = StageFile(made)
+    file = StageFile(labels_file)
     label = file.read("label")
     file.close()
     file.close()
@@ -161,13 +161,13 @@ def test_not_hdf5(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("share", [0.001, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.9999])
-def test_truncated(made: Path, share: float) -> None:
+def test_truncated(labels_file: Path, share: float) -> None:
     """Assert that a file that ends early, even by one byte, is refused."""
-    whole = made.read_bytes()
-    made.write_bytes(whole[: int(len(whole) * share)])
-    assert "cannot be opened" in refusal(made)
-    made.write_bytes(whole[:-1])
-    assert "it is truncated" in refusal(made)
+    whole = labels_file.read_bytes()
+    labels_file.write_bytes(whole[: int(len(whole) * share)])
+    assert "cannot be opened" in refusal(labels_file)
+    labels_file.write_bytes(whole[:-1])
+    assert "it is truncated" in refusal(labels_file)
 
 
 def test_unreadable(locked: Path) -> None:
@@ -200,36 +200,36 @@ NO_OBJECTS = ("", "{", "3", "null", '"text"', "[1]", "[" * 100000, '{"seed": NaN
 
 
 @pytest.mark.parametrize("text", NO_OBJECTS, ids=lambda text: text[:20])
-def test_header_that_is_no_json_object(made: Path, text: str) -> None:
+def test_header_that_is_no_json_object(labels_file: Path, text: str) -> None:
     """Assert that a header that is no JSON object, or one that holds no numbers of JSON, is refused."""
-    with h5py.File(made, "r+") as h5:
+    with h5py.File(labels_file, "r+") as h5:
         h5.attrs["header"] = text
-    assert "its header is" in refusal(made)
+    assert "its header is" in refusal(labels_file)
 
 
 KEYS = ("kind", "version", "method", "parameters", "seed", "parents", "content", "id", "simulated", "history")
 
 
 @pytest.mark.parametrize("key", KEYS)
-def test_header_without_a_key(made: Path, key: str) -> None:
+def test_header_without_a_key(labels_file: Path, key: str) -> None:
     """Assert that a header that lacks something is refused by name; `made` alone may be missing."""
-    edit_header(made, made=...)
-    StageFile(made).close()
-    edit_header(made, **{key: ...})
-    assert f"no {key}" in refusal(made)
+    edit_header(labels_file, labels_file=...)
+    StageFile(labels_file).close()
+    edit_header(labels_file, **{key: ...})
+    assert f"no {key}" in refusal(labels_file)
 
 
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize("value", [[1], {"a": 1}, 0.5, "1", "1.x", "-1.0", "1.0.0"])
-def test_header_with_a_wrong_value(made: Path, key: str, value: Any) -> None:
+def test_header_with_a_wrong_value(labels_file: Path, key: str, value: Any) -> None:
     """Assert that a header value of another type, or of the right type but edited, is refused by name."""
-    edit_header(made, **{key: value})
+    edit_header(labels_file, **{key: value})
     if (key == "parameters" and value == {"a": 1}) or (key in ("id", "content") and isinstance(value, str)):
-        assert "its header was edited" in refusal(made)
+        assert "its header was edited" in refusal(labels_file)
     elif key == "kind" and isinstance(value, str):
-        assert "unknown kind" in refusal(made)
+        assert "unknown kind" in refusal(labels_file)
     else:
-        assert f"its header is not valid: {key}" in refusal(made)
+        assert f"its header is not valid: {key}" in refusal(labels_file)
 
 
 @pytest.mark.parametrize("shared", [{"a": 1}, 3, None, ["not what the ids are of"], []])
@@ -238,32 +238,32 @@ def test_header_whose_shared_parameters_were_edited(tmp_path: Path, shared: Any)
     long = {"text": "x" * 100}
     parents = tuple(Recipe("recording", 1, {"scene": long, "number": number}).header() for number in range(2))
     path = tmp_path / "a.labels.h5"
-    made = write_stage(path, Recipe("labels", 1, {}, parents=parents), labels())
+    labels_file = write_stage(path, Recipe("labels", 1, {}, parents=parents), labels())
     with StageFile(path) as file:
-        assert file.header == made
+        assert file.header == labels_file
     with h5py.File(path) as h5:
         assert h5.attrs["header"].count("x" * 100) == 1
     edit_header(path, shared=shared)
     assert ("was edited" if isinstance(shared, list) and shared else "its header is not valid") in refusal(path)
 
 
-def test_wrong_kind(made: Path) -> None:
+def test_wrong_kind(labels_file: Path) -> None:
     """Assert that another kind than wanted is refused with both, and any kind is taken where none is wanted."""
-    message = refusal(made, "recording")
+    message = refusal(labels_file, "recording")
     assert "expected: recording" in message
     assert "found:    labels" in message
     with pytest.raises(InputError, match="recording or tracks"):
-        StageFile(made, ("recording", "tracks"))
-    StageFile(made, ("tracks", "labels")).close()
-    StageFile(made).close()
+        StageFile(labels_file, ("recording", "tracks"))
+    StageFile(labels_file, ("tracks", "labels")).close()
+    StageFile(labels_file).close()
 
 
-def test_newer_major_version(made: Path) -> None:
+def test_newer_major_version(labels_file: Path) -> None:
     """Assert that a newer major version is refused as such, whatever else is new in its header."""
-    edit_header(made, version="2.0")
-    assert "made by a newer evetac: labels version 2.0" in refusal(made)
-    edit_header(made, version="12.3", parents={"new": "form"}, content=...)
-    assert "update evetac" in refusal(made)
+    edit_header(labels_file, version="2.0")
+    assert "made by a newer evetac: labels version 2.0" in refusal(labels_file)
+    edit_header(labels_file, version="12.3", parents={"new": "form"}, content=...)
+    assert "update evetac" in refusal(labels_file)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -284,17 +284,17 @@ def test_files_of_the_first_layout(tmp_path: Path, kind: str) -> None:
     assert not up_to_date(path, RECIPE, force=True)
 
 
-def test_newer_minor_version(made: Path) -> None:
+def test_newer_minor_version(labels_file: Path) -> None:
     """Assert that what a newer minor version adds is let be, while its known datasets are still checked."""
-    with h5py.File(made, "r+") as h5:
+    with h5py.File(labels_file, "r+") as h5:
         h5["added/in_1_99"] = np.arange(3)
-    assert "added/in_1_99 is not in the schema" in refusal(made)
-    edit_header(made, version="1.99", added="too")
-    with StageFile(made, "labels") as file:
+    assert "added/in_1_99 is not in the schema" in refusal(labels_file)
+    edit_header(labels_file, version="1.99", added="too")
+    with StageFile(labels_file, "labels") as file:
         np.testing.assert_array_equal(file.read("added/in_1_99"), np.arange(3))
-    with h5py.File(made, "r+") as h5:
+    with h5py.File(labels_file, "r+") as h5:
         del h5["confidence"]
-    message = refusal(made)
+    message = refusal(labels_file)
     assert "confidence is missing" in message
     assert "added" not in message
 
@@ -327,12 +327,12 @@ CONTENTS = [delete, other_dtype, other_length, empty, group]
 
 
 @pytest.mark.parametrize("change", CONTENTS, ids=lambda change: change.__name__)
-def test_contents_against_the_schema(made: Path, change: Callable[[h5py.File], None]) -> None:
+def test_contents_against_the_schema(labels_file: Path, change: Callable[[h5py.File], None]) -> None:
     """Assert that a file whose contents are not those of its schema is refused, with the schema and the dataset."""
-    with h5py.File(made, "r+") as h5:
+    with h5py.File(labels_file, "r+") as h5:
         change(h5)
     with pytest.raises(SchemaError) as refused:
-        StageFile(made)
+        StageFile(labels_file)
     assert "schemas/labels.v1.json" in str(refused.value)
     assert "label" in str(refused.value).splitlines()[-1]
 
@@ -344,13 +344,13 @@ def chunk_place(path: Path, name: str) -> tuple[int, int]:
         return chunk.byte_offset, chunk.size
 
 
-def test_damaged_chunk(made: Path) -> None:
+def test_damaged_chunk(labels_file: Path) -> None:
     """Assert that damage in the data of one dataset is an error in words on reading it, and on reading it alone."""
-    offset, size = chunk_place(made, "relative_flow_px")
-    damaged = bytearray(made.read_bytes())
+    offset, size = chunk_place(labels_file, "relative_flow_px")
+    damaged = bytearray(labels_file.read_bytes())
     damaged[offset : offset + size] = bytes(size)
-    made.write_bytes(damaged)
-    with StageFile(made) as file:
+    labels_file.write_bytes(damaged)
+    with StageFile(labels_file) as file:
         for rows in ((0, None), (0, 1), (SLICES - 1, SLICES)):
             with pytest.raises(InputError, match=r"relative_flow_px cannot be read(.|\n)*damaged; make it again"):
                 file.read("relative_flow_px", *rows)
@@ -359,37 +359,37 @@ def test_damaged_chunk(made: Path) -> None:
 
 @pytest.mark.parametrize("signature", [b"TREE", b"SNOD", b"HEAP", b"\x89HDF"])
 @pytest.mark.parametrize("shift", [0, 4, 8, 16, 24, 40, 80])
-def test_damaged_structure(made: Path, signature: bytes, shift: int) -> None:
+def test_damaged_structure(labels_file: Path, signature: bytes, shift: int) -> None:
     """Assert that damage in the structures of HDF5 ends in an error in words or in nothing, never in another error."""
-    whole = made.read_bytes()
+    whole = labels_file.read_bytes()
     place = whole.find(signature)
     assert place >= 0
     while place >= 0:
         damaged = bytearray(whole)
         damaged[place + shift : place + shift + 4] = b"\xff\x85\x00\x7f"
-        made.write_bytes(damaged)
+        labels_file.write_bytes(damaged)
         try:
-            with StageFile(made) as file:
+            with StageFile(labels_file) as file:
                 for name in file.contents():
                     file.read(name)
         except EvetacError as error:
-            assert str(error).startswith(f"{made}: ")
+            assert str(error).startswith(f"{labels_file}: ")
         place = whole.find(signature, place + 1)
 
 
-def test_up_to_date(made: Path) -> None:
+def test_up_to_date(labels_file: Path) -> None:
     """Assert that an output is skipped with the same recipe, made if missing, and refused with another recipe."""
     other = Recipe("labels", 1, {"threshold_px": 0.7}, parents=RECIPE.parents)
-    assert up_to_date(made, RECIPE)
-    assert up_to_date(made, RECIPE, force=True)
-    assert not up_to_date(made.with_name("b.labels.h5"), RECIPE)
-    assert not up_to_date(made.parent / "new" / "folder" / "b.labels.h5", RECIPE)
+    assert up_to_date(labels_file, RECIPE)
+    assert up_to_date(labels_file, RECIPE, force=True)
+    assert not up_to_date(labels_file.with_name("b.labels.h5"), RECIPE)
+    assert not up_to_date(labels_file.parent / "new" / "folder" / "b.labels.h5", RECIPE)
     with pytest.raises(InputError) as refused:
-        up_to_date(made, other)
+        up_to_date(labels_file, other)
     assert "parameters.threshold_px is 0.5 in the file, 0.7 wanted" in str(refused.value)
     assert "--force" in str(refused.value)
-    assert not up_to_date(made, other, force=True)
-    assert not made.parent.joinpath("new").exists()
+    assert not up_to_date(labels_file, other, force=True)
+    assert not labels_file.parent.joinpath("new").exists()
 
 
 def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
@@ -426,12 +426,12 @@ def test_output_that_is_garbage(tmp_path: Path, content: bytes) -> None:
     assert up_to_date(path, RECIPE)
 
 
-def test_truncated_output_is_made_again_only_with_force(made: Path) -> None:
+def test_truncated_output_is_made_again_only_with_force(labels_file: Path) -> None:
     """Assert that half an output does not count as up to date, though its header may still be there."""
-    made.write_bytes(made.read_bytes()[:-100])
+    labels_file.write_bytes(labels_file.read_bytes()[:-100])
     with pytest.raises(InputError, match="truncated"):
-        up_to_date(made, RECIPE)
-    assert not up_to_date(made, RECIPE, force=True)
+        up_to_date(labels_file, RECIPE)
+    assert not up_to_date(labels_file, RECIPE, force=True)
 
 
 def test_output_that_cannot_be_written_is_refused_before_the_work(locked: Path) -> None:
@@ -443,10 +443,10 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(locked: Path) 
             up_to_date(locked / "new" / "a.labels.h5", RECIPE, force=force)
 
 
-def test_file_as_output_folder_is_refused_before_the_work(made: Path) -> None:
+def test_file_as_output_folder_is_refused_before_the_work(labels_file: Path) -> None:
     """Assert that a file where the output folder should be is refused at once."""
     with pytest.raises(InputError, match="the output folder is a file"):
-        up_to_date(made / "deeper" / "a.labels.h5", RECIPE)
+        up_to_date(labels_file / "deeper" / "a.labels.h5", RECIPE)
 
 
 def everything(folder: Path) -> list[str]:
@@ -469,9 +469,9 @@ def test_recipe_without_json_leaves_nothing(tmp_path: Path) -> None:
     assert everything(tmp_path) == []
 
 
-def test_failing_writes_leave_the_old_file(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_writes_leave_the_old_file(labels_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that when writing fails half-way, the file that was there stays, and no temporary one."""
-    before = made.read_bytes()
+    before = labels_file.read_bytes()
     written = []
 
     def fail_at_third(h5: h5py.File, name: str, value: Any) -> None:
@@ -482,33 +482,33 @@ def test_failing_writes_leave_the_old_file(made: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(files, "put", fail_at_third)
     with pytest.raises(InputError, match="cannot be written: Input/output error"):
-        write_stage(made, RECIPE, labels())
-    assert made.read_bytes() == before
-    assert everything(made.parent) == [made.name]
+        write_stage(labels_file, RECIPE, labels())
+    assert labels_file.read_bytes() == before
+    assert everything(labels_file.parent) == [labels_file.name]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MemoryError])
-def test_any_end_of_writing_leaves_the_old_file(made: Path, error: type[BaseException]) -> None:
+def test_any_end_of_writing_leaves_the_old_file(labels_file: Path, error: type[BaseException]) -> None:
     """Assert that errors from within the block come out as they are, and leave no trace."""
-    before = made.read_bytes()
-    with pytest.raises(error), replacing(made) as h5:
+    before = labels_file.read_bytes()
+    with pytest.raises(error), replacing(labels_file) as h5:
         put(h5, "half", np.arange(1000))
         raise error
-    assert made.read_bytes() == before
-    assert everything(made.parent) == [made.name]
+    assert labels_file.read_bytes() == before
+    assert everything(labels_file.parent) == [labels_file.name]
 
 
-def test_ctrl_c_while_writing(made: Path) -> None:
+def test_ctrl_c_while_writing(labels_file: Path) -> None:
     """Assert that Ctrl-C waits until HDF5 has closed the file, and then leaves the old file and no other."""
-    before, handler = made.read_bytes(), signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), replacing(made) as h5:
+    before, handler = labels_file.read_bytes(), signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), replacing(labels_file) as h5:
         signal.raise_signal(signal.SIGINT)
         put(h5, "after", np.random.default_rng(0).random(300_000))
         h5.flush()
         reached = True
     assert reached
-    assert made.read_bytes() == before
-    assert everything(made.parent) == [made.name]
+    assert labels_file.read_bytes() == before
+    assert everything(labels_file.parent) == [labels_file.name]
     assert signal.getsignal(signal.SIGINT) is handler
 
 
@@ -521,13 +521,13 @@ def test_unwritable_folder(locked: Path) -> None:
     assert everything(locked) == []
 
 
-def test_parent_is_a_file(made: Path) -> None:
+def test_parent_is_a_file(labels_file: Path) -> None:
     """Assert that a file where the output folder should be is named and stays as it is."""
-    before = made.read_bytes()
-    for path in (made / "a.labels.h5", made / "deeper" / "a.labels.h5"):
+    before = labels_file.read_bytes()
+    for path in (labels_file / "a.labels.h5", labels_file / "deeper" / "a.labels.h5"):
         with pytest.raises(InputError, match=f"{path.parent}: the output folder is a file"):
             write_stage(path, RECIPE, labels())
-    assert made.read_bytes() == before
+    assert labels_file.read_bytes() == before
 
 
 def test_target_is_a_folder(tmp_path: Path) -> None:
@@ -638,9 +638,9 @@ def test_what_a_killed_process_left_goes_with_the_next(tmp_path: Path) -> None:
     assert everything(tmp_path) == sorted([*others, "a.labels.h5"])
 
 
-def test_files_need_no_plugin(made: Path) -> None:
+def test_files_need_no_plugin(labels_file: Path) -> None:
     """Assert that data lie in gzip chunks of at most 1 MiB, and small arrays in one piece."""
-    with h5py.File(made) as h5:
+    with h5py.File(labels_file) as h5:
         assert (h5["label"].compression, h5["label"].shuffle, h5["label"].compression_opts) == ("gzip", True, 1)
         assert h5["onset_slice"].chunks is None
     with h5py.File("none", "w", driver="core", backing_store=False) as h5:
@@ -679,10 +679,10 @@ def test_output_path() -> None:
     assert output_path(source, "tracks", Path("v1.5")) == Path("v1.5/a.tracks.h5")
 
 
-def test_more_than_fits_is_not_read_at_once(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_than_fits_is_not_read_at_once(labels_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a dataset that is too long to be read whole says so, and is read in blocks."""
     monkeypatch.setattr(files, "MOST_READ_BYTES", 4 * SLICES - 1)
-    with StageFile(made) as file:
+    with StageFile(labels_file) as file:
         with pytest.raises(InputError, match="relative_flow_px is too long to be read at once"):
             file.read("relative_flow_px")
         blocks = [file.read("relative_flow_px", start, start + 1000) for start in range(0, SLICES, 1000)]

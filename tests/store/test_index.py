@@ -73,24 +73,24 @@ def test_a_grasp_has_an_outcome(made: Made, tmp_path: Path) -> None:
 def test_whose_object_a_file_has() -> None:
     """Assert that it is that of the one recording behind a file, by whatever ways, and nobody's where there are two."""
 
-    def made(kind: str, id_: str, *parents: str) -> dict[str, Any]:
+    def header(kind: str, id_: str, *parents: str) -> dict[str, Any]:
         return {"kind": kind, "id": id_, "parents": list(parents)}
 
     history = {
         one["id"]: one
         for one in (
-            made("recording", "a"),
-            made("recording", "b"),
-            made("recording", "c"),
-            made("tracks", "tracks of a", "a"),
-            made("report", "of a and b", "a", "b"),
-            made("features", "of c", "c"),
-            made("model", "trained on b", "b"),
+            header("recording", "a"),
+            header("recording", "b"),
+            header("recording", "c"),
+            header("tracks", "tracks of a", "a"),
+            header("report", "of a and b", "a", "b"),
+            header("features", "of c", "c"),
+            header("model", "trained on b", "b"),
         )
     }
 
     def behind(*parents: str) -> str | None:
-        recording = index.recording_of(made("features", "new", *parents), history)
+        recording = index.recording_of(header("features", "new", *parents), history)
         return None if recording is None else recording["id"]
 
     assert index.recording_of(history["a"], history) is history["a"]

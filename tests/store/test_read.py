@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.events import Events, concatenate, slice_starts
+from evetac_cli.events import Events, concatenate
 from evetac_cli.store import read
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import SlipWindows, open_recording
+from tests.make import event_arrays
 
 DOTS = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 15.0]), axis=-1)
 
@@ -37,14 +38,7 @@ def pieces_of(counts: list[int]) -> list[Events]:
 def write_recording(path: Path, counts: list[int], **more: Any) -> Path:
     """A recording with so many events in each slice."""
     events = concatenate(pieces_of(counts))
-    arrays = {
-        **{f"events/{name}": getattr(events, name) for name in Events._fields},
-        "ms_to_idx": slice_starts(events.t, len(counts)),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([2000, 1900], np.int32),
-        "sensor/name": "unknown",
-        **more,
-    }
+    arrays = event_arrays(events, len(counts), (2000, 1900)) | more
     write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays)
     return path
 

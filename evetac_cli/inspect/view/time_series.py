@@ -17,12 +17,7 @@ from evetac_cli.inspect.view.trial_files import Trial, inner
 from evetac_cli.inspect.view.view_data import Lane, Line, Panel
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
-<<<<<<< HEAD
 from evetac_cli.kernels.slip.labels import is_slip
-from evetac_cli.stages.evaluate.labels import true_onset
-=======
-from evetac_cli.kernels.slip.decision import is_slip
->>>>>>> hB/main
 from evetac_cli.stages.force.gel_model import MODULI
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.read import Recording, true_onset

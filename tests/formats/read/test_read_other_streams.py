@@ -16,6 +16,7 @@ from evetac_cli.stages import record
 from evetac_cli.store.read import open_recording
 from tests.formats.read.aedat.test_read_aedat4 import store
 from tests.importing import real
+from tests.make import run_stage
 
 START_US = 1_600_000_000_000_000
 FRAME = (40, 30)
@@ -87,8 +88,7 @@ def test_a_recording_holds_them(aedat4: Path, tmp_path: Path) -> None:
     """Assert that the file of a recording holds the streams, `info` shows them, and --json tells what was left out."""
     out = tmp_path / "a.recording.h5"
     params = Record(source=aedat4, frames=True)
-    (job,) = record.jobs([], params, out)
-    (row,) = record.run(job, params).rows
+    (row,) = run_stage(record, [], params, out)[1].rows
     assert row["streams"] == "frames imu triggers"
     assert "IMU samples outside the recording 6" in row["left_out"]
     with open_recording(out) as recording:

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.inspect import pages, report, view
 from evetac_cli.inspect.report import figures
@@ -19,9 +17,10 @@ from evetac_cli.jobs import silent
 from evetac_cli.params.inspection import Report, View
 from tests.inspect.report.studies import slip_rows, write_report, write_trials
 from tests.inspect.view.trials import NASTY, ONSET, write_recording
+from tests.make import evetac
 
 
-def made(folder: Path, out: Path, **chosen: Any) -> str:
+def page_of(folder: Path, out: Path, **chosen: Any) -> str:
     report.run([folder], Report(**chosen), out, force=True)
     return out.read_text(encoding="utf-8")
 
@@ -40,7 +39,7 @@ def test_trials_have_their_onsets(study: Study) -> None:
 @pytest.fixture(scope="module")
 def text(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The page of the study."""
-    return made(folder, tmp_path_factory.mktemp("page") / "r.html")
+    return page_of(folder, tmp_path_factory.mktemp("page") / "r.html")
 
 
 def test_outliers_come_first(study: Study, text: str) -> None:
@@ -80,21 +79,21 @@ def test_a_page_of_its_own_is_linked(tmp_path: Path) -> None:
     recording = tmp_path / "data" / "a b.recording.h5"
     write_recording(recording)
     (tmp_path / "data" / "a b.html").write_text("of somebody else")
-    assert "<a href='data/" not in made(tmp_path / "data", tmp_path / "r.html")
+    assert "<a href='data/" not in page_of(tmp_path / "data", tmp_path / "r.html")
     view.run([recording], View(images=2), None, force=True)
-    assert "<a href='data/a%20b.html'>" in made(tmp_path / "data", tmp_path / "r.html")
-    assert "<a href='a%20b.html'>" in made(tmp_path / "data", tmp_path / "data" / "report.html")
+    assert "<a href='data/a%20b.html'>" in page_of(tmp_path / "data", tmp_path / "r.html")
+    assert "<a href='a%20b.html'>" in page_of(tmp_path / "data", tmp_path / "data" / "report.html")
 
 
 def test_one_trial_and_none(tmp_path: Path) -> None:
     """Assert that one recording without truth makes a page, and so does a lone report."""
     write_recording(tmp_path / "a.recording.h5", 7, truth=False)
-    text = made(tmp_path, tmp_path / "r.html")
+    text = page_of(tmp_path, tmp_path / "r.html")
     assert "stand out and" not in text and "come first" not in text and ">simulated<" not in text
     assert "t_s [ms]</button>" not in text  # a column in which nothing is known is left out
     (tmp_path / "a.recording.h5").unlink()
     write_report(tmp_path / "g.cost.report.h5", "evaluate cost", [{"setting": "a", "error_ms": 1.0}], {})
-    text = made(tmp_path, tmp_path / "r.html")
+    text = page_of(tmp_path, tmp_path / "r.html")
     assert "There are no trials here" in text and "id='cost'" in text
 
 
@@ -105,7 +104,7 @@ def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     write_report(
         tmp_path / "s.report.h5", "evaluate slip", slip_rows(features, [1], setting=NASTY), {}, tuple(features)
     )
-    text = made(tmp_path, tmp_path / "r.html")
+    text = page_of(tmp_path, tmp_path / "r.html")
     assert "document.title='owned'" not in text.replace("\\u003c", "<")
     assert "<img src=x" not in text
 
@@ -154,7 +153,7 @@ def test_figures_have_the_unit_of_their_size(value: float, kind: str, words: str
 def test_what_stands_out_is_said_as_it_is(tmp_path: Path, errors_ms: list[int | None], said: str) -> None:
     """Assert that the sentence over the table speaks of what is there: of no outlier where there is none."""
     write_trials(tmp_path, errors_ms)
-    text = made(tmp_path, tmp_path / "r.html")
+    text = page_of(tmp_path, tmp_path / "r.html")
     assert said in text
     assert ("come first" in text or "comes first" in text) == ("first" in said)
     assert "a first detection" not in text and "t_m the first" not in text  # no model judged
@@ -176,10 +175,6 @@ def test_two_side_by_side(folder: Path, tmp_path: Path, monkeypatch: pytest.Monk
     assert re.findall(r"<tr><td>(slip-00\d)</td>", both) == ["slip-002", "slip-000", "slip-001"]
     pairs = figures.matched([read_study(folder, silent), read_study(other, silent)])
     assert [(one.name, two.name) for one, two in pairs] == [(f"slip-00{n}", f"again-{n}") for n in range(3)]
-
-
-def evetac(*arguments: str | Path) -> Any:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments], env={"COLUMNS": "200"})
 
 
 def test_command(folder: Path, tmp_path: Path) -> None:

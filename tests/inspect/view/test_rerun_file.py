@@ -56,7 +56,7 @@ def static_text(path: Path) -> str:
     return str(chunk.to_record_batch().column("TextDocument:text").to_pylist()[0][0])
 
 
-def made(recording: Path, **chosen: Any) -> Path:
+def rrd_of(recording: Path, **chosen: Any) -> Path:
     """The file of a trial."""
     view.run([recording], View(rrd=True, **chosen), None)
     return recording.with_name("a.rrd")
@@ -64,7 +64,7 @@ def made(recording: Path, **chosen: Any) -> Path:
 
 def test_everything_of_a_trial_is_there(trial: Path) -> None:
     """Assert paths and numbers of rows, and that the events of each slice, dots and series are those of the files."""
-    path = made(trial)
+    path = rrd_of(trial)
     (stored,) = rerun.chunk.RrdReader(path).recordings()
     assert stored.application_id == "evetac" and len(rerun.chunk.RrdReader(path).blueprints()) == 1
     rows = rows_of(path)
@@ -120,7 +120,7 @@ def test_estimates_have_their_deviation(trial: Path) -> None:
         "normal_sd_n": rng.uniform(0.1, 1.0, SLICES).astype(np.float32),
     }
     write_forces(trial, arrays)
-    path = made(trial)
+    path = rrd_of(trial)
     rows = rows_of(path)
     value, low, high = (
         np.array([row["Scalars:scalars"][0] for _, row in rows[f"/series/05_forces_on_the_gel_estimated/{name}"]])
@@ -136,7 +136,7 @@ def test_a_grasp_has_its_phases(tmp_path: Path) -> None:
     """Assert that contact, lift and balance follow each other, and that the blueprint names what is simulated."""
     path = tmp_path / "a.recording.h5"
     write_recording(path, grasp=True)
-    rows = rows_of(made(path))
+    rows = rows_of(rrd_of(path))
     phases = [(at, row["StateChange:state"][0]) for at, row in rows["/phase"]]
     assert phases == [(0, "contact"), (102_000, "lift"), (200_000, "balance"), (300_000, "")]
     blueprint = path.with_name("a.rrd").read_bytes()
@@ -160,7 +160,7 @@ def test_a_long_recording_is_thinned_and_says_so(trial: Path, monkeypatch: pytes
     monkeypatch.setattr(rerun_file, "MOST_ROWS", SLICES // 2)
     monkeypatch.setattr(rerun_file, "MOST_DOTS", 6 * SLICES // 4)
     monkeypatch.setattr(rerun_file, "BLOCK_SLICES", 90)
-    path = made(trial)
+    path = rrd_of(trial)
     rows = rows_of(path)
     with open_recording(trial) as recording:
         events = recording.between(0, SLICES)
@@ -183,7 +183,7 @@ def test_dots_that_nobody_knows_are_left_out(tmp_path: Path, monkeypatch: pytest
     dots[:, 2] = grid[0, 2] = np.nan
     monkeypatch.setitem(SENSOR, "sensor/dot_xy_px", grid)
     write_tracks(path.with_name("a.tracks.h5"), header, dots)
-    rows = rows_of(made(path, start_s=0.02, stop_s=0.05))
+    rows = rows_of(rrd_of(path, start_s=0.02, stop_s=0.05))
     for name, column in (("/gel/dots", "Points2D:positions"), ("/gel/displacement", "Arrows2D:vectors")):
         assert [(at, len(row[column])) for at, row in rows[name]] == [(1000 * k, 5) for k in range(20, 50)]
     assert "/gel/true_dots" not in rows and "Simulated" not in static_text(path.with_name("a.rrd"))
@@ -193,14 +193,14 @@ def test_an_empty_recording_and_tracks_alone(tmp_path: Path) -> None:
     """Assert that a recording without a slice, and files without their recording, make a file too."""
     path = tmp_path / "a.recording.h5"
     header = write_recording(path, slices=0, truth=False)
-    assert rows_of(made(path)) == {}
+    assert rows_of(rrd_of(path)) == {}
     path.unlink()
     path.with_name("a.rrd").unlink()
     header = write_recording(path)
     write_tracks(path.with_name("a.tracks.h5"), header, moving())
     write_labels(path.with_name("a.labels.h5"), header)
     path.unlink()
-    assert {"/gel/dots", "/gel/displacement", "/slip/label"} <= rows_of(made(path.with_name("a.tracks.h5"))).keys()
+    assert {"/gel/dots", "/gel/displacement", "/slip/label"} <= rows_of(rrd_of(path.with_name("a.tracks.h5"))).keys()
 
 
 def test_strange_names(tmp_path: Path) -> None:
@@ -241,7 +241,7 @@ def test_a_file_that_is_not_complete_is_no_file(trial: Path, monkeypatch: pytest
 
     monkeypatch.setattr(rerun.RecordingStream, "disconnect", cut)
     with pytest.raises(InputError, match="the file is not complete"):
-        made(trial)
+        rrd_of(trial)
     assert list(trial.parent.glob("*.rrd")) == []
 
 
@@ -249,7 +249,7 @@ def test_rerun_needs_the_extra_view(trial: Path, monkeypatch: pytest.MonkeyPatch
     """Assert that a missing library is named with the command that installs it, before any work."""
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(EvetacError, match=r"pip install .*'\.\[view\]'"):
-        made(trial)
+        rrd_of(trial)
 
 
 @pytest.mark.slow

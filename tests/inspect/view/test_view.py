@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.inspect import pages, view
 from evetac_cli.inspect.view import event_images, time_series
@@ -37,6 +35,7 @@ from tests.inspect.view.trials import (
     write_recording,
     write_tracks,
 )
+from tests.make import evetac
 
 
 def test_everything_of_a_trial(trial: Path) -> None:
@@ -228,10 +227,6 @@ def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPat
     assert all(len(line.value) <= 40 for panel in data.panels for line in panel.lines)
     for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
         assert longest[path] <= 60, path
-
-
-def evetac(*arguments: str | Path) -> Any:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments], env={"COLUMNS": "200"})
 
 
 def test_command(trial: Path) -> None:

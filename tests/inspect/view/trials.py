@@ -14,6 +14,7 @@ from evetac_cli.inspect.view.view_data import ViewData
 from evetac_cli.params.inspection import View
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Header, Recipe
+from tests.make import truth_arrays
 
 SLICES = 300
 ONSET = 200
@@ -67,16 +68,12 @@ def write_recording(
             "gripper/current_written_ma": np.zeros(len(commands), np.int32),
             "gripper/current_ma": np.linspace(20.0, 0.0, len(commands)).astype(np.float32),
             "gripper/position_ticks": np.full(len(commands), 300, np.int32),
-            "truth/dot_xy_px": np.tile(REST.reshape(1, -1, 2), (slices, 1, 1)).astype(np.float32),
-            "truth/object_xy_px": np.zeros((slices, 2), np.float32),
-            "truth/slid_px": np.zeros(slices, np.float32),
-            "truth/slip": (np.arange(slices) >= ONSET).astype(np.uint8),
-            "truth/every_node_slid_px": np.zeros(slices, np.float32),
-            "truth/slip_share": np.zeros(slices, np.float32),
-            "truth/visible_slip_share": np.zeros(slices, np.float32),
-            "truth/normal_force_n": np.linspace(2.0, 1.0, slices).astype(np.float32),
-            "truth/shear_force_n": np.ones((slices, 2), np.float32),
-            "truth/sampled_parameters": "{}",
+            **truth_arrays(
+                np.tile(REST.reshape(1, -1, 2), (slices, 1, 1)),
+                slip=np.arange(slices) >= ONSET,
+                normal_n=np.linspace(2.0, 1.0, slices),
+                shear_n=1.0,
+            ),
         }
     parameters: dict[str, Any] = {"scene": {"name": scene, "summary": scene}, "object": number, "sensor": "evetac"}
     parameters["slices"] = slices

@@ -35,7 +35,7 @@ def trained(name: str) -> Detector:
     return Detector(networks.onnx_graph(network), ARCHITECTURES[name])
 
 
-def trial(slices: int, seed: int = 0) -> list[list[NDArray]]:
+def events_about_rims(slices: int, seed: int = 0) -> list[list[NDArray]]:
     """Events slice by slice, x, y and p, most of them near the rims of dots."""
     rng = np.random.default_rng(seed)
     columns = []
@@ -55,7 +55,7 @@ def started() -> tracker.TrackerState:
 
 def make_series(name: str, slices: int) -> inputs.Series:
     """The trial as `track` and `featurize` would store it."""
-    columns = trial(slices)
+    columns = events_about_rims(slices)
     if isinstance(ARCHITECTURES[name], ImageArchitecture):
         blank = np.zeros((480, 540), np.int8)
         pixels, signs = zip(*(features.gel_image(*one, WINDOW, blank) for one in columns), strict=True)
@@ -76,7 +76,7 @@ def test_live_is_over(name: str) -> None:
     slices = history + 23
     offline = result.over(make_series(name, slices))
     live = Live(result, started(), WINDOW)
-    online = [live.step(*events) for events in trial(slices)]
+    online = [live.step(*events) for events in events_about_rims(slices)]
     np.testing.assert_array_equal(np.array(online, np.float32), offline)
     np.testing.assert_array_equal(np.isnan(offline), np.arange(slices) < history - 1)
     assert np.ptp(offline[history:]) > 1e-5
@@ -92,7 +92,7 @@ def test_a_column_more_is_tracked_and_not_seen() -> None:
     state = tracker.start(rest, tracker.PRESETS["stable"])
     stored, counts = np.empty((70, 56, 2), np.float32), np.empty((70, 56), np.int32)
     online = []
-    for k, events in enumerate(trial(70)):
+    for k, events in enumerate(events_about_rims(70)):
         tracker.step(state, *events)
         stored[k], counts[k] = state.dot_xy_px[known], state.events_per_dot[known]
         online.append(live.step(*events))
@@ -158,7 +158,7 @@ def test_events_in_the_window_reach_no_model() -> None:
     """Assert that an image model says the same whether or not the window strip is full of events."""
     result = trained("hist10-img-6x6")
     with_window, without = (Live(result, started(), WINDOW) for _ in range(2))
-    for x, y, p in trial(20):
+    for x, y, p in events_about_rims(20):
         gel = x < 540
         more = np.concatenate([x[gel], np.full(500, 560, np.uint16)])
         rows = np.concatenate([y[gel], np.arange(500, dtype=np.uint16) % 480])

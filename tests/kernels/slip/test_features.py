@@ -18,7 +18,7 @@ from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY, STA
 REST = np.array([[100.0, 50.0], [200.0, 50.0], [np.nan, np.nan]])
 
 
-def recording(seed: int, slices: int, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+def random_tracks(seed: int, slices: int, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """Random rest places (n, 2) with one missing dot, tracks (slices, n, 2) and events per dot (slices, n)."""
     rng = np.random.default_rng(seed)
     rest = rng.uniform(0, 480, (n, 2))
@@ -47,14 +47,14 @@ def test_displacement_of_a_dot_that_went_missing() -> None:
 
 def test_displacement_agrees_with_the_norm() -> None:
     """Assert that displacements are the Euclidean norm, within the rounding of places to float32."""
-    rest, tracks, _ = recording(0, 50, 56)
+    rest, tracks, _ = random_tracks(0, 50, 56)
     expected = np.nan_to_num(np.linalg.norm(tracks - rest, axis=2))
     assert features.displacement(tracks, rest) == pytest.approx(expected, abs=5e-5)
 
 
 def test_stored_and_live_tracks_have_the_same_features() -> None:
     """Assert that tracks stored as float32 give the same bits as the float64 ones they were made from."""
-    rest, tracks, _ = recording(1, 50, 56)
+    rest, tracks, _ = random_tracks(1, 50, 56)
     live, stored = features.displacement(tracks, rest), features.displacement(tracks.astype(np.float32), rest)
     assert live.tobytes() == stored.tobytes()
 
@@ -63,7 +63,7 @@ def test_directions_by_hand() -> None:
     """Assert that right and down are positive, that a missing dot is at 0, and that their norm is the displacement."""
     now = REST + (3, -4)
     assert features.displacement_xy(now, REST).tolist() == [[3, -4], [3, -4], [0, 0]]
-    rest, tracks, _ = recording(4, 20, 56)
+    rest, tracks, _ = random_tracks(4, 20, 56)
     length = np.linalg.norm(features.displacement_xy(tracks, rest), axis=2)
     assert length == pytest.approx(features.displacement(tracks, rest), abs=1e-4)
 
@@ -73,7 +73,7 @@ def test_directions_by_hand() -> None:
 def test_live_equals_recording(seed: int, history: int, n: int) -> None:
     """Assert that the last slices taken one by one are the same bits as those of the recording."""
     slices = 2 * history + 3
-    rest, tracks, events = recording(seed, slices, n)
+    rest, tracks, events = random_tracks(seed, slices, n)
     stored = tracks.astype(np.float32)
     factors = Factors(1.2, 8.0 / 7.3) if seed % 2 else Factors()
     distance, across = features.displacement(stored, rest), features.displacement_xy(stored, rest)
@@ -95,7 +95,7 @@ def test_live_equals_recording(seed: int, history: int, n: int) -> None:
 @pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
 def test_a_copy_goes_on_alike_and_alone(make: Callable[[FeatureState], FeatureState]) -> None:
     """Assert that a copy has the same bytes and goes on with the same bits, and that neither changes the other."""
-    rest, tracks, events = recording(5, 30, 56)
+    rest, tracks, events = random_tracks(5, 30, 56)
     state = features.start(rest, 10)
     for k in range(15):
         features.step(state, tracks[k], events[k])
@@ -111,7 +111,7 @@ def test_a_copy_goes_on_alike_and_alone(make: Callable[[FeatureState], FeatureSt
 
 def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
     """Assert that a state from bytes, and one that lies in memory of another owner, go on with the same bits there."""
-    rest, tracks, events = recording(6, 30, 63)
+    rest, tracks, events = random_tracks(6, 30, 63)
     state = features.start(rest, 3)
     for k in range(7):
         features.step(state, tracks[k], events[k])
@@ -127,7 +127,7 @@ def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
 
 def test_the_largest_state_fits() -> None:
     """Assert that as many dots and slices as there is room for give what the whole recording gives, to the last bit."""
-    rest, tracks, events = recording(7, HISTORY_CAPACITY + 5, DOT_CAPACITY)
+    rest, tracks, events = random_tracks(7, HISTORY_CAPACITY + 5, DOT_CAPACITY)
     state = features.start(rest, HISTORY_CAPACITY)
     for dot_xy_px, counts in zip(tracks, events, strict=True):
         features.step(state, dot_xy_px, counts)

@@ -20,6 +20,7 @@ from evetac_cli.params.evaluation import EvaluateCost
 from evetac_cli.stages.evaluate.labels import true_onsets
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.read import open_recording
+from tests.make import answer_of
 
 HALF = Setting("fixed step", "0.5 ms", {"step_ms": 0.5})
 
@@ -164,17 +165,11 @@ def test_a_grasp(tmp_path: Path) -> None:
     assert lifted.grasp_us > 0
 
 
-def evetac(*arguments: object) -> str:
-    shown = CliRunner().invoke(main.app, [str(argument) for argument in arguments])
-    assert shown.exit_code == 0, shown.output
-    return shown.stdout
-
-
 def recorded(folder: Path, flags: str) -> Path:
     """Record and track the slip trial of these flags by the commands."""
     path = folder / "a.recording.h5"
-    evetac("record", "--scene", "slip", *flags.split(), "-o", path, "--quiet")
-    evetac("track", path, "--quiet")
+    answer_of("record", "--scene", "slip", *flags.split(), "-o", path, "--quiet")
+    answer_of("track", path, "--quiet")
     return path
 
 
@@ -200,7 +195,7 @@ def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(pipeline, "CHOICES", Extent(chosen, chosen))
     monkeypatch.setattr(pipeline, "REFERENCE", Setting("reference", solver={"step_ms": 0.25}))
     report = tmp_path / "p.report.h5"
-    rows = json.loads(evetac("evaluate", "cost", "pipeline", "--trials", 1, "-o", report, "--json"))["rows"]
+    rows = answer_of("evaluate", "cost", "pipeline", "--trials", 1, "-o", report)["rows"]
     reference, *others = (row for row in rows if "trial_flags" in row)
     assert [row["trial_flags"].partition("10000")[2].strip() for row in others] == [
         "",
@@ -217,7 +212,7 @@ def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.M
     onset, true_px, true_n = truth(recorded(tmp_path / "reference", reference["trial_flags"]))
     for at, row in enumerate(others):
         path = recorded(tmp_path / str(at), row["trial_flags"])
-        evetac("label", path, "--quiet")
+        answer_of("label", path, "--quiet")
         with StageFile(output_path(path, "labels", None), "labels") as labels:
             label = int(labels.read("onset_slice"))
         assert row["error_ms_gross_slip"] == abs(truth(path)[0] - onset)
@@ -227,18 +222,8 @@ def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.M
         assert row["error_px_dots"] == pytest.approx(np.sqrt((apart_px**2).sum(-1).mean()), rel=1e-9)
         assert row["error_n_shear"] == pytest.approx(np.sqrt((apart_n**2).sum(-1).mean()), rel=1e-9)
         grasp = ["--object", row["grasped_object"], *row["trial_flags"].split()[2:]]
-        shown = evetac(
-            "grasp",
-            *grasp,
-            "--lift-s",
-            LIFT_S,
-            "--balance-s",
-            BALANCE_S,
-            "-o",
-            tmp_path / f"g{at}.recording.h5",
-            "--json",
-        )
-        (lifted,) = json.loads(shown)["rows"]
+        timing = ("--lift-s", LIFT_S, "--balance-s", BALANCE_S)
+        (lifted,) = answer_of("grasp", *grasp, *timing, "-o", tmp_path / f"g{at}.recording.h5")["rows"]
         assert (lifted["balanced"], lifted["moved_mm"]) == (row["held"], row["moved_mm"])
 
 

@@ -18,6 +18,7 @@ from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.held import HandJerk
 from evetac_cli.sim.setup.sensor import GelFriction
 from evetac_cli.sim.setup.tables import as_table
+from tests.make import play_trial
 from tests.sim.scenes.trials import NONE, Changes, grasp_of, quiet_plan
 
 Rows = dict[str, NDArray[Any]]
@@ -28,19 +29,19 @@ def held(changes: Changes = NONE) -> GraspSimulation:
     return grasp_of(quiet_plan("slip", changes))
 
 
-def run(trial: Any, slices: int) -> tuple[Rows, list[Any]]:
-    """Truth of some slices, and their events."""
-    events, rows = [], []
-    for _ in range(slices):
-        events.append(trial.step())
-        rows.append(trial.truth())
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}, events
+def columns(rows: list[dict[str, Any]]) -> Rows:
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def truth_of(trial: Any, slices: int) -> Rows:
+    """Truth of some slices."""
+    return columns(play_trial(trial, slices)[0])
 
 
 def test_friction_to_a_tenth_lets_go() -> None:
     """Assert that m a = m g - 2 mu_k N / 10 once it slides, within 2 %, and nothing before the change is another."""
     plain, changed = held(), held({"friction_change": {"at_s": 0.6, "factor": 0.1}})
-    before, after = run(plain, 800)[0], run(changed, 800)[0]
+    before, after = truth_of(plain, 800), truth_of(changed, 800)
     for name in before:
         np.testing.assert_array_equal(before[name][:600], after[name][:600])
     assert not before["truth/slip"].any()
@@ -63,7 +64,7 @@ def test_jerk_of_the_hand() -> None:
     sunk_mm = []
     for changes in (NONE, {"hand": {"jerk": as_table(jerk)}}):
         trial = grasp_of(quiet_plan("lift", changes), lift_s=1.5, balance_s=0.0)
-        rows = run(trial, 300)[0]
+        rows = truth_of(trial, 300)
         assert np.abs(rows["truth/table_gap_mm"]).max() < 0.01
         sunk_mm.append(rows["truth/object_xy_px"][-1, 0] * trial.gel_camera.mm_per_px)
     assert sunk_mm[0] == pytest.approx(0.0, abs=0.01)
@@ -100,7 +101,7 @@ def test_mass_of_the_object(mass_g: float) -> None:
     assert samples[1]["mass_kg"] == pytest.approx(samples[0]["mass_kg"] * ratio, rel=1e-12)
     assert {**samples[0], "mass_kg": 0} == {**samples[1], "mass_kg": 0}
     hanging = held({"object": {"mass_g": mass_g}, "gripper": {"start_factor": [1.2, 1.2]}})
-    rows = run(hanging, 700)[0]
+    rows = truth_of(hanging, 700)
     assert not rows["truth/slip"].any()
     weight_n = hanging.sampled.mass_kg * GRAVITY_M_S2
     assert 2 * rows["truth/shear_force_n"][-1, 0] == pytest.approx(weight_n, rel=0.05)
@@ -143,7 +144,7 @@ def test_commands_that_come_late() -> None:
     jitters = [held({"gripper": {"command_jitter_ms": 20.0}}) for _ in range(2)]
     for one in jitters:
         one.command = ("current", 60)
-    forces = [run(one, 40)[0]["truth/normal_force_n"] for one in (*jitters, held())]
+    forces = [truth_of(one, 40)["truth/normal_force_n"] for one in (*jitters, held())]
     np.testing.assert_array_equal(forces[0], forces[1])
     assert 0 <= np.flatnonzero(forces[0] != forces[2])[0] <= 20
 
@@ -192,8 +193,9 @@ def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
     for changes in (NONE, gone):
         plan = quiet_plan("slip", changes)
         sensor = replace(plan.sensor, bandwidth_hz=bandwidth_hz)
-        results.append(run(grasp_of(replace(plan, readout=readout, sensor=sensor)), 450))
-    (rows, plain), (rows_gone, events) = results
+        results.append(play_trial(grasp_of(replace(plan, readout=readout, sensor=sensor)), 450))
+    (rows_plain, plain), (rows_gone, events) = results
+    rows, rows_gone = columns(rows_plain), columns(rows_gone)
     np.testing.assert_array_equal(rows["truth/dot_xy_px"], rows_gone["truth/dot_xy_px"])
 
     def near(parts: list[Any], dot: int) -> list[tuple[int, NDArray[np.bool_]]]:
@@ -228,7 +230,7 @@ def test_what_cannot_be_is_said() -> None:
 def test_flicker_reaches_the_camera() -> None:
     """Assert that a deep flicker makes all pixels fire both ways in each of its periods, and equally in all."""
     lit = held({"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.3}}})
-    events = run(lit, 60)[1]
+    events = play_trial(lit, 60)[1]
     sizes = np.array([[int(part.p.sum()), int((part.p == 0).sum())] for part in events[20:]])
     periods = sizes.reshape(4, 10, 2).sum(axis=1)
     assert (periods > 0.9 * 640 * 480).all()
@@ -248,7 +250,7 @@ def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPa
     assert trials[0]._friction_factor is None
     factors = [trial._friction_factor for trial in trials[1:]]
     np.testing.assert_array_equal(*factors)
-    even, varied = (run(trial, 800)[0] for trial in trials[:2])
+    even, varied = (truth_of(trial, 800) for trial in trials[:2])
     assert not even["truth/slip"].any()
     assert not varied["truth/slip"].any()
     assert (even["truth/slip_share"] != varied["truth/slip_share"]).any()

@@ -28,6 +28,7 @@ from evetac_cli.stages.evaluate import paper
 from evetac_cli.store.read import open_recording
 from evetac_cli.text_files import as_toml
 from tests.conftest import Made
+from tests.make import play_trial, run_stage
 from tests.sim.scenes.trials import grasp_of
 
 
@@ -39,21 +40,11 @@ def world(object_number: int, seed: int = 0, name: str = "slip", sensor: str = "
     return grasp_of(built, seed, lift_s=1.5, balance_s=0.0)
 
 
-def run(one: GraspSimulation, slices: int) -> list[dict[str, object]]:
-    rows = []
-    for _ in range(slices):
-        if one.finished:
-            break
-        one.step()
-        rows.append(one.truth())
-    return rows
-
-
 @pytest.mark.parametrize("number", [1, 6, 12, 14, 18, 19, 20])
 def test_object_hangs_still(number: int) -> None:
     """Assert that a held object comes to rest: no slip, friction carries the weight, no dot moves any more."""
     held = world(number)
-    rows = run(held, 1100)
+    rows, _ = play_trial(held, 1100)
     assert not any(row["truth/slip"] for row in rows)
     assert held.finger.force_n > held.sampled.mass_kg * GRAVITY_M_S2 / (2 * held.sampled.static_friction)
     dots = np.array([rows[at]["truth/dot_xy_px"] for at in (1000, 1099)])
@@ -78,9 +69,9 @@ def test_quasi_static_onset(made: Made) -> None:
 def test_object_falls_when_released() -> None:
     """Assert that after the grip is opened the object falls freely: half g t^2, within 2 %."""
     fallen = world(8)
-    run(fallen, 600)
+    play_trial(fallen, 600)
     fallen.command = ("current", -60)
-    rows = run(fallen, 400)
+    rows, _ = play_trial(fallen, 400)
     free = [index for index, row in enumerate(rows) if row["truth/normal_force_n"] == 0.0]
     assert len(free) > 60
     x_mm = np.array([row["truth/object_xy_px"][0] for row in rows])[free[5] : free[5] + 50] * 0.0329  # type: ignore[index]
@@ -92,7 +83,7 @@ def test_object_falls_when_released() -> None:
 def test_table_carries_the_object() -> None:
     """Assert that before the hand rises an object on the table stays on it, and that it is never below it."""
     grasp = world(11, name="lift")
-    rows = run(grasp, 3000)
+    rows, _ = play_trial(grasp, 3000)
     gaps = np.array([row["truth/table_gap_mm"] for row in rows])
     assert gaps.min() >= -1e-9
     assert np.abs(gaps[:1999]).max() < 1e-9
@@ -169,7 +160,7 @@ def test_gripper_of_a_sensor() -> None:
 def test_sampled_sensors_hold(number: int) -> None:
     """Assert that a drawn sensor and gripper hold an object, whose weight moves a softer gel farther."""
     held = world(8, sensor=f"randomized:{number}")
-    rows = run(held, 900)
+    rows, _ = play_trial(held, 900)
     assert not any(row["truth/slip"] for row in rows)
     assert rows[-1]["truth/shear_force_n"][0] == pytest.approx(held.sampled.mass_kg * GRAVITY_M_S2 / 2, rel=1e-3)  # type: ignore[index]
     sensor = one_sensor(f"randomized:{number}")
@@ -204,7 +195,7 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
     turned = {}
     for lever_m in (-2e-3, 0.0, 2e-3):
         held = off_middle(monkeypatch, 16, lever_m=lever_m)
-        rows = run(held, 1100)
+        rows, _ = play_trial(held, 1100)
         assert not any(row["truth/slip"] for row in rows)
         turned[lever_m] = held._gel.pose[2]
         assert rows[-1]["truth/object_xy_px"] == pytest.approx(rows[-2]["truth/object_xy_px"], abs=1e-3)
@@ -217,7 +208,7 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None:
     """Assert that object 20, 12 mm off its centre of mass, does not turn in the grip before the current falls."""
     held = grasp_of(merge(first_plan("slip", "20"), {"gripper": {"start_factor": [1.5, 1.5]}}), seed)
-    assert not any(row["truth/slip"] for row in run(held, 900))
+    assert not any(row["truth/slip"] for row in play_trial(held, 900)[0])
     assert abs(held._gel.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
 
 
@@ -226,7 +217,7 @@ def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     held = off_middle(monkeypatch, 8, touch_m=(0.0, 3e-3))
     nearest = held._gel.node_xy_m[np.unravel_index(held._gap.argmin(), held._gap.shape)]
     assert nearest[1] == pytest.approx(3e-3, abs=0.5e-3)
-    rows = run(held, 900)
+    rows, _ = play_trial(held, 900)
     sunk_px = rows[-1]["truth/dot_xy_px"][:, 0] - held.gel_camera.grid_xy_px[..., 0].ravel()  # type: ignore[index, call-overload]
     weighted_m = (sunk_px * held.gel_camera.rest_m[:, 1]).sum() / sunk_px.sum()
     assert weighted_m == pytest.approx(3e-3, abs=1e-3)
@@ -278,12 +269,11 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     path = tmp_path / "hurried.toml"
     path.write_text(as_toml(hurried))
     recipe = Record(scene=str(path))
-    (job,) = record.jobs([], recipe, tmp_path)
-    record.run(job, recipe)
-    _, _, about_slip, most_kb = ratios(job.output)
+    output, _ = run_stage(record, [], recipe, tmp_path)
+    _, _, about_slip, most_kb = ratios(output)
     assert about_slip == pytest.approx(0.119, abs=0.03)
     assert most_kb < 25
-    with open_recording(job.output) as recording:
+    with open_recording(output) as recording:
         x_mm = recording.read("truth/object_xy_px")[:, 0] * 0.0329
         floor_mm = json.loads(recording.read("truth/sampled_parameters"))["floor_m"] * 1e3
     assert floor_mm <= x_mm[-1] < floor_mm + 1.1  # a step of 1 ms at 1 m/s

@@ -14,6 +14,7 @@ from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.text_files import as_toml
 from tests.conftest import DATA
+from tests.make import play_trial
 from tests.sim.camera.gel_cameras import gel_camera
 
 
@@ -27,14 +28,6 @@ def pressing(name: str, tmp_path: Path, **changes: dict[str, object]) -> Pressin
     return Pressing(first_plan(str(path)), *rngs)
 
 
-def run(trial: Pressing) -> list[dict[str, object]]:
-    rows = []
-    while not trial.finished:
-        trial.step()
-        rows.append(trial.truth())
-    return rows
-
-
 def column(rows: list[dict[str, object]], name: str) -> np.ndarray:
     return np.array([row[f"truth/{name}"] for row in rows])
 
@@ -42,7 +35,7 @@ def column(rows: list[dict[str, object]], name: str) -> np.ndarray:
 def test_shear_sticks_and_stays_in_its_disc(tmp_path: Path) -> None:
     """Assert that a sheared face never slips, that the force stays within 11 N, and returns with the displacement."""
     trial = pressing("shear", tmp_path, motion={"count": 6, "move_s": [0.1, 0.2], "pause_s": 0.3, "offset_mm": 0.0})
-    rows = run(trial)
+    rows, _ = play_trial(trial)
     force = column(rows, "shear_force_n")
     assert not column(rows, "slip").any()
     assert 3 < np.linalg.norm(force, axis=1).max() < 11
@@ -59,7 +52,7 @@ def test_shear_sticks_and_stays_in_its_disc(tmp_path: Path) -> None:
 def test_strokes_move_every_dot(tmp_path: Path) -> None:
     """Assert that strokes over the gel move every dot by 3 px at least twice, and leave all of them at rest."""
     trial = pressing("press", tmp_path, motion={"speed_mm_s": 80.0, "lines": 5}, solver={"node_pitch_mm": 1.0})
-    rows = run(trial)
+    rows, _ = play_trial(trial)
     moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.gel_camera.grid_xy_px.reshape(-1, 2), axis=2)
     times = ((moved[1:] >= 3) & (moved[:-1] < 3)).sum(axis=0)
     assert times.min() >= 2

@@ -11,6 +11,7 @@ from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.scenes.rubbing import Rubbing
 from evetac_cli.sim.setup.plan import first_plan
+from tests.make import play_trial
 
 
 def rubbing(object_name: str, sensor: str = "evetac", gel: str = "cut", seed: int = 0, **rub: Any) -> Rubbing:
@@ -18,14 +19,6 @@ def rubbing(object_name: str, sensor: str = "evetac", gel: str = "cut", seed: in
     changes = {"rub": {"objects": [object_name], **rub}, "solver": {"node_pitch_mm": 1.25}}
     made = merge(first_plan("edge", sensor=sensor, gel=gel), changes)
     return Rubbing(made, *(np.random.default_rng([seed, part]) for part in range(2)))
-
-
-def run(trial: Rubbing) -> tuple[np.ndarray, list[dict[str, Any]]]:
-    sizes, rows = [], []
-    while not trial.finished:
-        sizes.append(trial.step().size)
-        rows.append(trial.truth())
-    return np.array(sizes), rows
 
 
 def column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
@@ -39,7 +32,8 @@ def column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
 def test_most_events_are_not_from_dots(object_name: str, sensor: str, gel: str) -> None:
     """Assert that lines make most events of a rub, that dots end where they began, and forces are as planned."""
     trial = rubbing(object_name, sensor, gel, count=[3, 3], length_mm=[18.0, 18.0], speed_mm_s=[100.0, 100.0])
-    sizes, rows = run(trial)
+    rows, events = play_trial(trial)
+    sizes = np.array([part.size for part in events])
     lines = column(rows, "contact_edge_events")
     moved = np.linalg.norm(column(rows, "dot_xy_px") - trial.gel_camera.grid_xy_px.reshape(-1, 2), axis=2)
     rubs = slice(2090, len(sizes) - 1300)

@@ -14,7 +14,7 @@ from evetac_cli.sim.setup.sensor import GelFriction
 from tests.sim.scenes.trials import NONE, grasp_of, quiet_plan
 
 
-def trial(name: str, second: dict[str, float] | None, **durations: float) -> GraspSimulation:
+def with_second_finger(name: str, second: dict[str, float] | None, **durations: float) -> GraspSimulation:
     """A trial of a scene, with a second finger of its own or mirrored ones."""
     changes = NONE if second is None else {"gripper": {"second_finger": second}}
     return grasp_of(quiet_plan(name, changes), **durations)
@@ -29,7 +29,7 @@ def both_n(one: GraspSimulation) -> tuple[float, float]:
 @pytest.mark.slow
 def test_a_second_finger_that_does_not_differ() -> None:
     """Assert that it makes the trial of mirrored fingers, from hold to loss, within 0.01 px and 1 ms of slip."""
-    mirrored, own = (trial("slip", second) for second in (None, {"friction_factor": 1.0}))
+    mirrored, own = (with_second_finger("slip", second) for second in (None, {"friction_factor": 1.0}))
     held_ma = mirrored.command[1]
     slips: dict[int, list[bool]] = {0: [], 1: []}
     for k in range(1500):
@@ -48,7 +48,7 @@ def test_a_second_finger_that_does_not_differ() -> None:
 @pytest.mark.parametrize("stiffness", [0.5, 2.0])
 def test_both_fingers_press_with_one_force(stiffness: float) -> None:
     """Assert that both gels are pressed in as their stiffness says, and that these and the links make the closing."""
-    one = trial("slip", {"stiffness_factor": stiffness})
+    one = with_second_finger("slip", {"stiffness_factor": stiffness})
     finger, curve, gap_m = one.finger, one._curve, one._gap
     node_n_m = one_sensor("evetac").normal_modulus_pa / one._material.height_m * one._gel.cell_area_m2
     assert curve.second_indentation_m is not None
@@ -68,7 +68,7 @@ def test_both_fingers_press_with_one_force(stiffness: float) -> None:
 
 def test_slip_limit_of_different_fingers() -> None:
     """Assert that a second finger of a share f of the friction needs 2 / (1 + f) times the force."""
-    mirrored, half = (trial("slip", second) for second in (None, {"friction_factor": 0.5}))
+    mirrored, half = (with_second_finger("slip", second) for second in (None, {"friction_factor": 0.5}))
     assert half._slip_limit_n == pytest.approx(mirrored._slip_limit_n * 2 / 1.5, rel=1e-12)
     assert half.sampled == mirrored.sampled
 
@@ -76,7 +76,7 @@ def test_slip_limit_of_different_fingers() -> None:
 @pytest.mark.slow
 def test_a_lift_with_different_fingers() -> None:
     """Assert that both fingers together carry the object once it hangs, the stiffer one more, and that it is lifted."""
-    one = trial("lift", {"stiffness_factor": 3.0}, lift_s=2.5)
+    one = with_second_finger("lift", {"stiffness_factor": 3.0}, lift_s=2.5)
     law = grip.start()
     carried_n = []
     for k in range(2600):

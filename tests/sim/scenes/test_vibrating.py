@@ -24,6 +24,7 @@ from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import first_plan, tones_hz
 from evetac_cli.stages import record
 from evetac_cli.text_files import as_toml
+from tests.make import play_trial
 
 PURE = {"second_harmonic_least": [0.0] * 5, "second_harmonic_most": [0.0] * 5, "modulation_most": [0.0] * 5}
 SHORT = {"rest_s": 0.01, "tone_at_s": 0.05, "after_s": 0.02}
@@ -160,16 +161,19 @@ def test_drawn_from_the_seed(tmp_path: Path) -> None:
     """Assert that a seed gives one and the same recording, and another seed or tone another one."""
     name = changed(tmp_path, {"tone_s": 0.05})
 
-    def made(**named: Any) -> tuple[str, bytes]:
+    def content(**named: Any) -> tuple[str, bytes]:
         trial = vibration(name, **named)
-        parts = []
-        while not trial.finished:
-            parts.append(b"".join(column.tobytes() for column in trial.step()))
-        return trial.sampled.as_json(), b"".join(parts)
+        events = play_trial(trial)[1]
+        return trial.sampled.as_json(), b"".join(column.tobytes() for part in events for column in part)
 
-    first = made(hz=300)
-    assert made(hz=300) == first
-    others = made(hz=300, seed=1), made(hz=301), made(hz=300, sensor="second"), made(hz=300, gel="cut")
+    first = content(hz=300)
+    assert content(hz=300) == first
+    others = (
+        content(hz=300, seed=1),
+        content(hz=301),
+        content(hz=300, sensor="second"),
+        content(hz=300, gel="cut"),
+    )
     assert len({first, *others}) == 5
     assert all(0.2 <= json.loads(samples)["tangential_share"] <= 0.6 for samples, _ in others)
 

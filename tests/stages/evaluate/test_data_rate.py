@@ -15,8 +15,9 @@ from evetac_cli.inspect import validate
 from evetac_cli.params.evaluation import EvaluateDataRate
 from evetac_cli.stages.evaluate import data_rate
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.provenance import Recipe
 from evetac_cli.store.read import open_recording
+from tests.make import event_arrays, events_at, run_stage, truth_arrays, write_recording
 
 TOUCH, LOST, ONSET, SLICES = 200, 1400, 1000, 2000
 RGB_BYTES_S = 540 * 480 * 3 * 25
@@ -33,37 +34,14 @@ def recording_file(
 ) -> Path:
     """A recording with so many events in each slice; with truth, in contact from TOUCH to LOST and slip from onset."""
     slices = len(per_slice)
-    starts = np.concatenate([[0], np.cumsum(per_slice)])
-    arrays: dict[str, Any] = {
-        "events/t": np.repeat(np.arange(slices) * 1000, per_slice).astype(np.int64),
-        "events/x": np.zeros(starts[-1], np.uint16),
-        "events/y": np.zeros(starts[-1], np.uint16),
-        "events/p": np.zeros(starts[-1], np.uint8),
-        "ms_to_idx": starts.astype(np.int64),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array([640, 480], np.int32),
-        "sensor/name": "unknown",
-    }
+    arrays = event_arrays(events_at(np.repeat(np.arange(slices) * 1000, per_slice)), slices)
     if truth:
         at = np.arange(slices)
         loaded = (at >= TOUCH) & (at < LOST) & touched
-        zeros = np.zeros(slices, np.float32)
-        arrays |= {
-            "truth/dot_xy_px": np.zeros((slices, 1, 2), np.float32),
-            "truth/object_xy_px": np.zeros((slices, 2), np.float32),
-            "truth/slid_px": zeros,
-            "truth/slip": ((at >= onset) & (at < onset + 20)).astype(np.uint8),
-            "truth/every_node_slid_px": zeros,
-            "truth/slip_share": zeros,
-            "truth/visible_slip_share": zeros,
-            "truth/normal_force_n": np.where(loaded, 2.0, 0.0).astype(np.float32),
-            "truth/shear_force_n": np.zeros((slices, 2), np.float32),
-            "truth/sampled_parameters": "{}",
-        }
+        slips = (at >= onset) & (at < onset + 20)
+        arrays |= truth_arrays(np.zeros((slices, 1, 2)), slips, np.where(loaded, 2.0, 0.0))
     parameters = {} if scene is None else {"scene": {"name": scene}}
-    recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=truth)
-    write_stage(path, recipe, arrays)
-    return path
+    return write_recording(path, arrays, simulated=truth, **parameters)
 
 
 def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
@@ -92,8 +70,7 @@ def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 def evaluated(*files: Path, **values: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of recordings, and of intervals."""
     params = EvaluateDataRate(**values)
-    (job,) = data_rate.jobs(list(files), params, files[0].with_name("a.report.h5"))
-    rows = data_rate.run(job, params, force=True).rows
+    rows = run_stage(data_rate, list(files), params, files[0].with_name("a.report.h5"), force=True)[1].rows
     return [row for row in rows if "file" in row], [row for row in rows if "interval" in row]
 
 

@@ -11,6 +11,7 @@ from evetac_cli.stages.evaluate import grasp as evaluate_grasp
 from evetac_cli.stages.evaluate import paper
 from evetac_cli.stages.evaluate.grasp import describe_setting, tables, without_gain
 from evetac_cli.stages.evaluate.source import Source
+from tests.make import run_stage
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 PLANNED = {
@@ -22,7 +23,7 @@ PLANNED = {
 }
 
 
-def trial(setting: str = "paper", number: int = 11, *, lifted: bool = True, held: bool = True, **more: Any) -> dict:
+def row_of(setting: str = "paper", number: int = 11, *, lifted: bool = True, held: bool = True, **more: Any) -> dict:
     """What became of one grasp."""
     figures = {
         "lifted": lifted,
@@ -56,21 +57,21 @@ def split(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
 
 def test_balance_counts_trials_that_lifted() -> None:
     """Assert success of both phases, of lifting, and of balance among those that lifted, as the paper counts."""
-    trials = [trial(), trial(held=False), trial(lifted=False), trial()]
+    trials = [row_of(), row_of(held=False), row_of(lifted=False), row_of()]
     ((whole,), (row,), _) = split(tables(trials)[0])
     for result in (whole, row):
         assert (result["trials"], result["success"], result["lifted"]) == (4, 0.5, 0.75)
         assert result["balanced"] == pytest.approx(2 / 3)
-    nothing = [trial("none", lifted=False)] * 5
+    nothing = [row_of("none", lifted=False)] * 5
     assert split(tables(nothing)[0])[1][0]["balanced"] is None
 
 
 def test_figures_are_over_what_was_held() -> None:
     """Assert that an object that fell counts for no distance, force or opening; medians and means by hand."""
     trials = [
-        trial(moved_mm=moved, opening_after_balance_ticks=end) for moved, end in ((1.0, -5), (2.0, -6), (12.0, -10))
+        row_of(moved_mm=moved, opening_after_balance_ticks=end) for moved, end in ((1.0, -5), (2.0, -6), (12.0, -10))
     ]
-    trials.append(trial(held=False, moved_mm=300.0, opening_after_balance_ticks=-99))
+    trials.append(row_of(held=False, moved_mm=300.0, opening_after_balance_ticks=-99))
     ((whole,), _, _) = split(tables(trials)[0])
     assert whole["moved_mm_median"] == 2.0
     assert whole["moved_mm_mean"] == 5.0
@@ -81,8 +82,8 @@ def test_figures_are_over_what_was_held() -> None:
 
 def test_every_column_counts_the_same() -> None:
     """Assert that reduction over objects is the mean of their means, and that a gain is a column of its own."""
-    trials = [trial(number=10, reopened_share=0.8), *[trial(number=11, reopened_share=0.2)] * 3]
-    trials.append(trial("paper, gain 2", 14, reopened_share=0.2))
+    trials = [row_of(number=10, reopened_share=0.8), *[row_of(number=11, reopened_share=0.2)] * 3]
+    trials.append(row_of("paper, gain 2", 14, reopened_share=0.2))
     ((whole,), objects, _) = split(tables(trials)[0])
     assert whole["setting"] == "paper"
     assert whole["columns"] == 3
@@ -92,14 +93,18 @@ def test_every_column_counts_the_same() -> None:
 
 def test_the_paper_s_figures_stand_beside_their_own() -> None:
     """Assert that the paper's law stands beside its figures, object by object, and other controllers beside none."""
-    trials = [trial(number=number) for number in (12, 14, 17, 18)]
+    trials = [row_of(number=number) for number in (12, 14, 17, 18)]
     trials += [
-        trial("paper, gain 2", 20),
-        trial("load-proportional", 18),
-        trial("load-proportional", 17),
-        trial("none", 17, lifted=False),
+        row_of("paper, gain 2", 20),
+        row_of("load-proportional", 18),
+        row_of("load-proportional", 17),
+        row_of("none", 17, lifted=False),
     ]
-    trials += [trial("paper, gain 2, drop-100g", 16), trial("paper, drop-20g", 16), trial("paper, second", 16)]
+    trials += [
+        row_of("paper, gain 2, drop-100g", 16),
+        row_of("paper, drop-20g", 16),
+        row_of("paper, second", 16),
+    ]
     whole, objects, _ = split(tables(trials)[0])
     published = {
         (row["setting"], row["object"]): (row["paper_success"], row["paper_opening_after_balance_ticks"])
@@ -153,9 +158,9 @@ def test_the_picture() -> None:
     from matplotlib.figure import Figure
 
     for trials in (
-        [trial()],
-        [trial(f"fixed:{n}", number) for n in range(12) for number in (18, 10, 2)],
-        [trial(lifted=False)],
+        [row_of()],
+        [row_of(f"fixed:{n}", number) for n in range(12) for number in (18, 10, 2)],
+        [row_of(lifted=False)],
     ):
         figure = Figure()
         evaluate_grasp._draw(figure, tables(trials)[0], Source(simulated=True))
@@ -165,8 +170,7 @@ def test_the_picture() -> None:
 def test_a_table_of_a_real_grasp(made, tmp_path) -> None:
     """Assert that a recording of grasp becomes a row in each of the three tables, alike in all."""
     chosen = EvaluateGrasp()
-    (job,) = evaluate_grasp.jobs([made.grasp], chosen, tmp_path)
-    whole, objects, trials = split(evaluate_grasp.run(job, chosen).rows)
+    whole, objects, trials = split(run_stage(evaluate_grasp, [made.grasp], chosen, tmp_path)[1].rows)
     assert len(whole) == len(objects) == len(trials) == 1
     assert whole[0]["setting"] == objects[0]["setting"] == trials[0]["setting"] == "paper"
     assert trials[0]["object"] == objects[0]["object"] == 11

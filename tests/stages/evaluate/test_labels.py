@@ -13,7 +13,7 @@ from evetac_cli.store.read import true_onset
 RAMP_MS = 40
 
 
-def recording(slips: tuple[int, ...], ramp: bool = True) -> Any:
+def slipping(slips: tuple[int, ...], ramp: bool = True) -> Any:
     """100 slices of which some slip, every node of the pad with the last of them; the current falls from RAMP_MS on."""
     slip, slid_px = np.zeros(100, np.uint8), np.zeros(100, np.float32)
     slip[list(slips)] = 1
@@ -42,7 +42,7 @@ def recording(slips: tuple[int, ...], ramp: bool = True) -> Any:
 ])  # fmt: skip
 def test_a_trial_begins_where_the_current_falls(slips: tuple[int, ...], ramp: bool, onset: int | None) -> None:
     """Assert that slip before the current falls is no onset where there is a gripper, for evaluate and for view."""
-    made = recording(slips, ramp)
+    made = slipping(slips, ramp)
     assert true_onset(made) == true_onsets(made)["t_s_ms"] == onset
     trial: Any = SimpleNamespace(recording=made, labels=None, features=None, model=None)
     assert slip_onsets(trial, (0, 100), None) == {"truth": onset}
@@ -50,10 +50,14 @@ def test_a_trial_begins_where_the_current_falls(slips: tuple[int, ...], ramp: bo
 
 def test_within_a_span() -> None:
     """Assert that only slip within the span counts, and that its slices are those of the recording."""
-    made = recording((50, 70, 90))
+    made = slipping((50, 70, 90))
     assert [true_onset(made, *span) for span in ((0, 100), (51, 100), (71, 90), (71, 91))] == [50, 70, None, 90]
 
 
 def test_beginning_of_the_slip_and_last_stuck_node() -> None:
     """Assert where the sliding that leads to the onset began, and the onset by the last stuck node."""
-    assert true_onsets(recording((60, 80))) == {"t_s_ms": 60, "gross_slip_start_ms": 58, "t_every_node_ms": 80}
+    assert true_onsets(slipping((60, 80))) == {
+        "t_s_ms": 60,
+        "gross_slip_start_ms": 58,
+        "t_every_node_ms": 80,
+    }

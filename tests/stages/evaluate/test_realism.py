@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events, slice_starts
+from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome
 from evetac_cli.params.evaluation import EvaluateRealism
 from evetac_cli.params.recording import Record
@@ -17,33 +17,21 @@ from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import record
 from evetac_cli.stages.evaluate import realism
-from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
 from evetac_cli.text_files import as_toml
+from tests.make import event_arrays, run_stage, write_recording
 
 
 def resting(folder: Path, sensor: str, seed: int) -> Path:
     chosen = Record(scene="rest", sensor=sensor, seed=seed)
-    (job,) = record.jobs([], chosen, folder / f"{Path(sensor).stem}-{seed}.recording.h5")
-    record.run(job, chosen)
-    return job.output
+    return run_stage(record, [], chosen, folder / f"{Path(sensor).stem}-{seed}.recording.h5")[0]
 
 
 def imported(path: Path, events: Events, slices: int, frame_px: tuple[int, int] = (640, 480)) -> Path:
-    arrays: dict[str, Any] = {
-        **{f"events/{column}": getattr(events, column) for column in Events._fields},
-        "ms_to_idx": slice_starts(events.t, slices),
-        "t_offset": np.int64(0),
-        "sensor/frame_px": np.array(frame_px, np.int32),
-        "sensor/name": "unknown",
-    }
-    write_stage(path, Recipe("recording", 1, {"made": path.name}, content="0" * 64), arrays)
-    return path
+    return write_recording(path, event_arrays(events, slices, frame_px), source=path.name)
 
 
 def compared(real: Path, simulated: Path, out: Path) -> tuple[dict[tuple[str, str], dict[str, Any]], Outcome]:
-    (job,) = realism.jobs([real, simulated], EvaluateRealism(), out)
-    outcome = realism.run(job, EvaluateRealism())
+    _, outcome = run_stage(realism, [real, simulated], EvaluateRealism(), out)
     return {(row["phase"], row["figure"]): row for row in outcome.rows}, outcome
 
 
@@ -122,8 +110,7 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
     apart = {}
     for name, simulated, same in (("like", second, None), ("unlike", other, second)):
         asked = EvaluateRealism(same=same)
-        (job,) = realism.jobs([first, simulated], asked, tmp_path / f"{name}.realism.report.h5")
-        outcome = realism.run(job, asked)
+        _, outcome = run_stage(realism, [first, simulated], asked, tmp_path / f"{name}.realism.report.h5")
         rows = outcome.rows
         (apart[name],) = [row for row in rows if row["measure"] == "AUC of held-out windows"]
         assert outcome.summary["auc"] == apart[name]["distance"]

@@ -27,6 +27,7 @@ from evetac_cli.stages.evaluate import slip, slip_models, slip_tables
 from evetac_cli.stages.evaluate.slip_models import Model, check
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import run_stage
 
 SLICES, ONSET = 260, 180
 
@@ -90,8 +91,7 @@ def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 
 def evaluated(files: Sequence[Path], out: Path, **values: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     params = EvaluateSlip(**values)
-    (job,) = slip.jobs(list(files), params, out)
-    outcome = slip.run(job, params)
+    _, outcome = run_stage(slip, list(files), params, out)
     return outcome.rows, outcome.summary
 
 
@@ -317,16 +317,15 @@ def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monke
     report, both = tmp_path / "r.report.h5", world["seeds"]
     known, more = world["known"][:3], world["known"]
 
-    def made(files: list[Path], out: Path) -> tuple[list[dict[str, Any]], int]:
+    def judged_again(files: list[Path], out: Path) -> tuple[list[dict[str, Any]], int]:
         before = len(calls)
-        (job,) = slip.jobs(files, EvaluateSlip(), out)
-        return slip.run(job, EvaluateSlip(), force=True).rows, len(calls) - before
+        return run_stage(slip, files, EvaluateSlip(), out, force=True)[1].rows, len(calls) - before
 
-    assert made([*known, both[0]], report)[1] == 3
-    assert made([*known, *both], report)[1] == 3
-    rows, times = made([*more, *both], report)
+    assert judged_again([*known, both[0]], report)[1] == 3
+    assert judged_again([*known, *both], report)[1] == 3
+    rows, times = judged_again([*more, *both], report)
     assert times == 2
-    assert rows == made([*more, *both], tmp_path / "new" / "r.report.h5")[0]
+    assert rows == judged_again([*more, *both], tmp_path / "new" / "r.report.h5")[0]
     assert len(list((tmp_path / "r.judged").iterdir())) == 4
     renamed = replace(Model.read(both[0]), key="of another graph with the same recipe")
     (predictions,) = slip_models.predict_all([renamed], known, check([renamed], known), silent, tmp_path / "r.judged")

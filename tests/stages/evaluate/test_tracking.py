@@ -18,6 +18,7 @@ from evetac_cli.stages import track
 from evetac_cli.stages.evaluate import tracking
 from evetac_cli.store.files import StageFile
 from tests.conftest import Made
+from tests.make import run_stage
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 
@@ -31,15 +32,12 @@ def recording(made: Made, tmp_path: Path) -> Path:
 def tracked(recording: Path, name: str, **chosen: Any) -> Path:
     """Tracks of it, in a folder of that name."""
     how = Track(**chosen)
-    (job,) = track.jobs([recording], how, recording.parent / name)
-    track.run(job, how)
-    return job.output
+    return run_stage(track, [recording], how, recording.parent / name)[0]
 
 
 def evaluate(*files: Path, recordings: Path | None = None, **how: Any) -> Outcome:
     chosen = EvaluateTracking(recordings=recordings)
-    (job,) = tracking.jobs(list(files), chosen, None)
-    return tracking.run(job, chosen, **how)
+    return run_stage(tracking, list(files), chosen, **how)[1]
 
 
 def push(path: Path, dots: int, px: float) -> None:

@@ -27,7 +27,8 @@ from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import adapt_gel, predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
-from tests.stages.force.made_up import run, write_trial
+from tests.make import run_valid
+from tests.stages.force.dots_and_forces import write_trial
 
 SLICES, PRESSED = 2000, slice(300, 1700)
 HEIGHT_M = gel.GelMaterial().height_m
@@ -42,7 +43,7 @@ def sensor_of(stiffer: float = 1.0) -> Sensor:
     return replace(usual, shear_modulus_pa=shear_pa, normal_modulus_pa=normal_pa)
 
 
-def trial(
+def tracks_of_press(
     folder: Path,
     number: int,
     *,
@@ -81,7 +82,7 @@ def trial(
 
 
 def predicted(path: Path, chosen: PredictForce, out: Path) -> dict[str, Any]:
-    output, _ = run(predict_force, [path], chosen, out)
+    output, _ = run_valid(predict_force, [path], chosen, out)
     with StageFile(output) as file:
         return {name: file.read(name) for name in file.contents() if "/" not in name}
 
@@ -116,7 +117,7 @@ def close(estimated: dict[str, Any], true: Any, stiffness: float = 1.0) -> None:
 @pytest.mark.parametrize("stiffer", [1.0, 0.6])
 def test_closed_form_of_a_known_gel(tmp_path: Path, stiffer: float) -> None:
     """Assert the forces of a face over the whole gel, within 0.5 N of shear and 15 % of the normal force."""
-    path = trial(tmp_path, 0, stiffer=stiffer)
+    path = tracks_of_press(tmp_path, 0, stiffer=stiffer)
     estimated = predicted(path, PredictForce(sensor=own_sensor(tmp_path, stiffer)), tmp_path)
     close(estimated, true_shear(path))
     assert (estimated["normal_sd_n"][PRESSED] < 0.25 * NORMAL_N).all()
@@ -124,7 +125,7 @@ def test_closed_form_of_a_known_gel(tmp_path: Path, stiffer: float) -> None:
 
 def test_an_unknown_gel_is_told_with_wide_bounds(tmp_path: Path) -> None:
     """Assert that the gel alone decides the force of a displacement, and that the sd covers half to twice of it."""
-    path = trial(tmp_path, 0)
+    path = tracks_of_press(tmp_path, 0)
     known = predicted(path, PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path / "known.forces.h5")
     unknown = predicted(path, PredictForce(), tmp_path / "unknown.forces.h5")
     far = np.abs(known["shear_n"]) > 3
@@ -139,7 +140,7 @@ def test_an_unknown_gel_is_told_with_wide_bounds(tmp_path: Path) -> None:
 def test_other_grids(tmp_path: Path, pitch_px: float) -> None:
     """Assert the same bounds for denser and sparser dots than any that the model was trained on."""
     x, y = np.arange(30.0, 620, pitch_px), np.arange(25.0, 460, pitch_px)
-    path = trial(tmp_path, 0, grid_px=np.stack(np.meshgrid(x, y), axis=-1))
+    path = tracks_of_press(tmp_path, 0, grid_px=np.stack(np.meshgrid(x, y), axis=-1))
     estimated = predicted(path, PredictForce(sensor=own_sensor(tmp_path, 1.0)), tmp_path)
     close(estimated, true_shear(path))
 
@@ -147,7 +148,7 @@ def test_other_grids(tmp_path: Path, pitch_px: float) -> None:
 @pytest.mark.parametrize("smaller", [2, 4])
 def test_the_scale_of_another_frame_has_to_be_known(tmp_path: Path, smaller: int) -> None:
     """Assert that forces on a smaller frame are refused until its scale is known, and then those of a whole one."""
-    path = trial(tmp_path, 0, smaller=smaller)
+    path = tracks_of_press(tmp_path, 0, smaller=smaller)
     (tmp_path / "gel.sensor.toml").write_text('like = "evetac"\nshear_modulus_pa = 1e5\n')
     for stage, chosen in (
         (predict_force, PredictForce()),
@@ -155,17 +156,17 @@ def test_the_scale_of_another_frame_has_to_be_known(tmp_path: Path, smaller: int
         (train_force, ADAPT),
     ):
         with pytest.raises(InputError, match=r"the scale of this frame(.|\n)*mm_per_px"):
-            run(stage, [path], chosen, tmp_path / "refused.h5")
+            run_valid(stage, [path], chosen, tmp_path / "refused.h5")
     assert not (tmp_path / "refused.h5").exists()
     known = own_sensor(tmp_path, 1.0, smaller)
     close(predicted(path, PredictForce(sensor=known), tmp_path), true_shear(path))
-    own, _ = run(train_force, [path], replace(ADAPT, sensor=known), tmp_path / "own.force-model.h5")
+    own, _ = run_valid(train_force, [path], replace(ADAPT, sensor=known), tmp_path / "own.force-model.h5")
     close(predicted(path, PredictForce(model=own), tmp_path / "adapted.forces.h5"), true_shear(path))
 
 
 def test_lost_dots(tmp_path: Path) -> None:
     """Assert that forces stay where some dots are lost and have no value where all are; the rest is unharmed."""
-    path = trial(tmp_path, 0)
+    path = tracks_of_press(tmp_path, 0)
     lost = tmp_path / "lost"
     lost.mkdir()
     with StageFile(path) as file:
@@ -187,26 +188,26 @@ def test_lost_dots(tmp_path: Path) -> None:
 
 def test_no_contact(tmp_path: Path) -> None:
     """Assert that a gel at rest has no contact and no force, and cannot be adapted to."""
-    path = trial(tmp_path, 0, normal_n=0.0)
+    path = tracks_of_press(tmp_path, 0, normal_n=0.0)
     estimated = predicted(path, PredictForce(), tmp_path)
     assert not estimated["contact"].any()
     assert np.abs(estimated["shear_n"]).max() < 0.1
     assert estimated["normal_n"].max() < 0.5
     with pytest.raises(InputError, match="no reading is during a contact"):
-        run(train_force, [path], ADAPT, tmp_path)
+        run_valid(train_force, [path], ADAPT, tmp_path)
 
 
 @pytest.mark.slow
 def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     """Assert that known forces make an unknown gel known, from truth as from a table, and evaluate says so."""
-    own = [trial(tmp_path, number, stiffer=1.6) for number in (1, 2, 3)]
-    model, outcome = run(train_force, own, ADAPT, tmp_path)
+    own = [tracks_of_press(tmp_path, number, stiffer=1.6) for number in (1, 2, 3)]
+    model, outcome = run_valid(train_force, own, ADAPT, tmp_path)
     assert model.name == "own.force-model.h5"
     assert outcome.rows[0]["contacts"] == 3
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     assert outcome.rows[0]["normal_modulus_kpa"] == pytest.approx(1.6 * 1000, rel=0.15)
     assert outcome.rows[0]["shear_error_factor"] == outcome.rows[0]["normal_error_factor"] == 1.0
-    path = trial(tmp_path, 4, stiffer=1.6)
+    path = tracks_of_press(tmp_path, 4, stiffer=1.6)
     estimated = predicted(path, PredictForce(model=model), tmp_path / "a.forces.h5")
     close(estimated, true_shear(path))
     assert info.run([model, tmp_path / "a.forces.h5"]).rows[0]["dots"] == "any grid"
@@ -215,7 +216,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).write_text(
             "\n".join(["t_s,shear_x_n,shear_y_n,normal_n", *rows])
         )
-    table, outcome = run(train_force, own, ADAPT, tmp_path / "table.force-model.h5")
+    table, outcome = run_valid(train_force, own, ADAPT, tmp_path / "table.force-model.h5")
     assert outcome.rows[0]["shear_modulus_kpa"] == pytest.approx(1.6 * 145, rel=0.1)
     for one in own:
         one.with_name(one.name.replace("tracks.h5", "force.csv")).unlink()
@@ -227,7 +228,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         adapt_on=str(tmp_path / "trial[123].tracks.h5"),
         identified=str(identified),
     )
-    report, outcome = run(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
+    report, outcome = run_valid(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     errors = {row["stiffness"]: row["mae_n"] for row in outcome.rows}
     assert list(errors) == ["unknown", "known", "identified", "adapted", "known, adapted", "identified, adapted"]
     assert errors["identified"] < 0.3
@@ -237,12 +238,12 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
     assert outcome.rows[3]["normal_mae_of_range"] < 0.1
     assert outcome.summary["identified_sensors"] == 1
     assert report.with_suffix(".png").stat().st_size > 10_000
-    resting = trial(tmp_path, 5, stiffer=1.6, normal_n=0.0)
-    _, outcome = run(train_force, [*own, resting], ADAPT, tmp_path / "resting.force-model.h5")
+    resting = tracks_of_press(tmp_path, 5, stiffer=1.6, normal_n=0.0)
+    _, outcome = run_valid(train_force, [*own, resting], ADAPT, tmp_path / "resting.force-model.h5")
     assert outcome.rows[0]["contacts"] == 3 and outcome.rows[0]["without_readings"] == "trial5.tracks.h5"
-    second = trial(tmp_path, 6, name="second")
-    softer = trial(tmp_path, 7)
-    predicted(trial(tmp_path, 8, name="unknown"), PredictForce(model=model), tmp_path / "unknown.forces.h5")
+    second = tracks_of_press(tmp_path, 6, name="second")
+    softer = tracks_of_press(tmp_path, 7)
+    predicted(tracks_of_press(tmp_path, 8, name="unknown"), PredictForce(model=model), tmp_path / "unknown.forces.h5")
     for stage, files, wrong, message in (
         (predict_force, [second], PredictForce(model=model), "another sensor than the model was adapted to"),
         (evaluate_force, [path, softer], EvaluateForce(model=str(resources.FORCE_MODEL)), "two sensors of the name"),
@@ -253,7 +254,7 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
         (evaluate_force, [path], replace(chosen, identified=str(tmp_path / "none")), "no file of a sensor"),
     ):
         with pytest.raises(InputError, match=message):
-            run(stage, files, wrong, tmp_path / "refused.h5")
+            run_valid(stage, files, wrong, tmp_path / "refused.h5")
 
 
 @pytest.mark.parametrize(
@@ -274,12 +275,12 @@ def test_adaptation_finds_the_gel(tmp_path: Path) -> None:
 )
 def test_tables_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     """Assert that a table without readings, or with senseless ones, is refused in words."""
-    path = trial(tmp_path, 0, truth=False)
+    path = tracks_of_press(tmp_path, 0, truth=False)
     with pytest.raises(InputError, match="no known forces"):
-        run(train_force, [path], ADAPT, tmp_path)
+        run_valid(train_force, [path], ADAPT, tmp_path)
     path.with_name("trial0.force.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        run(train_force, [path], ADAPT, tmp_path)
+        run_valid(train_force, [path], ADAPT, tmp_path)
 
 
 def test_contacts_are_numbered_over_time() -> None:
@@ -297,7 +298,7 @@ def test_contacts_are_numbered_over_time() -> None:
 
 def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
     """Assert that readings a second apart are of two contacts where the gel was let go between them."""
-    path = trial(tmp_path, 1)
+    path = tracks_of_press(tmp_path, 1)
     with StageFile(path) as file:
         header, arrays = file.header, {name: file.read(name) for name in file.contents()}
     arrays["dot_xy_px"][800:1100] = arrays["dot_xy_px"][0]
@@ -308,7 +309,9 @@ def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
     counts = []
     for between in ("", "1.0,0,0,0\n"):
         table.write_text(f"t_s,shear_x_n,shear_y_n,normal_n\n0.6,0,0,\n{between}1.2,0,0,\n")
-        counts.append(run(train_force, [own / path.name], ADAPT, own / f"{len(counts)}.force-model.h5")[1].rows[0])
+        counts.append(
+            run_valid(train_force, [own / path.name], ADAPT, own / f"{len(counts)}.force-model.h5")[1].rows[0]
+        )
     assert [row["contacts"] for row in counts] == [2, 2]
     assert [row["readings"] for row in counts] == [2, 2]
 
@@ -316,11 +319,11 @@ def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
     """Assert that the same seed gives the same arrays and another seed others, and that two sensors are not mixed."""
-    tracks = [trial(tmp_path, number) for number in (1, 2)]
+    tracks = [tracks_of_press(tmp_path, number) for number in (1, 2)]
     arrays = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         chosen = TrainForce(method="gel", contacts=TRAIN.contacts, epochs=1, seed=seed)
-        path, outcome = run(train_force, tracks, chosen, tmp_path / f"{name}.force-model.h5")
+        path, outcome = run_valid(train_force, tracks, chosen, tmp_path / f"{name}.force-model.h5")
         assert outcome.rows[0]["trajectories"] == 2
         with StageFile(path) as file:
             arrays.append({key: file.read(key) for key in file.contents()})
@@ -328,9 +331,9 @@ def test_training_is_the_same_for_one_seed(tmp_path: Path) -> None:
     assert not np.array_equal(arrays[0]["gel/0/weight"], arrays[2]["gel/0/weight"])
     with pytest.raises(InputError, match="not of the paper's method"):
         train_force.read_model(tmp_path / "a.force-model.h5")
-    other = trial(tmp_path, 3, name="second")
+    other = tracks_of_press(tmp_path, 3, name="second")
     with pytest.raises(InputError, match="different sensors"):
-        run(train_force, [*tracks, other], ADAPT, tmp_path)
-    real = trial(tmp_path, 4, truth=False)
+        run_valid(train_force, [*tracks, other], ADAPT, tmp_path)
+    real = tracks_of_press(tmp_path, 4, truth=False)
     with pytest.raises(InputError, match="no truth"):
-        run(train_force, [real], TRAIN, tmp_path)
+        run_valid(train_force, [real], TRAIN, tmp_path)

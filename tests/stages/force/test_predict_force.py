@@ -17,14 +17,15 @@ from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.provenance import Recipe
-from tests.stages.force.made_up import run, write_trial
+from tests.make import run_valid
+from tests.stages.force.dots_and_forces import write_trial
 
 N_PX = 0.4  # shear force for each px of mean displacement
 SLICES = 2400
 FIT = TrainForce(samples=40, epochs=5)
 
 
-def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True) -> Path:
+def tracks_of_shear(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True) -> Path:
     """A recording without events and the tracks of its dots, all of which move as one; the tracks' path.
 
     `softer`: how many times as far the dots move under the same force, on another sensor_name.
@@ -37,38 +38,41 @@ def trial(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, t
     force_n = pressed[:, None] * np.stack([np.interp(time, at, knots[:, axis]) for axis in (0, 1)], axis=1)
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(columns), 40.0 + 62.0 * np.arange(7)), axis=-1)
     dots = (rest.reshape(1, -1, 2) + force_n[:, None] * softer / N_PX).astype(np.float32)
-    made = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
-    return write_trial(folder, made, rest, dots, 20.0 * pressed, force_n, "evetac" if softer == 1 else "soft-gel")
+    recipe = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
+    return write_trial(folder, recipe, rest, dots, 20.0 * pressed, force_n, "evetac" if softer == 1 else "soft-gel")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fits(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three trials to fit on and one apart, their tracks from events and from frames, and a model for each sensor."""
     folder = tmp_path_factory.mktemp("force")
-    tracks = [trial(folder, number) for number in range(4)]
-    frames = [run(track_rgb, [folder / f"trial{number}.recording.h5"], TrackRgb())[0] for number in range(4)]
-    run(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
-    run(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
+    tracks = [tracks_of_shear(folder, number) for number in range(4)]
+    frames = [run_valid(track_rgb, [folder / f"trial{number}.recording.h5"], TrackRgb())[0] for number in range(4)]
+    run_valid(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
+    run_valid(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
     return folder
 
 
-def test_frames_show_where_the_dots_are(made: Path) -> None:
+def test_frames_show_where_the_dots_are(fits: Path) -> None:
     """Assert that dots tracked in frames are within 0.3 px of truth at each frame, and stay until the next."""
-    with StageFile(made / "rgb" / "trial3.tracks.h5") as tracks, StageFile(made / "trial3.recording.h5") as recording:
+    with (
+        StageFile(fits / "rgb" / "trial3.tracks.h5") as tracks,
+        StageFile(fits / "trial3.recording.h5") as recording,
+    ):
         result, true = tracks.read("dot_xy_px"), recording.read("truth/dot_xy_px")
     assert np.abs(result[::40] - true[::40]).max() < 0.3
     assert np.array_equal(result, np.repeat(result[::40], 40, axis=0))
     assert np.abs(true[::40] - true[0]).max() > 20
 
 
-def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
+def test_a_linear_gel_is_told(fits: Path, tmp_path: Path) -> None:
     """Assert that the regression errs by no more than the force sensor's noise, and the report says what the paper got.
 
     The mean of the absolute value of a normal deviate is sqrt(2 / pi) of its deviation.
     """
-    files = [made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"]
-    chosen = EvaluateForce(model=str(made), samples=45)
-    output, outcome = run(evaluate_force, files, chosen, tmp_path)
+    files = [fits / "trial3.tracks.h5", fits / "rgb" / "trial3.tracks.h5"]
+    chosen = EvaluateForce(model=str(fits), samples=45)
+    output, outcome = run_valid(evaluate_force, files, chosen, tmp_path)
     assert output.with_suffix(".png").stat().st_size > 10_000
     assert outcome.simulated
     assert [(row["sensor"], row["model"]) for row in outcome.rows] == [
@@ -86,17 +90,20 @@ def test_a_linear_gel_is_told(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
+def test_models_of_several_seeds(fits: Path, tmp_path: Path) -> None:
     """Assert that rows have the means over models that differ in the seed, and how much these differ."""
-    learn, judged = [made / f"trial{number}.tracks.h5" for number in range(3)], [made / "trial3.tracks.h5"]
+    learn, judged = (
+        [fits / f"trial{number}.tracks.h5" for number in range(3)],
+        [fits / "trial3.tracks.h5"],
+    )
     rows = []
     for seed in (1, 2):
         model = tmp_path / f"{seed}.force-model.h5"
-        run(train_force, learn, TrainForce(samples=40, epochs=2, seed=seed), model)
+        run_valid(train_force, learn, TrainForce(samples=40, epochs=2, seed=seed), model)
         chosen = EvaluateForce(model=str(model), samples=45)
-        rows.append(run(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
+        rows.append(run_valid(evaluate_force, judged, chosen, tmp_path / f"{seed}.report.h5")[1].rows[1])
     chosen = EvaluateForce(model=str(tmp_path), samples=45)
-    network = run(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
+    network = run_valid(evaluate_force, judged, chosen, tmp_path / "both.report.h5")[1].rows[1]
     assert [row["models"] for row in (*rows, network)] == [1, 1, 2]
     assert rows[0]["mae_n_x"] != rows[1]["mae_n_x"]
     for name in ("mae_n_x", "mae_n_y", "sd_n_x", "sd_n_y", "gain"):
@@ -104,11 +111,11 @@ def test_models_of_several_seeds(made: Path, tmp_path: Path) -> None:
     assert network["sd_over_models_n_x"] == pytest.approx(abs(rows[0]["mae_n_x"] - rows[1]["mae_n_x"]) / 2)
 
 
-def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
+def test_another_gel_is_reported_as_it_is(fits: Path, tmp_path: Path) -> None:
     """Assert that a gel whose dots move 1.3 times as far gives 1.3 times the force, without the paper beside it."""
-    soft = trial(tmp_path, 7, softer=1.3)
-    chosen = EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
-    _, outcome = run(evaluate_force, [soft], chosen, tmp_path / "out")
+    soft = tracks_of_shear(tmp_path, 7, softer=1.3)
+    chosen = EvaluateForce(model=str(fits / "events.force-model.h5"), samples=45)
+    _, outcome = run_valid(evaluate_force, [soft], chosen, tmp_path / "out")
     regression = outcome.rows[0]
     assert regression["gain"] == pytest.approx(1.3, abs=0.01)
     assert regression["sensor_name"] == "soft-gel"
@@ -116,71 +123,94 @@ def test_another_gel_is_reported_as_it_is(made: Path, tmp_path: Path) -> None:
     assert regression["paper_mae_n_x"] is None
 
 
-def test_forces_of_any_tracks(made: Path, tmp_path: Path) -> None:
+def test_forces_of_any_tracks(fits: Path, tmp_path: Path) -> None:
     """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
-    chosen = PredictForce(model=made / "events.force-model.h5")
-    output, _ = run(predict_force, [made / "trial3.tracks.h5"], chosen, tmp_path)
-    with StageFile(output) as reported, StageFile(made / "trial3.recording.h5") as recording:
+    chosen = PredictForce(model=fits / "events.force-model.h5")
+    output, _ = run_valid(predict_force, [fits / "trial3.tracks.h5"], chosen, tmp_path)
+    with StageFile(output) as reported, StageFile(fits / "trial3.recording.h5") as recording:
         regression, network = reported.read("regression_n"), reported.read("network_n")
         true = recording.read("truth/shear_force_n")
     assert np.abs(regression - true).max() < 0.05
-    _, model = train_force.read_model(made / "events.force-model.h5")
-    with StageFile(made / "trial3.tracks.h5") as tracks:
+    _, model = train_force.read_model(fits / "events.force-model.h5")
+    with StageFile(fits / "trial3.tracks.h5") as tracks:
         moved = tracks.read("dot_xy_px") - train_force.read_rest_px(tracks)
     assert np.allclose(network, train_force.forces.apply_network(model.network, moved), atol=1e-3)
-    figures = info.run([output, made / "events.force-model.h5"]).rows
+    figures = info.run([output, fits / "events.force-model.h5"]).rows
     assert figures[0]["slices"] == SLICES
     assert figures[1]["sensor"] == "events"
 
 
 def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        run(stage, files, chosen, tmp_path / "out")
+        run_valid(stage, files, chosen, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_what_was_learned_is_not_judged(made: Path, tmp_path: Path) -> None:
+def test_what_was_learned_is_not_judged(fits: Path, tmp_path: Path) -> None:
     """Assert that a recording that was fitted on is refused, whichever sensor tracked it, and so is one held out."""
-    chosen = EvaluateForce(model=str(made / "events.force-model.h5"), samples=45)
+    chosen = EvaluateForce(model=str(fits / "events.force-model.h5"), samples=45)
     for number in range(3):
-        refused(evaluate_force, [made / f"trial{number}.tracks.h5"], chosen, "trained on and evaluated on", tmp_path)
-    refused(train_force, [made / "trial0.tracks.h5", made / "trial0.tracks.h5"], FIT, "held out", tmp_path)
+        refused(
+            evaluate_force,
+            [fits / f"trial{number}.tracks.h5"],
+            chosen,
+            "trained on and evaluated on",
+            tmp_path,
+        )
+    refused(
+        train_force,
+        [fits / "trial0.tracks.h5", fits / "trial0.tracks.h5"],
+        FIT,
+        "held out",
+        tmp_path,
+    )
 
 
-def test_sensors_are_kept_apart(made: Path, tmp_path: Path) -> None:
+def test_sensors_are_kept_apart(fits: Path, tmp_path: Path) -> None:
     """Assert that no model is fitted to two sensors, and that each file needs the one model of its own."""
-    events, frames = made / "trial3.tracks.h5", made / "rgb" / "trial3.tracks.h5"
-    refused(train_force, [made / "trial0.tracks.h5", frames], FIT, "different sensors", tmp_path)
-    only = EvaluateForce(model=str(made / "frames.force-model.h5"))
+    events, frames = fits / "trial3.tracks.h5", fits / "rgb" / "trial3.tracks.h5"
+    refused(train_force, [fits / "trial0.tracks.h5", frames], FIT, "different sensors", tmp_path)
+    only = EvaluateForce(model=str(fits / "frames.force-model.h5"))
     refused(evaluate_force, [events], only, "no model of dots tracked in events", tmp_path)
-    run(train_force, [made / "trial0.tracks.h5", made / "trial1.tracks.h5"], FIT, tmp_path / "other.force-model.h5")
-    (tmp_path / "events.force-model.h5").write_bytes((made / "events.force-model.h5").read_bytes())
+    run_valid(
+        train_force,
+        [fits / "trial0.tracks.h5", fits / "trial1.tracks.h5"],
+        FIT,
+        tmp_path / "other.force-model.h5",
+    )
+    (tmp_path / "events.force-model.h5").write_bytes((fits / "events.force-model.h5").read_bytes())
     refused(evaluate_force, [events], EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
 
 
-def test_another_grid_is_refused(made: Path, tmp_path: Path) -> None:
+def test_another_grid_is_refused(fits: Path, tmp_path: Path) -> None:
     """Assert that a cut gel's tracks do not fit a closed gel's model, in all three commands."""
-    cut = trial(tmp_path, 8, columns=8)
-    model = made / "events.force-model.h5"
+    cut = tracks_of_shear(tmp_path, 8, columns=8)
+    model = fits / "events.force-model.h5"
     refused(predict_force, [cut], PredictForce(model=model), "another dot grid", tmp_path)
     refused(evaluate_force, [cut], EvaluateForce(model=str(model)), "another dot grid", tmp_path)
-    refused(train_force, [made / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
+    refused(train_force, [fits / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
 
 
-def test_what_cannot_be_answered(made: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_answered(fits: Path, tmp_path: Path) -> None:
     """Assert that too few files, no truth, too short a contact and no model to evaluate are refused in words."""
-    model = str(made / "events.force-model.h5")
-    refused(train_force, [made / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
-    refused(evaluate_force, [made / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
-    refused(evaluate_force, [made / "trial3.tracks.h5"], EvaluateForce(), "no force-model file", tmp_path)
-    real = trial(tmp_path, 9, truth=False)
+    model = str(fits / "events.force-model.h5")
+    refused(train_force, [fits / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
+    refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
+    refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(), "no force-model file", tmp_path)
+    real = tracks_of_shear(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], EvaluateForce(model=model), "has no truth", tmp_path)
     refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "only a simulation", tmp_path)
 
 
-def test_damaged_network_is_refused(made: Path, tmp_path: Path) -> None:
+def test_damaged_network_is_refused(fits: Path, tmp_path: Path) -> None:
     """Assert that a model whose layers do not fit its grid is refused."""
-    path = shutil.copy(made / "events.force-model.h5", tmp_path / "wrong.force-model.h5")
+    path = shutil.copy(fits / "events.force-model.h5", tmp_path / "wrong.force-model.h5")
     with h5py.File(path, "r+") as h5:
         h5["dot_shape"][...] = [7, 8]
-    refused(predict_force, [made / "trial3.tracks.h5"], PredictForce(model=path), "0/weight is impossible", tmp_path)
+    refused(
+        predict_force,
+        [fits / "trial3.tracks.h5"],
+        PredictForce(model=path),
+        "0/weight is impossible",
+        tmp_path,
+    )

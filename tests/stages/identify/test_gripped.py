@@ -20,6 +20,7 @@ from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
 from evetac_cli.stages.identify.gripped import Gripped, Weight
 from evetac_cli.stages.identify.gripper_rows import Known
 from evetac_cli.store.read import open_recording
+from tests.make import run_stage
 
 LIKE = one_sensor("evetac")
 MIDDLE = 0.36 * (0.36 / 0.35) ** gripper_rows.SLIP_PART  # of the friction in `gripped_whole`, as half of 1 kg is held
@@ -231,19 +232,18 @@ def grip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     coarse = scene_file.changed("grip-steps", {"solver": {"node_pitch_mm": 1.45}, "gripper": faults})
     (folder / "grip-steps.toml").write_text(coarse)
     chosen = Record(scene=str(folder / "grip-steps.toml"), sensor="realistic", objects="18", seed=3)
-    (job,) = record.jobs([], chosen, folder / "grip.recording.h5")
-    record.run(job, chosen)
-    return job.output
+    return run_stage(record, [], chosen, folder / "grip.recording.h5")[0]
 
 
 @pytest.mark.slow
 def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
     """Assert that the truth of a simulated sensor is within the intervals, and that its file simulates."""
     by_goals = Grasp(controller="fixed:6", lift_s=2.0, balance_s=0.0, sensor="realistic")
-    (grasped,) = grasp.jobs([], by_goals, tmp_path / "grasp.recording.h5")
-    grasp.run(grasped, by_goals, force=False, progress=lambda done, of: None)
+    output, _ = run_stage(
+        grasp, [], by_goals, tmp_path / "grasp.recording.h5", force=False, progress=lambda done, of: None
+    )
     asked = Identify(object_mass_g=550.0, pixel_mm=0.0329, force_per_current=0.4)
-    (job,) = identify.jobs([grip, grasped.output], asked, tmp_path)
+    (job,) = identify.jobs([grip, output], asked, tmp_path)
     by_name = {row["parameter"]: row for row in identify.run(job, asked).rows}
     truth = {
         "gripper: gear friction": 3.87 / 0.4,
@@ -296,9 +296,8 @@ def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
     """Assert that one without rows of a gripper tells nothing of it."""
     (tmp_path / "rest.toml").write_text(scene_file.changed("rest", {"time": {"rest_s": 0.1}}))
     chosen = Record(scene=str(tmp_path / "rest.toml"))
-    (job,) = record.jobs([], chosen, tmp_path / "rest.recording.h5")
-    record.run(job, chosen)
-    with open_recording(job.output) as recording:
+    output, _ = run_stage(record, [], chosen, tmp_path / "rest.recording.h5")
+    with open_recording(output) as recording:
         assert gripped.find(recording, 0.0329, np.random.default_rng(0)) is None
 
 

@@ -22,6 +22,7 @@ from evetac_cli.stages import identify, record, trim
 from evetac_cli.stages.identify.sensor_text import Entry
 from evetac_cli.store.read import open_recording
 from tests.conftest import DATA
+from tests.make import run_stage
 
 TRUE_RATIO = 1.61 / 0.2  # of the sensor evetac
 NOISE = DATA / "dvxplorer_static_noise.aedat4"
@@ -30,9 +31,7 @@ HALF_MS = 1350
 
 def recorded(folder: Path, sensor: str = "evetac", seed: int = 0, name: str = "rest") -> Path:
     chosen = Record(scene="rest", sensor=sensor, seed=seed)
-    (job,) = record.jobs([], chosen, folder / f"{name}.recording.h5")
-    record.run(job, chosen)
-    return job.output
+    return run_stage(record, [], chosen, folder / f"{name}.recording.h5")[0]
 
 
 def identified(files: list[Path], out: Path, **chosen: str) -> tuple[dict[str, dict], Path]:
@@ -96,8 +95,7 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
     """Assert that a recording without a rest says for each figure which recording it takes, and names no value."""
     short = tmp_path / "short.recording.h5"
     asked = Trim(to_ms=300)
-    (job,) = trim.jobs([resting], asked, short)
-    trim.run(job, asked)
+    run_stage(trim, [resting], asked, short)
     rows, path = identified([short], tmp_path / "none.sensor.toml")
     assert all(row["estimate"] is None and "cannot be told" in row["from"] for row in rows.values())
     assert "make one of 3 s" in rows["noise_hz"]["from"]
@@ -165,8 +163,7 @@ def test_what_no_recording_told(resting: Path, tmp_path: Path) -> None:
     """Assert that recordings from which nothing is taken are named, as the shorter of two rests."""
     short = tmp_path / "short.recording.h5"
     asked = Trim(to_ms=1000)
-    (job,) = trim.jobs([resting], asked, short)
-    trim.run(job, asked)
+    run_stage(trim, [resting], asked, short)
     (made,) = identify.jobs([short, resting], Identify(), tmp_path / "both.sensor.toml")
     assert identify.run(made, Identify()).summary["nothing_is_taken_from"] == "short.recording.h5"
     (made,) = identify.jobs([resting], Identify(), tmp_path / "one.sensor.toml")
@@ -203,12 +200,11 @@ def test_a_real_camera_at_rest(tmp_path: Path) -> None:
     hot pixel, and between two of one polarity. Simulated with seed 10,000, which chose nothing.
     """
     asked = Record(source=NOISE)
-    (job,) = record.jobs([], asked, tmp_path / "noise.recording.h5")
-    record.run(job, asked)
+    output, _ = run_stage(record, [], asked, tmp_path / "noise.recording.h5")
     halves = []
     for number in range(2):
         cut = Trim(from_ms=number * HALF_MS, to_ms=(number + 1) * HALF_MS)
-        (part,) = trim.jobs([job.output], cut, tmp_path / f"half{number}.recording.h5")
+        (part,) = trim.jobs([output], cut, tmp_path / f"half{number}.recording.h5")
         trim.run(part, cut)
         halves.append(part.output)
     _, sensor = identified(halves[:1], tmp_path / "dvxplorer.sensor.toml", name="dvxplorer")
@@ -233,9 +229,8 @@ def test_a_press_scene_rests_before_it_presses(tmp_path: Path) -> None:
     touch = {"normal_n": 2.0, "shear_n": 1.0, "move_s": [0.2, 0.2]}
     (tmp_path / "touch.toml").write_text(scene_file.changed("rest", {"time": {"rest_s": 0.6}, "motion": touch}))
     chosen = Record(scene=str(tmp_path / "touch.toml"), sensor="bare-dvxplorer")
-    (job,) = record.jobs([], chosen, tmp_path / "touch.recording.h5")
-    record.run(job, chosen)
-    rows, _ = identified([job.output], tmp_path)
+    output, _ = run_stage(record, [], chosen, tmp_path / "touch.recording.h5")
+    rows, _ = identified([output], tmp_path)
     assert rows["noise_hz"]["low"] <= 0.1036 <= rows["noise_hz"]["high"]
 
 
@@ -247,9 +242,7 @@ def stroked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stroked")
     (folder / "press.toml").write_text(faster)
     chosen = Record(scene=str(folder / "press.toml"), seed=3)
-    (job,) = record.jobs([], chosen, folder / "press.recording.h5")
-    record.run(job, chosen)
-    return job.output
+    return run_stage(record, [], chosen, folder / "press.recording.h5")[0]
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from evetac_cli.stages import train
 from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.files import StageFile
 from tests.conftest import Made
+from tests.make import run_stage
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of tensorboard's own imports
 
@@ -43,11 +44,10 @@ def test_a_training_is_logged(made: Made, tmp_path: Path) -> None:
     """Assert that the log has the model's loss curve and scores, and that the model is the same as without one."""
     features = [made.beside(path, "features") for path in made.recordings]
     chosen = Train(epochs=30, max_steps=60, preset="adam", validate=str(features[-1]), patience=100, log="tensorboard")
-    (job,) = train.jobs(features, chosen, tmp_path / "a.model.h5")
-    train.run(job, chosen)
+    output, _ = run_stage(train, features, chosen, tmp_path / "a.model.h5")
     log = tmp_path / "a.model.log"
     losses = scalars(log / "network1")
-    with StageFile(job.output) as model, StageFile(made.model) as other:
+    with StageFile(output) as model, StageFile(made.model) as other:
         curve = losses["loss/training (simulated)"]
         assert [one.step for one in curve] == model.read("curve/step").tolist()
         stored = model.read("curve/loss").tolist()

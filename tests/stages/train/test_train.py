@@ -11,7 +11,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
@@ -20,6 +20,7 @@ from evetac_cli.stages import slip_detectors, splits, train
 from evetac_cli.stages.train import networks
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import run_stage
 
 SLICES, ONSET = 170, 130
 NETWORKS = 4  # of the model of the package
@@ -68,10 +69,6 @@ def small(**values: Any) -> Train:
     return Train(**({"epochs": 1000, "max_steps": 120, "preset": "adam"} | values))
 
 
-def run(job: Job, params: Train, progress: Progress = silent) -> Outcome:
-    return train.run(job, params, progress=progress)
-
-
 def contents(path: Path) -> dict[str, bytes]:
     with StageFile(path, "model") as file:
         return {name: np.asarray(file.read(name)).tobytes() for name in file.contents()} | {
@@ -93,11 +90,10 @@ def test_one_file_a_seed(trials: list[Path], tmp_path: Path) -> None:
 def test_a_seed_alone_is_that_seed_among_many(trials: list[Path], tmp_path: Path) -> None:
     """Assert that the second of two seeds gives, alone, the same file, and another than the first."""
     for job in train.jobs(trials, small(seeds=2), tmp_path):
-        run(job, small(seeds=2))
-    (alone,) = train.jobs(trials, small(seed=1), tmp_path)
-    run(alone, small(seed=1))
+        train.run(job, small(seeds=2))
+    output, _ = run_stage(train, trials, small(seed=1), tmp_path)
     first, second = (contents(tmp_path / f"hist10-s{seed}.model.h5") for seed in (0, 1))
-    assert contents(alone.output) == second
+    assert contents(output) == second
     assert first["weights/fc3.weight"] != second["weights/fc3.weight"]
 
 
@@ -110,14 +106,15 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
 
     monkeypatch.setattr(networks, "SAVE_S", 0.0)
     with pytest.raises(KeyboardInterrupt):
-        run(job, params, stop)
+        train.run(job, params, progress=stop)
 
 
 def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path) -> None:
     """Assert that progress begins with the files, and then counts steps up to the last."""
     reports: list[tuple[float, float, str]] = []
-    (job,) = train.jobs(trials, small(), tmp_path)
-    run(job, small(), lambda done, total, doing="": reports.append((done, total, doing)))
+    run_stage(
+        train, trials, small(), tmp_path, progress=lambda done, total, doing="": reports.append((done, total, doing))
+    )
     phases = list(dict.fromkeys(doing for _, _, doing in reports))
     assert phases == ["files looked at", "loading torch", "files read", "", "files judged"]
     assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
@@ -142,14 +139,13 @@ def test_it_goes_on_after_an_interruption(
 ) -> None:
     """Assert that a run broken off at step 100 goes on from 50, ends in the same file, and leaves nothing else."""
     params = small(preset=preset)
-    (whole,) = train.jobs(trials, params, tmp_path / "whole")
-    run(whole, params)
+    output, _ = run_stage(train, trials, params, tmp_path / "whole")
     (job,) = train.jobs(trials, params, tmp_path / "broken")
     interrupted(job, params, monkeypatch)
     assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.part"]
-    (row,) = run(job, params).rows
+    (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] == 50
-    assert contents(job.output) == contents(whole.output)
+    assert contents(job.output) == contents(output)
     assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
 
 
@@ -160,18 +156,18 @@ def test_it_does_not_go_on_from_another_run(
     """Assert that what another recipe left, or a damaged rest, is not used."""
     (job,) = train.jobs(trials, small(), tmp_path)
     interrupted(job, small(), monkeypatch)
-    (row,) = run(job, small(seed=0, max_steps=110)).rows
+    (row,) = train.run(job, small(seed=0, max_steps=110)).rows
     assert row["resumed_at_step"] is None
     job.output.unlink()
     (tmp_path / "hist10.model.part").write_bytes(b"PK\x03\x04 nonsense")
-    (row,) = run(job, small()).rows
+    (row,) = train.run(job, small()).rows
     assert row["resumed_at_step"] is None
 
 
 def test_a_cut_run_says_so(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a run ended by --max-steps says how many steps it took of how many, with curve and checkpoints."""
     (job,) = train.jobs(trials, small(), tmp_path)
-    (row,) = run(job, small()).rows
+    (row,) = train.run(job, small()).rows
     assert row["stopped_early"]
     assert row["steps"] == 120 < row["steps_of_all_epochs"]
     with StageFile(job.output, "model") as model:
@@ -183,10 +179,9 @@ def test_a_cut_run_says_so(trials: list[Path], tmp_path: Path) -> None:
 
 def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path) -> None:
     """Assert that the graphs of the last checkpoints run, and that the chosen one is the model's."""
-    (job,) = train.jobs(trials, small(), tmp_path)
-    run(job, small())
+    output, _ = run_stage(train, trials, small(), tmp_path)
     inputs = np.random.default_rng(0).random((1, 56, 20), np.float32)
-    with StageFile(job.output, "model") as model:
+    with StageFile(output, "model") as model:
         graphs = [graph.tobytes() for graph in model.read("checkpoint/onnx")]
         assert graphs[int(model.read("checkpoint/chosen"))] == model.read("onnx").tobytes()
     probabilities = {float(Detector(graph, ARCHITECTURES["hist10"]).probability(inputs)[0]) for graph in graphs}
@@ -196,8 +191,7 @@ def test_every_kept_checkpoint_has_its_graph(trials: list[Path], tmp_path: Path)
 @pytest.mark.slow
 def test_a_model_needs_neither_torch_nor_pickle(trials: list[Path], tmp_path: Path) -> None:
     """Assert that a model file is run where torch cannot be imported, and opened where pickle does not work."""
-    (job,) = train.jobs(trials, small(), tmp_path)
-    run(job, small())
+    output, _ = run_stage(train, trials, small(), tmp_path)
     code = f"""
 import pickle, sys
 sys.modules["torch"] = None
@@ -206,7 +200,7 @@ from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 loads = pickle.load, pickle.loads, pickle.Unpickler
 pickle.load = pickle.loads = pickle.Unpickler = None
-with StageFile({str(job.output)!r}, "model") as model:
+with StageFile({str(output)!r}, "model") as model:
     detector = load_detector(model)
 pickle.load, pickle.loads, pickle.Unpickler = loads  # numba needs them for what it compiled
 print(float(detector.probability(np.zeros((1, 56, 20), np.float32))[0]))
@@ -221,7 +215,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
     for horizon_ms in (0, 10):
         params = small(horizon_ms=horizon_ms, model="no-hist")
         (job,) = train.jobs(trials, params, tmp_path)
-        (row,) = run(job, params).rows
+        (row,) = train.run(job, params).rows
         assert row["horizon_ms"] == horizon_ms
         with StageFile(job.output, "model") as model:
             assert slip_detectors.read_horizon_ms(model) == horizon_ms
@@ -238,9 +232,8 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
 def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that predictions are those of the whole trajectory, from the first slice that is labelled."""
     params = small(model=model, max_steps=2)
-    (job,) = train.jobs(trials, params, tmp_path)
-    run(job, params)
-    with StageFile(job.output, "model") as file:
+    output, _ = run_stage(train, trials, params, tmp_path)
+    with StageFile(output, "model") as file:
         detector = slip_detectors.load_detector(file)
     trajectory = slip_detectors.read_trajectory(trials[0], detector.architecture)
     whole = detector.over(trajectory.series)
@@ -260,11 +253,11 @@ def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path
     truth = [features_file(tmp_path, number, method="truth") for number in (10, 11)]
     params = small(max_steps=5, validate=str(trials[0]))
     (job,) = train.jobs(truth, params, tmp_path)
-    (row,) = run(job, params).rows
+    (row,) = train.run(job, params).rows
     assert row["labels"] == "truth"
     (job,) = train.jobs([*truth, trials[1]], params, tmp_path / "mixed")
     with pytest.raises(InputError, match="labelled by different methods") as refused:
-        run(job, params)
+        train.run(job, params)
     assert trials[1].name in str(refused.value)
 
 
@@ -302,9 +295,9 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     """Assert that folds leave the network as it is, judge all trials, and go on after an interruption."""
     params = small(folds=2)
     unfolded, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("plain", "folds"))
-    run(unfolded, small())
+    train.run(unfolded, small())
     seen: list[tuple[Any, ...]] = []
-    (row,) = run(job, params, lambda *at: seen.append(at)).rows
+    (row,) = train.run(job, params, progress=lambda *at: seen.append(at)).rows
     assert (row["folds"], row["validated_on"]) == (2, 4)
     steps = [at for at in seen if len(at) == 2]  # others say what else is being done
     assert steps == sorted(steps)
@@ -317,7 +310,7 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     interrupted(again, params, monkeypatch, at=220)
     left = sorted(path.name for path in again.output.parent.iterdir())
     assert left == ["hist10.model.network1.part", "hist10.model.network2.part"]
-    run(again, params)
+    train.run(again, params)
     assert contents(again.output) == folded
     assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
 
@@ -326,13 +319,13 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
 def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> None:
     """Assert that the recipe says patience where it is given alone, and that it is refused where it means nothing."""
     (job,) = train.jobs(trials, small(), tmp_path)
-    run(job, small())
+    train.run(job, small())
     with StageFile(job.output) as file:
         assert "patience" not in file.header["parameters"]
     with pytest.raises(InputError, match=r"(?s)another recipe.*patience"):
-        run(job, small(patience=100))
+        train.run(job, small(patience=100))
     (patient,) = train.jobs(trials, small(patience=100), tmp_path / "patient")
-    (row,) = run(patient, small(patience=100)).rows
+    (row,) = train.run(patient, small(patience=100)).rows
     assert row["steps"] == 120
     with StageFile(patient.output) as file:
         assert file.header["parameters"]["patience"] == 100
@@ -348,19 +341,19 @@ def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, mon
     """Assert that the networks of a model, each trained as a job, make the file that one job makes; none is redone."""
     params = small(folds=2, max_steps=60)
     whole, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("whole", "parts"))
-    run(whole, params)
+    train.run(whole, params)
     assert train.parts(job, small()) == []
     parts = train.parts(job, params)
     assert len({part.output for part in parts}) == 3
     for part in reversed(parts):
-        assert run(part, params).rows == []
+        assert train.run(part, params).rows == []
         assert part.output.exists()
     monkeypatch.setattr(networks.sampling, "gather", None)  # nothing is trained any more
-    (row,) = run(job, params).rows
+    (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] is None
     assert contents(job.output) == contents(whole.output)
     assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
-    assert not run(parts[0], params).made
+    assert not train.run(parts[0], params).made
 
 
 @pytest.mark.slow
@@ -370,8 +363,8 @@ def test_several_networks_decide_by_the_mean_of_their_logits(
     """Assert that of three networks the last is that of one alone, others differ, and their logits' mean decides."""
     params = small(networks=3)
     alone, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("alone", "three"))
-    run(alone, small())
-    (row,) = run(job, params).rows
+    train.run(alone, small())
+    (row,) = train.run(job, params).rows
     assert row["networks"] == 3
     with StageFile(alone.output) as one, StageFile(job.output) as three:
         weights = parted(slip_detectors.read_weights(three))
@@ -392,7 +385,7 @@ def test_several_networks_decide_by_the_mean_of_their_logits(
 
     (again,) = train.jobs(trials, params, tmp_path / "again")
     interrupted(again, params, monkeypatch, at=220)
-    run(again, params)
+    train.run(again, params)
     assert contents(again.output) == contents(job.output)
     assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
 
@@ -402,7 +395,7 @@ def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) 
     again = features_file(tmp_path, 1, method="truth")
     (job,) = train.jobs(trials, small(validate=str(again)), tmp_path)
     with pytest.raises(InputError, match="both trained on and validated on") as refused:
-        run(job, small())
+        train.run(job, small())
     assert str(again) in str(refused.value)
 
 
@@ -411,9 +404,8 @@ def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) 
 def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model: str) -> None:
     """Assert that models of images and of directions train from features that have these."""
     params = small(model=model, max_steps=3)
-    (job,) = train.jobs(trials, params, tmp_path)
-    run(job, params)
-    with StageFile(job.output, "model") as file:
+    output, _ = run_stage(train, trials, params, tmp_path)
+    with StageFile(output, "model") as file:
         assert slip_detectors.load_detector(file).architecture == ARCHITECTURES[model]
 
 
@@ -430,7 +422,7 @@ def test_missing_features_are_named(tmp_path: Path, model: str, leave: tuple[str
     files = [features_file(tmp_path, number, leave=leave) for number in (20, 21)]
     (job,) = train.jobs(files, small(model=model), tmp_path)
     with pytest.raises(InputError) as refused:
-        run(job, small(model=model))
+        train.run(job, small(model=model))
     assert hint in str(refused.value)
 
 
@@ -443,7 +435,7 @@ def test_a_gpu_that_is_not_there_is_refused(
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     (job,) = train.jobs(trials, small(device="cuda"), tmp_path)
     with pytest.raises(InputError, match="torch finds no GPU"):
-        run(job, small(device="cuda"))
+        train.run(job, small(device="cuda"))
 
 
 def test_flags_name_every_model_and_recipe() -> None:
@@ -457,13 +449,12 @@ def test_flags_name_every_model_and_recipe() -> None:
 
 def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
     """Assert that --adapt goes on from a model's weights, with its normalisation, architecture and horizon."""
-    (job,) = train.jobs(trials[2:], small(model="fast-slow", horizon_ms=10), tmp_path)
-    run(job, small(model="fast-slow", horizon_ms=10))
-    adapt = Train(adapt=str(job.output), max_steps=30)
+    output, _ = run_stage(train, trials[2:], small(model="fast-slow", horizon_ms=10), tmp_path)
+    adapt = Train(adapt=str(output), max_steps=30)
     (own,) = train.jobs(trials[:2], adapt, tmp_path / "own.model.h5")
-    row = run(own, adapt).rows[0]
+    row = train.run(own, adapt).rows[0]
     assert (row["model"], row["preset"], row["horizon_ms"], row["steps"]) == ("fast-slow", "adapt", 10, 30)
-    with StageFile(job.output, "model") as before, StageFile(own.output, "model") as after:
+    with StageFile(output, "model") as before, StageFile(own.output, "model") as after:
         assert before.header["id"] in after.header["history"]
         for name in (name for name in before.contents() if name.startswith("weights/")):
             moved = np.abs(after.read(name) - before.read(name)).max()
@@ -471,7 +462,7 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
     assert train.jobs(trials[:2], replace(adapt, adapt="shipped"), None)[0].output.name.endswith("10ms.model.h5")
     (known,) = train.jobs(trials[2:], adapt, tmp_path / "known.model.h5")
     with pytest.raises(InputError, match="validated on"):  # the model to adapt knows what would judge it
-        run(known, adapt)
+        train.run(known, adapt)
 
 
 @pytest.mark.parametrize(

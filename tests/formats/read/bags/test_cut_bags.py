@@ -83,7 +83,7 @@ def ends(path: Path) -> list[tuple[int, int]]:
     return [(at + size, count) for (at, size), count in zip(places, np.cumsum(counts).tolist(), strict=True)]
 
 
-def made(folder: Path, kind: str) -> Path:
+def whole_bag(folder: Path, kind: str) -> Path:
     """A whole bag of a kind."""
     name, _, packing = kind.partition(" ")
     if name == "ros1":
@@ -97,7 +97,7 @@ KINDS = [*(f"ros1 {packing}" for packing in PACKINGS), *(f"mcap {packing}" for p
 @pytest.mark.parametrize("kind", few(KINDS, "ros1 none", "ros1 bz2", "mcap ZSTD"))
 def test_whole_chunks_of_a_cut_bag_come(kind: str, tmp_path: Path) -> None:
     """Assert that every message of each chunk that ends before the cut comes, no other, and that the loss is said."""
-    whole = made(tmp_path, kind)
+    whole = whole_bag(tmp_path, kind)
     data, chunks = whole.read_bytes(), ends(whole)
     assert len(chunks) > 5
     assert event_rows(read_events(whole)) == ROWS
@@ -133,7 +133,7 @@ def test_the_bytes_that_are_lost_are_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["ros1 none", "mcap ZSTD"])
 def test_streams_of_a_cut_bag_come(kind: str, tmp_path: Path) -> None:
     """Assert that attach reads the whole chunks of a bag, too, and says what is lost."""
-    whole = made(tmp_path, kind)
+    whole = whole_bag(tmp_path, kind)
     path = tmp_path / f"cut{whole.suffix}"
     path.write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
     stream, notes = read_stream(f"{path}:/n", "n")
@@ -235,7 +235,7 @@ def test_chunks_of_one_time_do_not_all_wait(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("kind", ["mcap ZSTD", "mcap NONE", "ros1 lz4"])
 def test_a_damaged_chunk_costs_its_messages(kind: str, tmp_path: Path) -> None:
     """Assert that the chunks around a damaged one come, and that a note tells of it."""
-    whole = made(tmp_path, kind)
+    whole = whole_bag(tmp_path, kind)
     chunks = ends(whole)
     data = bytearray(whole.read_bytes())
     data[chunks[4][0] - 40 : chunks[4][0] - 20] = bytes(20)
@@ -249,7 +249,7 @@ def test_a_damaged_chunk_costs_its_messages(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["mcap ZSTD", "ros1 none"])
 def test_the_index_leads_past_a_damage(kind: str, tmp_path: Path) -> None:
     """Assert that what lies behind a record that is destroyed comes, where the file's own index knows where that is."""
-    whole = made(tmp_path, kind)
+    whole = whole_bag(tmp_path, kind)
     chunks = ends(whole)
     data = bytearray(whole.read_bytes())
     data[chunks[3][0] : chunks[3][0] + 12] = b"\xff" * 12
@@ -262,7 +262,7 @@ def test_the_index_leads_past_a_damage(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["mcap ZSTD", "ros1 none"])
 def test_an_index_that_leads_out_of_the_file(kind: str, tmp_path: Path) -> None:
     """Assert that a place behind the end of the file is none: behind a damage, the bag counts as cut short."""
-    whole = made(tmp_path, kind)
+    whole = whole_bag(tmp_path, kind)
     at = ends(whole)[3][0]
     data = bytearray(whole.read_bytes())
     with whole.open("rb") as file:

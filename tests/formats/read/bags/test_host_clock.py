@@ -13,6 +13,7 @@ from evetac_cli.params.recording import Attach, Record
 from evetac_cli.stages import attach, record
 from evetac_cli.store.read import open_recording
 from tests.formats.read.bags.bag_writing import ENCODERS, START_S, Types, Write, drawn
+from tests.make import run_stage
 
 HOST_US = 1_700_000_123_456_789  # what the host's clock says when the sensor's is 0
 BEGIN_US = 5_000_000  # of the events, on the sensor's clock
@@ -186,8 +187,7 @@ def trial(write: Write, tmp_path: Path) -> tuple[Path, Path]:
     path = write("mcap", types, {"/e": packets(types, events_of(1)), "/pose": poses})
     out = tmp_path / "a.recording.h5"
     params = Record(source=path)
-    (job,) = record.jobs([], params, out)
-    record.run(job, params)
+    run_stage(record, [], params, out)
     return path, out
 
 
@@ -229,8 +229,7 @@ def test_another_recording_does_not_count(trial: tuple[Path, Path], write: Write
     other = write("mcap", types, {"/e": packets(types, events, host_us=0)}, "other")
     out = tmp_path / "b.recording.h5"
     params = Record(source=other)
-    (job,) = record.jobs([], params, out)
-    record.run(job, params)
+    run_stage(record, [], params, out)
     with open_recording(out) as file:
         zero_us = int(file.read("t_offset"))
     t_us, row = attached(out, f"{path}:/pose")

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,22 +21,22 @@ from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
+from tests.sim.camera import small_frames
+from tests.sim.camera.small_frames import (
+    FRAME,
+    QUIET,
+    STILL,
+    STRIP,
+    TEXTURE,
+    Path,
+    before_window,
+    crowd,
+    line,
+    slide,
+    waits_us,
+)
 
 pytestmark = pytest.mark.slow  # a minute of processor time
-
-Path = Callable[[float], NDArray[np.float64]]
-
-FRAME = (100, 80)
-QUIET = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0)
-STILL = (0.0, 0.0)
-STRIP = (70, 10, 100, 60)
-TEXTURE = optics.texture(np.random.default_rng(3), (128, 128), 10.0, 0.3)
-
-
-def start(dots: Any, model: CameraModel = QUIET, *, seed: int = 0, **more: Any) -> IdealState:
-    rng = np.random.default_rng(seed)
-    window, texture = more.pop("window", None), more.pop("texture", None)
-    return ideal.start(model, dots, None, window, texture, rng, **more)
 
 
 def on_gel(model: CameraModel, reference: float) -> IdealState:
@@ -46,19 +47,12 @@ def on_gel(model: CameraModel, reference: float) -> IdealState:
     return ideal.from_references(shared)
 
 
-def play(state: IdealState, path: Path, slices: int, *, pieces: int = 1, seed: int = 1) -> Events:
+start = partial(small_frames.start, ideal)
+
+
+def play(state: IdealState, path: Path, slices: int, *, pieces: int = 1) -> Events:
     """Dots that follow a path over time in ms, cut into straight pieces."""
-    rng = np.random.default_rng(seed)
-    parts = []
-    for k in range(slices):
-        cut = np.array([path(k + piece / pieces) for piece in range(pieces + 1)])
-        parts.append(ideal.step(state, cut[0], cut[-1], STILL, STILL, 0.0, 1000 * k, rng, cut))
-    return concatenate(parts)
-
-
-def line(xy: Any, velocity: Any) -> Path:
-    """Dots on straight lines, velocity in px/ms."""
-    return lambda t_ms: np.atleast_2d(xy) + np.asarray(velocity) * t_ms
+    return concatenate(small_frames.play(ideal, state, path, slices, pieces=pieces))
 
 
 def radii(model: CameraModel, levels: NDArray[Any]) -> NDArray[np.float64]:
@@ -129,18 +123,6 @@ def shaken(amplitude: float, frequency_hz: float, xy: Any = ((40.3, 40.6),)) -> 
     """A tone, in a direction that is not an axis."""
     return lambda t_ms: (
         np.atleast_2d(xy) + np.array([0.8, 0.6]) * amplitude * math.sin(2e-3 * math.pi * frequency_hz * t_ms)
-    )
-
-
-def crowd(t_ms: float) -> NDArray[np.float64]:
-    """Three dots that overlap: one shakes, one circles through it, one rests in the way."""
-    turn = 2 * math.pi * t_ms / 12
-    return np.array(
-        [
-            [40 + 4 * math.sin(2 * math.pi * t_ms / 7.3), 40.0 + 0.4 * t_ms],
-            [50 + 9 * math.cos(turn), 40 + 9 * math.sin(turn)],
-            [62.2, 47.7],
-        ]
     )
 
 
@@ -272,41 +254,12 @@ def test_same_sensor_as_the_scanning_camera() -> None:
     assert columns_equal(noise, concatenate(scanned))
 
 
-def test_deterministic() -> None:
-    """Assert that equal generator states give equal recordings, bit for bit, and another seed another one."""
-    noisy = dataclasses.replace(QUIET, noise_rate_hz=20.0, hot_pixels=3)
-    runs = [play(start(crowd(0), noisy, seed=s), crowd, 4, pieces=8, seed=s) for s in (1, 1, 2)]
-    assert columns_equal(runs[0], runs[1])
-    assert not columns_equal(runs[0], runs[2])
-
-
-def test_pieces_of_a_straight_path() -> None:
-    """Assert that a straight path cut into more pieces gives the same events, within the microsecond of rounding."""
-    path = line([[20.2, 40.7], [60.1, 30.3]], (1.3, 0.4))
-    whole, cut = (fine(play(start(path(0)), path, 12, pieces=pieces)) for pieces in (1, 7))
-    assert whole.t.size == cut.t.size > 3000
-    assert match(whole, cut, 1.0).f1 == 1.0
-
-
-def test_events_of_a_slice() -> None:
-    """Assert dtypes, order, times within the slice, and several threshold steps of a pixel in one slice."""
-    t0_us = 7_000_000_000_000
+def test_several_thresholds_in_a_slice() -> None:
+    """Assert several threshold steps of a pixel in one slice, and that its end is seen."""
     state = start([[40.0, 40.0]])
-    events = ideal.step(state, [[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0, t0_us, np.random.default_rng(0))
-    assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
-    assert (np.diff(events.t) >= 0).all()
-    assert t0_us <= events.t.min() < events.t.max() < t0_us + 1000
+    events = ideal.step(state, [[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0, 0, np.random.default_rng(0))
     assert np.unique(events.y.astype(int) * 100 + events.x, return_counts=True)[1].max() >= 7
     np.testing.assert_array_equal(state.shared.seen_dot_xy_px, [[48.0, 44.0]])
-
-
-def test_still_scene_is_silent() -> None:
-    """Assert that nothing happens where nothing moves."""
-    state = start([[30.0, 30.0], [70.0, 50.0]], window=STRIP, texture=TEXTURE)
-    rng = np.random.default_rng(4)
-    xy = [[30.0, 30.0], [70.0, 50.0]]
-    for k in range(20):
-        assert ideal.step(state, xy, xy, STILL, STILL, 1.0, 1000 * k, rng).size == 0
 
 
 def test_jump_between_slices() -> None:
@@ -334,22 +287,6 @@ def test_bare_gel_is_never_quite_reached() -> None:
     assert darker - brighter == passed.size
 
 
-def test_polarity_tells_the_direction() -> None:
-    """Assert that the leading edge darkens, the trailing edge brightens, and references end within a threshold."""
-    result = play(state := start([[40.0, 40.0]]), line([[40.0, 40.0]], (0.5, 0.0)), 20)
-    assert (result.p[result.x > 50] == 0).all()
-    assert (result.p[result.x < 40] == 1).all()
-    level = optics.gel_level(FRAME, np.array([[50.0, 40.0]]), state.shared.profile)
-    assert (np.abs(level - state.shared.reference) <= state.shared.threshold * (1 + 1e-4)).all()
-
-
-def test_dots_do_not_show_in_the_window() -> None:
-    """Assert that a dot that moves into the window makes events up to its edge only."""
-    result = play(start([[60.0, 40.0]], window=STRIP, texture=None), line([60.0, 40.0], (0.5, 0.0)), 20)
-    assert not ((result.x >= STRIP[0]) & (result.y >= STRIP[1]) & (result.y < STRIP[3])).any()
-    assert result.size > 1000
-
-
 def window_truth(state: IdealState, velocity: NDArray[np.float64], slices: int, steps_per_ms: int) -> FineEvents:
     """Every pixel of the strip sampled finely, linear between samples."""
     x0, y0, x1, y1 = STRIP
@@ -375,13 +312,9 @@ def window_truth(state: IdealState, velocity: NDArray[np.float64], slices: int, 
 @pytest.mark.parametrize("velocity", [(1.3, -0.7), (-0.4, 0.0), (4.1, 2.2)])
 def test_window_against_fine_samples(velocity: tuple[float, float]) -> None:
     """Assert the events of a sliding texture sampled 500 times a millisecond: all of them, within 2 us."""
-    state = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
-    speed = np.array(velocity)
-    truth = window_truth(state, speed, 10, 500)
-    rng = np.random.default_rng(1)
-    still = [[30.0, 30.0]]
-    parts = [ideal.step(state, still, still, k * speed, (k + 1) * speed, 1.0, 1000 * k, rng) for k in range(10)]
-    agreement = match(fine(concatenate(parts)), truth, 2.0)
+    state = before_window(ideal)
+    truth = window_truth(state, np.array(velocity), 10, 500)
+    agreement = match(fine(concatenate(slide(ideal, state, velocity, 10))), truth, 2.0)
     assert truth.t.size > 100
     assert agreement.count_share == pytest.approx(0.0, abs=2e-3)
     assert agreement.f1 >= 0.99
@@ -389,8 +322,7 @@ def test_window_against_fine_samples(velocity: tuple[float, float]) -> None:
 
 def test_contrast_of_the_window() -> None:
     """Assert that an object that fades fires at the start of the slice, and out of sight slides unseen."""
-    state = start([[30.0, 30.0]], window=STRIP, texture=TEXTURE)
-    rng = np.random.default_rng(1)
+    state, rng = before_window(ideal), np.random.default_rng(1)
     still = [[30.0, 30.0]]
     sizes = []
     for k, contrast in enumerate((1.0, 0.2, 0.2, 0.0, 0.0, 1.0)):
@@ -412,7 +344,8 @@ def test_refractory_time(refractory_us: float) -> None:
     state = start(path(0), dataclasses.replace(QUIET, refractory_us=refractory_us))
     reference = state.shared.reference.astype(float)
     threshold = state.shared.threshold.astype(float)
-    result = fine(play(state, path, 12))
+    events = play(state, path, 12)
+    result = fine(events)
     y, x = np.mgrid[: FRAME[1], : FRAME[0]]
     release = np.full(reference.shape, -np.inf)
     rows = []
@@ -434,38 +367,7 @@ def test_refractory_time(refractory_us: float) -> None:
     assert expected.t.size > 500
     assert agreement.count_share == pytest.approx(0.0, abs=5e-3)
     assert agreement.f1 >= 0.98
-    order = np.lexsort((result.t, result.x, result.y))
-    same = np.diff(result.y[order] * 1000 + result.x[order]) == 0
-    assert np.diff(result.t[order])[same].min() >= refractory_us - 1.0
-
-
-def test_refractory_window() -> None:
-    """Assert that the window's pixels keep the refractory time too, and lose events by it."""
-    sizes = []
-    for refractory_us in (0.0, 1700.0):
-        model = dataclasses.replace(QUIET, refractory_us=refractory_us)
-        state = start([[30.0, 30.0]], model, window=STRIP, texture=TEXTURE)
-        rng = np.random.default_rng(1)
-        still = [[30.0, 30.0]]
-        parts = [ideal.step(state, still, still, (2.0 * k, 0.0), (2.0 * k + 2.0, 0.0), 1.0, 1000 * k, rng)
-                 for k in range(20)]  # fmt: skip
-        result = fine(concatenate(parts))
-        order = np.lexsort((result.t, result.x, result.y))
-        same = np.diff(result.y[order] * 1000 + result.x[order]) == 0
-        assert np.diff(result.t[order])[same].min() >= refractory_us - 1.0
-        sizes.append(result.t.size)
-    assert 300 < sizes[1] < sizes[0]
-
-
-def test_full_slice_drops_and_counts() -> None:
-    """Assert that a slice never exceeds its limit, the loss is counted, and the picture goes on as if nothing was."""
-    path = line([40.0, 40.0], (1.0, 0.0))
-    whole, cut = start(path(0)), start(path(0), dataclasses.replace(QUIET, max_events=300))
-    all_events, stored = play(whole, path, 8), play(cut, path, 8)
-    assert (np.bincount(stored.t // 1000) <= 300).all()
-    assert cut.dropped == all_events.size - stored.size > 0
-    assert whole.dropped == 0
-    np.testing.assert_array_equal(whole.shared.reference, cut.shared.reference)
+    assert waits_us(events).min() >= refractory_us - 1.0
 
 
 def test_a_million_events() -> None:
@@ -511,81 +413,6 @@ def test_tone_of_498_hz_in_1_ms_steps() -> None:
     assert (np.diff(coarse.t) >= 0).all()
 
 
-def test_nothing_to_see() -> None:
-    """Assert that a camera before no dots, and one before dots out of the frame, sees nothing and does not fail."""
-    assert play(start([]), lambda _: np.empty((0, 2)), 3, pieces=4).size == 0
-    assert ideal.step(start([]), [], [], STILL, STILL, 0.0, 0, np.random.default_rng(0)).size == 0
-    assert play(start([[-60.0, 40.0]]), line([-60.0, 40.0], (-3.0, 2.0)), 10).size == 0
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"dot_radius_px": 0.5},
-        {"dot_radius_px": 200.0},
-        {"edge_sigma_px": 0.01},
-        {"edge_sigma_px": 30.0},
-        {"threshold": 0.01, "mismatch": 1.0},
-        {"log_contrast": 20.0},
-        {"frame_px": (1, 1)},
-        {"frame_px": (3, 200)},
-    ],
-)
-def test_extreme_models(change: dict[str, Any]) -> None:
-    """Assert that small, large, sharp and blurred dots and odd frames end within a threshold of what they see."""
-    model = dataclasses.replace(QUIET, **change)
-    path = line([40.0, 40.0], (7.3, -2.1))
-    state = start(path(0), model)
-    events = play(state, path, 6, pieces=3)
-    assert (events.x < model.frame_px[0]).all()
-    assert (np.diff(events.t) >= 0).all()
-    profile = state.shared.profile
-    for y in range(0, model.frame_px[1], 7):
-        for x in range(0, model.frame_px[0], 7):
-            rho = math.hypot(x - path(6)[0, 0], y - path(6)[0, 1])
-            level = optics.level_at(rho, profile.inner_px, profile.steps_per_px, profile.level)
-            step = state.shared.threshold[y, x]
-            # A radius is good to 1e-6 px, which at the sharpest edge of all is a level of 1e-3.
-            assert abs(level - state.shared.reference[y, x]) <= step * (1 + 1e-3) + 1e-3
-
-
-@pytest.mark.parametrize(
-    ("named", "value"),
-    [
-        ("dot_xy_px_start", [[math.nan, 40.0]]),
-        ("dot_xy_px_end", [[40.0, math.inf]]),
-        ("dot_xy_px_end", [[40.0, 2e6]]),
-        ("dot_xy_px_end", [[40.0, 40.0], [50.0, 50.0]]),
-        ("dot_path_px", [[[40.0, 40.0]]]),
-        ("dot_path_px", [[40.0, 40.0], [41.0, 40.0]]),
-        ("dot_path_px", [[[40.0, 40.0]], [[math.nan, 40.0]], [[41.0, 40.0]]]),
-        ("dot_path_px", [[[40.0, 40.0]], [[41.0, 40.5]]]),
-        ("dot_path_px", np.zeros((1002, 1, 2))),
-        ("object_xy_px_start", (math.nan, 0.0)),
-        ("object_xy_px_end", (0.0, 0.0, 0.0)),
-        ("texture_contrast", math.nan),
-        ("texture_contrast", -0.1),
-    ],
-)
-def test_step_refuses(named: str, value: Any) -> None:
-    """Assert that a value that is not finite or of the wrong shape is named, and the camera is as it was before."""
-    good: dict[str, Any] = {
-        "dot_xy_px_start": [[40.0, 40.0]],
-        "dot_xy_px_end": [[41.0, 40.0]],
-        "object_xy_px_start": (0.0, 0.0),
-        "object_xy_px_end": (1.0, 0.0),
-        "texture_contrast": 1.0,
-    }
-    state = start(good["dot_xy_px_start"], window=STRIP, texture=TEXTURE)
-    before = copy.deepcopy(state)
-    with pytest.raises(ValueError, match=named):
-        ideal.step(state, **{**good, named: value, "t0_us": 0, "rng": np.random.default_rng(0)})
-    for name in ("lower2_px2", "upper2_px2", "slices"):
-        np.testing.assert_array_equal(getattr(state, name), getattr(before, name))
-    for name in ("reference", "window_reference", "seen_dot_xy_px", "seen_object"):
-        np.testing.assert_array_equal(getattr(state.shared, name), getattr(before.shared, name))
-
-
 def test_goes_on_only_from_known_references() -> None:
     """Assert that references of pixels that are still refractory are refused."""
     state = start([[40.0, 40.0]], dataclasses.replace(QUIET, refractory_us=5000.0))
@@ -598,7 +425,7 @@ def test_goes_on_only_from_known_references() -> None:
 def test_start_refuses(line_step_px: float) -> None:
     """Assert that a sub-step of lines out of range is refused."""
     with pytest.raises(ValueError, match="line_step_px"):
-        start([], line_step_px=line_step_px)
+        ideal.start(QUIET, [], None, None, None, np.random.default_rng(0), line_step_px=line_step_px)
 
 
 def test_squared_radius_inverts_the_profile() -> None:
@@ -616,22 +443,6 @@ def test_squared_radius_inverts_the_profile() -> None:
         for never, targets in ((-1.0, (-1.62, -1.61, -1.61 + 1e-7)), (math.inf, (1e-9, 0.0, -1e-7))):
             assert all(optics.squared_radius(target, *table, index) == never for target in targets)
         assert math.isnan(optics.squared_radius(math.nan, *table, index))
-
-
-@pytest.mark.parametrize("window", [None, STRIP])
-@pytest.mark.parametrize("refractory_us", [0.0, 1000.0])
-def test_leak_makes_its_rate(window: Any, refractory_us: float) -> None:
-    """Assert sum_k clip((n - k) / 2, 0, 1) ON events a pixel after n / leak_hz seconds, from random phases."""
-    model = dataclasses.replace(QUIET, leak_hz=10.0, refractory_us=refractory_us)
-    state = start([[40.0, 40.0]], model, window=window, texture=TEXTURE if window else None)
-    rng = np.random.default_rng(0)
-    still = [[40.0, 40.0]]
-    result = concatenate([ideal.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)])
-    steps = 400 * 1e-3 * 10.0
-    expected = sum(np.clip((steps - k) / 2, 0, 1) for k in range(6)) * FRAME[0] * FRAME[1]
-    assert (result.p == 1).all()
-    # With a refractory time what leaked since the crossing is forgotten: up to a visit, half of one in the mean.
-    assert result.size == pytest.approx(expected, rel=0.01 if refractory_us == 0.0 else 0.25)
 
 
 def test_dots_move_on_after_leak() -> None:

@@ -15,7 +15,8 @@ from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from evetac_cli.sim.camera.scanning.light import LightChange
 from evetac_cli.sim.setup.plan import one_sensor
 from tests.sim.camera.gel_cameras import gel_camera
-from tests.sim.camera.scanning.test_camera import FRAME, STILL, Path, play
+from tests.sim.camera.scanning.test_camera import play
+from tests.sim.camera.small_frames import FRAME, STILL, Path
 
 MODEL = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, mismatch=0.05, dot_radius_px=8.0)
 APART = np.array([[25.0, 25.0], [65.0, 50.0]])

@@ -14,7 +14,8 @@ from evetac_cli.sim.camera.contact_edges import Place
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from evetac_cli.sim.camera.scanning.light import LightChange
-from tests.sim.camera.scanning.test_camera import FRAME, QUIET, STILL, STRIP, TEXTURE, table_picture
+from tests.sim.camera.scanning.test_camera import table_picture
+from tests.sim.camera.small_frames import FRAME, QUIET, STILL, STRIP, TEXTURE
 
 DOTS = np.array([[30.0, 30.0], [52.0, 60.0]])
 FineEvents = list[tuple[int, int, int, int]]

@@ -9,7 +9,8 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.light import LightChange
-from tests.sim.camera.scanning.test_camera import FRAME, QUIET, line, play, start
+from tests.sim.camera.scanning.test_camera import play, start
+from tests.sim.camera.small_frames import FRAME, QUIET, line
 
 DOTS = [[30.0, 40.0]]
 PIXELS = FRAME[0] * FRAME[1]

@@ -9,7 +9,8 @@ import pytest
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
-from tests.sim.camera.scanning.test_camera import FRAME, STILL, STRIP, TEXTURE, play, table_picture
+from tests.sim.camera.scanning.test_camera import play, table_picture
+from tests.sim.camera.small_frames import FRAME, STILL, STRIP, TEXTURE
 
 APART = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, threshold=0.1, threshold_off=0.2, mismatch=0.05)
 

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import force_by_sensor
 import reproduce
 import results
+import studies
 from experiment_tables import Evaluation
 
 HEADER: dict[str, Any] = {
@@ -27,7 +27,7 @@ def of_states(*states: str) -> Evaluation:
     """An evaluation of a model for any sensor, with these states of knowledge."""
     summary: dict[str, Any] = {"sensors": 3, "stiffness_error": 0.1}
     for number, state in enumerate(states):
-        summary |= {f"{state}_{key}": number + 0.125 for key in force_by_sensor.FIGURES}
+        summary |= {f"{state}_{key}": number + 0.125 for key in studies.FIGURES}
     return Evaluation([], summary | {"identified_sensors": 2}, True, HEADER)
 
 
@@ -36,14 +36,14 @@ def of_paper(*errors: float) -> Evaluation:
     rows = [
         {"model": model, "sensor_name": f"randomized:{number}", "mae_n_x": error, "mae_n_y": error + 1.0}
         for number, error in enumerate(errors)
-        for model in force_by_sensor.PAPER_MODELS
+        for model in studies.PAPER_MODELS
     ]
     return Evaluation(rows, {}, True, HEADER)
 
 
 def test_rows_of_the_table() -> None:
     """Assert a row for every state that was evaluated, of the tracker it was, and means over sensors of the paper's."""
-    rows = force_by_sensor.sensor_rows(
+    rows = studies.sensor_rows(
         {
             "stable": of_states("unknown", "identified"),
             "paper": of_states("unknown"),
@@ -65,15 +65,8 @@ def test_rows_of_the_table() -> None:
 def test_a_table_is_kept_with_its_methods() -> None:
     """Assert that a table says by which method the model for any sensor was made, and shows what it knows alone."""
     evaluations = {"stable": of_states("unknown"), "evetac-paper": of_paper(1.0)}
-    made = reproduce.result(force_by_sensor.SENSORS, evaluations, ["evetac evaluate force"])
+    made = reproduce.result(studies.FORCE_SENSORS, evaluations, ["evetac evaluate force"])
     assert made["methods"] == {"train-force --method gel": 7, "evaluate force": 2}
     lines = results.text(made).splitlines()
     assert lines[4].startswith("| nothing | stable | 3 | 0.12 | 0.12 | 0.1 (12.5%)")
     assert lines[5].endswith("| paper | 1 | 1.50 | 1.50 |  |  |")
-
-
-def test_every_evaluation_is_asked_for() -> None:
-    """Assert that the evaluations behind the tables are those that are run, without what identify told by default."""
-    asked = force_by_sensor.evaluations_of(20000, None)
-    assert set(asked) == {*force_by_sensor.SENSORS.evaluations, *force_by_sensor.OBJECTS.evaluations}
-    assert not any("--identified" in flags for _, flags in asked.values())

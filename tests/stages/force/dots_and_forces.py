@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.inspect import validate
-from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.provenance import Recipe
+from tests.make import event_arrays, events_at, truth_arrays
 
 
 def write_trial(
@@ -33,26 +32,9 @@ def write_trial(
         "sensor/dot_xy_px": grid_px,
         "sensor/dot_radius_px": np.float64(15.0 * frame_px[0] / 640),  # seen through the same lens
     }
-    none = np.empty(0, np.int64)
-    zero = np.zeros(slices, np.float32)
-    recording: dict[str, Any] = {
-        "events/t": none,
-        **{f"events/{key}": none.astype(np.uint16) for key in "xy"},
-        "events/p": none.astype(np.uint8),
-        "ms_to_idx": np.zeros(slices + 1, np.int64),
-        "t_offset": np.int64(0),
-        **sensor,
-    }
+    recording = event_arrays(events_at([]), slices) | sensor
     if made.simulated:
-        recording |= {
-            "truth/dot_xy_px": dots_px,
-            "truth/object_xy_px": np.zeros((slices, 2), np.float32),
-            **{f"truth/{key}": zero for key in ("slid_px", "every_node_slid_px", "slip_share", "visible_slip_share")},
-            "truth/slip": zero.astype(np.uint8),
-            "truth/normal_force_n": normal_n.astype(np.float32),
-            "truth/shear_force_n": shear_n.astype(np.float32),
-            "truth/sampled_parameters": "{}",
-        }
+        recording |= truth_arrays(dots_px, normal_n=normal_n, shear_n=shear_n)
     header = write_stage(folder / f"trial{made.seed}.recording.h5", made, recording)
     tracks = {
         "dot_xy_px": dots_px,
@@ -63,11 +45,3 @@ def write_trial(
     path = folder / f"trial{made.seed}.tracks.h5"
     write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
     return path
-
-
-def run(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
-    """Run the one job of a stage, whose output must be valid; its path and what it reports."""
-    (job,) = stage.jobs(files, chosen, out)
-    outcome: Outcome = stage.run(job, chosen)
-    assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
-    return job.output, outcome

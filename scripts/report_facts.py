@@ -1,0 +1,95 @@
+"""What the headers of reports say of a table: what was judged and trained on, and by which methods."""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from experiment_tables import Row
+from results import STAGES, ranges
+
+
+def report_header(path: Path) -> Row:
+    """The header of a report, with its history."""
+    from evetac_cli.store.files import StageFile
+
+    with StageFile(path, "report") as file:
+        header: Row = file.header
+        return header
+
+
+def ancestors(header: Row, history: Row) -> Iterator[Row]:
+    """A header's parents of the kinds recording and model, looking through the files in between."""
+    for parent_id in header["parents"]:
+        parent = history[parent_id]
+        if parent["kind"] in ("recording", "model", "force-model"):
+            yield parent
+            if parent["kind"] == "recording":  # of a grasp: the detector's model
+                yield from (model for model in ancestors(parent, history) if model["kind"] != "recording")
+        else:
+            yield from ancestors(parent, history)
+
+
+def facts(headers: Iterable[Row]) -> Row:
+    """What was judged and what was trained on, from the headers of the reports of a table."""
+    judged: dict[str, Row] = {}
+    models: dict[str, Row] = {}
+    training: dict[str, Row] = {}
+    for header in headers:
+        history = {id_: {**entry, "id": id_} for id_, entry in header["history"].items()}
+        for node in ancestors(header, history):
+            (judged if node["kind"] == "recording" else models)[node["id"]] = node
+        for model in list(models.values()):
+            for node in ancestors(model, history) if model["id"] in history else ():
+                training[node["id"]] = node
+
+    def parameters(nodes: dict[str, Row], name: str) -> list[Any]:
+        values = {json.dumps(node["parameters"].get(name)) for node in nodes.values()} - {"null"}
+        return sorted(map(json.loads, values))
+
+    tones = {node["parameters"].get("scene", {}).get("time", {}).get("tone_s", 0.0) for node in judged.values()}
+    return {
+        "recordings": len(judged),
+        "objects": parameters(judged, "object"),
+        "sensors": parameters(judged, "sensor"),
+        "recording_seeds": sorted({node["seed"] for node in judged.values() if node["seed"] is not None}),
+        "models": len(models),
+        "training_seeds": sorted(set(parameters(models, "seed"))),
+        "training_steps": max(parameters(models, "max_steps"), default=0),
+        "training_recordings": len(training),
+        "training_objects": parameters(training, "object"),
+        "training_sensors": parameters(training, "sensor"),
+        "tone_s": max(tones, default=0.0),
+    }
+
+
+COMMANDS = {
+    "recording": "record", "labels": "label", "features": "featurize", "model": "train", "force-model": "train-force",
+}  # fmt: skip
+
+
+def methods(headers: Iterable[Row]) -> dict[str, int]:
+    """The number of the method of each command behind the reports of a table; the oldest where there are several."""
+    numbers: dict[str, int] = {}
+    for header in headers:
+        for node in (header, *header["history"].values()):
+            command = node["parameters"].get("command", COMMANDS.get(node["kind"], ""))
+            if node["kind"] == "force-model" and node["parameters"].get("method") == "gel":
+                command = "train-force --method gel"
+            if node["kind"] == "tracks":
+                command = "track" if node["seed"] is None else "track-rgb"
+            if node["kind"] == "recording" and "controller" in node["parameters"]:
+                command = "grasp"
+            if command in STAGES:
+                numbers[command] = min(node["method"], numbers.get(command, node["method"]))
+    return {command: numbers[command] for command in STAGES if command in numbers}
+
+
+def words_for(known: Row) -> Row:
+    """The facts as they stand in a title."""
+    shown = {name: value for name, value in known.items() if not isinstance(value, list)}
+    for name, value in known.items():
+        if isinstance(value, list):
+            whole = all(isinstance(entry, int) for entry in value)
+            shown[name] = ranges(value) if whole else ", ".join(map(str, value))
+    return shown

@@ -1,0 +1,273 @@
+"""Studies beside the paper's experiments: the commands that they need, and the tables of what they measure.
+
+Three are evaluated here, in modules of their own (slip_by_sensor.py, part_effects.py, blind_identification.py), and two
+by programs: the touch sensor and the examples in robot_tables.py, forces by `evetac evaluate force`.
+"""
+
+from collections.abc import Iterator
+
+from experiment_steps import Command, Sizes, evetac, script
+from experiment_tables import Column, Evaluation, Evaluations, Rows, Table
+
+# --- slip, sensor by sensor -------------------------------------------------------------------------------------------
+
+LIGHT_N = 0.3
+
+
+def slip_by_sensor_steps(sizes: Sizes) -> Iterator[Command]:
+    """Labelled slips of every sensor in a folder of its own, and grasps with light contact."""
+    seed = sizes["seed"]
+    for place, sensor in enumerate(sizes["sensors"]):
+        yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes["objects"],
+                     "--count", sizes["each"], "--seed", seed + 100 * place, "--out", f"slips/{sensor}")  # fmt: skip
+    for number in range(seed, seed + sizes["randomized"]):
+        yield evetac("record", "--scene", "slip", "--sensor", f"randomized:{number}",
+                     "--object", sizes["randomized_objects"], "--count", sizes["randomized_each"],
+                     "--seed", number + 400, "--out", f"slips/randomized-{number}")  # fmt: skip
+    yield evetac("grasp", "--object", sizes["grasped"], "--seed", seed + 800, "--lift-s", 3.5, "--balance-s", 1,
+                 "--out", "grasps")  # fmt: skip
+    slips, grasps = "slips/*/*.recording.h5", "grasps/*.recording.h5"
+    yield evetac("label", slips)
+    yield evetac("track", slips, grasps)
+    yield evetac("featurize", slips, grasps)
+
+
+def all_rows(evaluations: Evaluations) -> Rows:
+    """The rows as they were measured."""
+    return [row for evaluation in evaluations.values() for row in evaluation.rows]
+
+
+def measured(name: str, title: str, *columns: tuple[str, str], notes: tuple[str, ...] = ()) -> Table:
+    """The table of a measurement, which has its name; columns are heading and cell."""
+    return Table(name, title, (name,), all_rows, tuple(Column(*one) for one in columns), notes=notes, measured=True)
+
+
+def with_interval(figure: str) -> str:
+    return f"{{{figure}:.2f}} ({{{figure}_low:.2f}} to {{{figure}_high:.2f}})"
+
+
+SLIP_BY_SENSOR = measured(
+    "slip-by-sensor",
+    "Slip detection sensor by sensor, with intervals of 95 %",
+    ("sensor", "{sensor}"),
+    ("trials", "{trials}"),
+    ("early", "{shipped_slip_early:.2f}"),
+    ("correct", with_interval("shipped_slip_correct")),
+    ("late", "{shipped_slip_late:.2f}"),
+    ("F1", with_interval("shipped_f1")),
+    ("correct, first edition", "{first_edition_slip_correct:.2f}"),
+    ("F1, first edition", "{first_edition_f1:.2f}"),
+)
+SLIP_IN_CONTACT = measured(
+    "slip-in-contact",
+    "Contact without slip: slices at which nothing slips, nor will within 20 ms, that are called slip",
+    ("detector", "{detector}"),
+    ("trials", "{trials}"),
+    (f"slices below {LIGHT_N} N", "{light_slices:,}"),
+    ("of these called slip", "{light_called_slip:.2%}"),
+    ("slices in contact", "{contact_slices:,}"),
+    ("of these called slip", "{called_slip:.2%}"),
+)
+
+# --- forces on sensors that no model saw ------------------------------------------------------------------------------
+
+TRACKERS = {"stable": "", "paper": "paper/"}  # folder of its tracks
+STATES = {  # as `evaluate force` calls them
+    "unknown": "nothing",
+    "known": "scale, moduli within {stiffness_error:.0%}",
+    "identified": "what `identify` tells, and the scale",
+    "adapted": "nothing before, then adapted",
+    "known, adapted": "scale, moduli within {stiffness_error:.0%}, then adapted",
+    "identified, adapted": "what `identify` tells, and the scale, then adapted",
+}
+PAPER_MODELS = {"regression": "linear regression", "network": "network"}
+FIGURES = ("mae_n", "worst_sensor_mae_n", "normal_mae_n", "normal_mae_of_range", "shear_within_sd", "normal_within_sd")
+
+
+def force_sensor_steps(sizes: Sizes) -> Iterator[Command]:
+    """Presses on every sensor, tracked in two ways; and the paper's models, which learn from the sensor `evetac`."""
+    trials = ("shear-0", "slip", *(f"adapt-{number}" for number in range(sizes["adapt"])))
+    yield script("force_randomized.py", ".", "--first", sizes["first"], "--sensors", sizes["sensors"],
+                 "--trials", *trials)  # fmt: skip
+    yield evetac("record", "--scene", "scenes/evetac.toml", "--count", 4, "--seed", 1, "--out", "evetac")
+    for tracker, folder in TRACKERS.items():
+        yield evetac("track", "*.recording.h5", "--preset", tracker, "--out", folder or ".")
+        yield evetac("track", "evetac/*.recording.h5", "--preset", tracker, "--out", f"evetac/{folder}")
+        yield evetac("train-force", f"evetac/{folder}*.tracks.h5", "--samples", 100,
+                     "--out", f"evetac/{tracker}.force-model.h5")  # fmt: skip
+
+
+def force_sensor_evaluations(sizes: Sizes) -> dict[str, Command]:
+    """The package's model with what is known of the gel, on faces by both trackers and on objects; the paper's models.
+
+    The seed is that of readings and of the errors of moduli.
+    """
+    seed = ("--seed", sizes["first"])
+
+    def of_any_sensor(folder: str, trial: str) -> Command:
+        own = (f"--adapt-on={folder}*-adapt-*.tracks.h5", "--identified", "../blind-identification")
+        return evetac("evaluate", "force", f"{folder}*-{trial}.tracks.h5", "--model", "shipped", *seed, *own)
+
+    evaluations = {tracker: of_any_sensor(folder, "shear-0") for tracker, folder in TRACKERS.items()}
+    evaluations["slip"] = of_any_sensor("", "slip")
+    for tracker, folder in TRACKERS.items():
+        model = ("--model", f"evetac/{tracker}.force-model.h5", "--samples", 90)
+        evaluations[f"evetac-{tracker}"] = evetac("evaluate", "force", f"{folder}*-shear-0.tracks.h5", *model, *seed)
+    return evaluations
+
+
+def state_rows(evaluation: Evaluation, tracker: str) -> Rows:
+    """A row for everything that is known of the gel."""
+    rows, summary = [], evaluation.summary
+    for state, words in STATES.items():
+        name = state.replace(", ", "_and_")
+        if f"{name}_mae_n" in summary:
+            figures = {key: summary[f"{name}_{key}"] for key in FIGURES}
+            sensors = summary.get(f"{name}_sensors", summary["sensors"])
+            rows.append({"known": words.format_map(summary), "tracker": tracker, "sensors": sensors, **figures})
+    return rows
+
+
+def paper_rows(evaluation: Evaluation, tracker: str) -> Rows:
+    """A row for each of the paper's models, trained on one sensor."""
+    rows = []
+    for model, words in PAPER_MODELS.items():
+        by_sensor: dict[str, list[float]] = {}
+        for row in evaluation.rows:
+            if row["model"] == model:
+                by_sensor.setdefault(row["sensor_name"], []).append((row["mae_n_x"] + row["mae_n_y"]) / 2)
+        errors = [sum(values) / len(values) for values in by_sensor.values()]
+        known = f"the paper's {words}, trained on `evetac` alone"
+        figures = {"mae_n": sum(errors) / len(errors), "worst_sensor_mae_n": max(errors)}
+        rows.append({"known": known, "tracker": tracker, "sensors": len(errors), **figures})
+    return rows
+
+
+def sensor_rows(evaluations: Evaluations) -> Rows:
+    """Rows of both trackers, then the paper's method."""
+    any_sensor = [(tracker, evaluations[tracker]) for tracker in TRACKERS if tracker in evaluations]
+    one_sensor = [(name, evaluations[f"evetac-{name}"]) for name in TRACKERS if f"evetac-{name}" in evaluations]
+    return [
+        *(row for tracker, evaluation in any_sensor for row in state_rows(evaluation, tracker)),
+        *(row for tracker, evaluation in one_sensor for row in paper_rows(evaluation, tracker)),
+    ]
+
+
+FORCE_COLUMNS = (
+    Column("what is known of the gel", "{known}"),
+    Column("dots tracked by", "{tracker}"),
+    Column("sensors", "{sensors}"),
+    Column("shear, mean error [N]", "{mae_n:.2f}"),
+    Column("worst sensor [N]", "{worst_sensor_mae_n:.2f}"),
+    Column("normal, mean error [N] (of range)", "{normal_mae_n:.1f} ({normal_mae_of_range:.1%})"),
+    Column("within one sd: shear, normal", "{shear_within_sd:.0%}, {normal_within_sd:.0%}"),
+)
+FORCE_NOTE = (
+    "Range: the largest normal force. `known` moduli are the true ones times a lognormal error, creep is not known."
+)
+FORCE_SENSORS = Table(
+    "force-sensors",
+    "Shear and normal force on sensors that no model saw, a flat face",
+    (*TRACKERS, *(f"evetac-{tracker}" for tracker in TRACKERS)),
+    sensor_rows,
+    FORCE_COLUMNS,
+    notes=(FORCE_NOTE,),
+    measured=True,
+)
+FORCE_OBJECTS = Table(
+    "force-objects",
+    "The same where one of the paper's objects slips out of the grip, a cut gel, adapted on flat faces",
+    ("slip",),
+    lambda evaluations: state_rows(evaluations["slip"], "stable"),
+    FORCE_COLUMNS,
+    notes=(FORCE_NOTE,),
+    measured=True,
+)
+
+# --- what each part does to each stage --------------------------------------------------------------------------------
+
+# Figure of part_effects.py: heading and format of its cells.
+PART_FIGURES = {
+    "events_ms": ("events a ms", ".1f"),
+    "tracking_px": ("tracking error [px]", ".3f"),
+    "labels_in_time": ("labels in time", ".2f"),
+    "labels_f1": ("F1 of labels", ".2f"),
+    "slip_in_time": ("slip detected in time", ".2f"),
+    "slip_f1": ("F1 of detector", ".2f"),
+    "record_us": ("simulated in [us a slice]", ".0f"),
+    "rest_us": ("labelled to judged in [us a slice]", ".0f"),
+    "held": ("grasps held", ".2f"),
+    "moved_mm": ("object moved in a grasp [mm]", ".2f"),
+}
+PART_EFFECTS = measured(
+    "part-effects",
+    "What each part does to each stage, {slips} slips and {grasps} grasps with each",
+    ("part", "{part}"),
+    ("size", "{size}"),
+    *(
+        (heading, f"{{{name}:{form}}}, {{{name}_low:+{form}}} to {{{name}_high:+{form}}}")
+        for name, (heading, form) in PART_FIGURES.items()
+    ),
+    notes=(
+        "Behind a figure stands the interval of its change, 95 % by a bootstrap over pairs of trials, where that"
+        " does not hold 0; with fewer than some ten pairs it is too narrow, and of so many figures one in 20 would"
+        " have one by chance. Run times are of the processor, beside whatever else it did.",
+    ),
+)
+
+# --- sensors identified blindly ---------------------------------------------------------------------------------------
+
+BLIND_IDENTIFICATION = measured(
+    "blind-identification",
+    "Parameters of sensors randomized:{first} to {last} in blind identification",
+    ("parameter", "{parameter}"),
+    ("told", "{told} of {sensors}"),
+    ("interval holds the truth", "{held}"),
+    ("width over the range of `randomized`, mean", "{width_mean:.2f}"),
+    ("worst", "{width_worst:.2f}"),
+    ("found", "{found}"),
+    notes=("Parameters that are told of no sensor cannot be told.",),
+)
+
+# --- robot simulators -------------------------------------------------------------------------------------------------
+
+TOUCH_COST = measured(
+    "touch-cost",
+    "What a simulated millisecond of the touch sensor costs",
+    ("contact", "{contact}"),
+    ("CPU us a ms", "{CPU_us_a_ms:,.1f}"),
+    ("with slip detector CPU us a ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
+)
+MUJOCO_GRASPS = measured(
+    "mujoco-grasps",
+    "Grasps in MuJoCo",
+    ("controller", "{controller}"),
+    ("trials", "{trials}"),
+    ("lifted", "{lifted}"),
+    ("grip at the end N median", "{grip_at_the_end_N_median:.2f}"),
+    ("steps of 1 ms a CPU second median", "{steps_of_1_ms_a_CPU_second_median:,.0f}"),
+)
+LIFT_BASELINE = measured(
+    "lift-baseline",
+    "Policies for evetac/Lift-v0, means of the episodes that they are judged on",
+    ("policy", "{policy}"),
+    ("return", "{return:.3g}"),
+    ("lifted", "{lifted:.3g}"),
+    ("kept", "{kept:.3g}"),
+    ("mean grip N", "{mean_grip_N:.3g}"),
+)
+
+
+def mujoco_steps(sizes: Sizes) -> Iterator[Command]:
+    yield ["python", "examples/mujoco_grasp.py", "--trials", str(sizes["trials"]), "--seed", str(sizes["seed"]),
+           "--json", trials_file(sizes)]  # fmt: skip
+
+
+def lift_steps(sizes: Sizes) -> Iterator[Command]:
+    flags = (word for name, value in sizes.items() for word in (f"--{name.replace('_', '-')}", str(value)))
+    yield ["python", "examples/cma_lift.py", *flags, "--json", trials_file(sizes)]
+
+
+def trials_file(sizes: Sizes) -> str:
+    """What an example writes, named by its sizes: it has no recipe by which a run of other sizes could be told."""
+    return "-".join(str(value) for value in sizes.values()) + ".json"

@@ -1,0 +1,104 @@
+"""What tests make again and again: outputs of stages and commands, recordings of given events, trials of scenes."""
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.events import Events, slice_starts
+from evetac_cli.inspect import validate
+from evetac_cli.jobs import Outcome
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.provenance import Recipe, content_digest
+
+FRAME_PX = (640, 480)
+
+
+def run_stage(
+    stage: Any, files: list[Path], chosen: Any, out: Path | None = None, **options: Any
+) -> tuple[Path, Outcome]:
+    """Run the one job of a stage; the path of its output, and what it reports."""
+    (job,) = stage.jobs(files, chosen, out)
+    outcome: Outcome = stage.run(job, chosen, **options)
+    return job.output, outcome
+
+
+def run_valid(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
+    """Run the one job of a stage, whose output must be valid."""
+    output, outcome = run_stage(stage, files, chosen, out)
+    assert [row["faults"] for row in validate.run([output]).rows] == [None]
+    return output, outcome
+
+
+def output_of(stage: Any, chosen: Any, *files: Path, out: Path | None = None) -> Path:
+    """The path of the output of a stage's one job."""
+    return run_stage(stage, list(files), chosen, out)[0]
+
+
+def evetac(*words: object) -> Any:
+    """A command in this process, on a wide terminal: exit_code, stdout, stderr."""
+    return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
+
+
+def answer_of(*words: object) -> Any:
+    """What a command answers as JSON; it must succeed."""
+    result = evetac(*words, "--json")
+    assert result.exit_code == 0, (words, result.output[-2000:], result.stderr[-2000:])
+    assert result.exception is None
+    return json.loads(result.stdout)
+
+
+def event_arrays(
+    events: Events, slices: int, frame_px: tuple[int, int] = FRAME_PX, t_offset: int = 0
+) -> dict[str, Any]:
+    """The datasets of a recording of these events, by a sensor that nobody named."""
+    return {
+        **{f"events/{column}": getattr(events, column) for column in Events._fields},
+        "ms_to_idx": slice_starts(events.t, slices),
+        "t_offset": np.int64(t_offset),
+        "sensor/frame_px": np.array(frame_px, np.int32),
+        "sensor/name": "unknown",
+    }
+
+
+def events_at(t_us: Any) -> Events:
+    """OFF events of the pixel (0, 0) at these times."""
+    t = np.asarray(t_us, np.int64)
+    return Events(t, np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint8))
+
+
+def truth_arrays(dots_px: Any, slip: Any = 0, normal_n: Any = 0.0, shear_n: Any = 0.0) -> dict[str, Any]:
+    """The truth of dots at these places (slices, dots, 2); slip and forces of all slices, or of each; the rest is 0."""
+    slices = len(dots_px)
+    names = ("slid_px", "every_node_slid_px", "slip_share", "visible_slip_share")
+    return {
+        "truth/dot_xy_px": np.asarray(dots_px, np.float32),
+        "truth/object_xy_px": np.zeros((slices, 2), np.float32),
+        **{f"truth/{name}": np.zeros(slices, np.float32) for name in names},
+        "truth/slip": np.full(slices, slip, np.uint8),
+        "truth/normal_force_n": np.full(slices, normal_n, np.float32),
+        "truth/shear_force_n": np.full((slices, 2), shear_n, np.float32),
+        "truth/sampled_parameters": "{}",
+    }
+
+
+def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False, **parameters: Any) -> Path:
+    """A recording of these datasets, as an import leaves it."""
+    recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=simulated)
+    write_stage(path, recipe, arrays)
+    return path
+
+
+def play_trial(trial: Any, slices: int | None = None) -> tuple[list[dict[str, Any]], list[Events]]:
+    """Truth and events of so many slices of a trial that is simulated, or of all until it is finished."""
+    rows, events = [], []
+    for _ in range(slices) if slices is not None else itertools.count():
+        if trial.finished:
+            break
+        events.append(trial.step())
+        rows.append(trial.truth())
+    return rows, events
