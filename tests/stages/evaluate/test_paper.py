@@ -20,7 +20,6 @@ from evetac_cli.stages.evaluate.source import Source
 
 sys.path.insert(0, str(PACKAGE.parent / "scripts"))
 import experiment_tables
-import force_by_sensor
 import reproduce
 import results
 
@@ -242,7 +241,7 @@ def numbers_of_the_paper(text: str) -> set[str]:
 def test_columns_name_figures_and_hold_none() -> None:
     """Assert that the columns of tables and report name what stands in paper.py, and nothing but names."""
     experiments = [one for one in vars(experiment_tables).values() if isinstance(one, experiment_tables.Table)]
-    tables = [*experiments, force_by_sensor.SENSORS, force_by_sensor.OBJECTS]
+    tables = experiments
     columns = [column for table in tables for column in (*table.columns, *([table.across] if table.across else []))]
     named = [key for column in columns for key in results.keys(column.paper)]
     named += [column.paper for subject in evaluations.SUBJECTS for column in subject.columns if column.paper]
