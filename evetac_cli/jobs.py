@@ -2,14 +2,16 @@
 
 import os
 import platform
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from evetac_cli.errors import InputError
 
 MOST_NAME_BYTES = 255  # of a file, on nearly every file system
 APPENDED_BYTES = 48  # to a name while the file is written (store/disk.py), beside the name of this machine
+P = TypeVar("P")  # parameters of a command
 
 
 class Progress(Protocol):
@@ -34,6 +36,11 @@ class Job:
     inputs: tuple[Path, ...]
     output: Path
 
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """All files that it makes: of most jobs `output` alone, which stands for them."""
+        return (self.output,)
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -43,6 +50,43 @@ class Outcome:
     simulated: bool
     summary: dict[str, Any] = field(default_factory=dict)
     made: bool = True
+
+
+Rows = list[dict[str, Any]]
+
+
+def no_cautions(jobs: Sequence[Any], params: Any) -> list[str]:
+    """Nothing has to be known before the work begins."""
+    return []
+
+
+def no_parts(job: Any, params: Any) -> Sequence[Job]:
+    """A job is made in one piece."""
+    return ()
+
+
+def all_rows(rows: Rows, params: Any) -> tuple[Rows, list[str]]:
+    """A terminal shows every row, and no sentence."""
+    return rows, []
+
+
+@dataclass(frozen=True)
+class Stage(Generic[P]):
+    """What a command that makes files asks of its stage, which defines it as STAGE.
+
+    jobs: what has to be made from files and parameters, and where; run: make one job, (job, params, *, force, progress)
+    -> Outcome. cautions: what to know before long work begins. parts: of a job, what can be made at the same time
+    before it. for_people: the rows that a terminal shows, and what they amount to. dry_run: what would be made and what
+    that costs, (jobs, params, *, force, progress) -> Outcome; dry_run_for_people: what of it fits a screen.
+    """
+
+    jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]
+    run: Callable[..., Outcome]
+    cautions: Callable[[Sequence[Any], P], list[str]] = no_cautions
+    parts: Callable[[Any, P], Sequence[Job]] = no_parts
+    for_people: Callable[[Rows, P], tuple[Rows, list[str]]] = all_rows
+    dry_run: Callable[..., Outcome] | None = None
+    dry_run_for_people: Callable[[Outcome], tuple[Rows, list[str]]] = lambda shown: (shown.rows, [])
 
 
 def require_possible_name(output: Path) -> None:

@@ -1,8 +1,6 @@
 """Run a command that makes files: from its files and flags to jobs, from jobs to a table, a verdict and the outputs.
 
-What a stage may have beside `jobs` and `run`: `dry_run`, and `dry_run_for_people`, what of it fits a screen; `parts`,
-of a job, that can be made at the same time before it; `cautions`, what to know before long work begins; `for_people`,
-which rows a terminal shows and what they amount to.
+What a stage may have beside `jobs` and `run` is said by jobs.Stage.
 """
 
 import importlib
@@ -18,75 +16,76 @@ from evetac_cli import console
 from evetac_cli.cli import compiling, config, engines, flags, workers
 from evetac_cli.cli.commands import Command
 from evetac_cli.cli.exit_codes import CommandExit
+from evetac_cli.cli.flags import Running
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
-from evetac_cli.jobs import Job, Outcome, require_possible_name
+from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
+from evetac_cli.params.recording import Record
+from evetac_cli.params.trials import Trials
 
 MOST_ROWS = 100  # of one table on a terminal
 
 
 def execute(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run all jobs of a command and print what came out of them."""
-    running = {name: given.pop(name) for name in flags.OF_STAGES}
+    running = Running.take(given, flags.OF_STAGES)
     named = given.pop("files", [])
     with CommandExit(title, running) as run:
-        chosen = config.resolve(command.params, title, given, running["config"])
+        chosen = config.resolve(command.params, title, given, running.config)
         files = with_folders(named, command.kind)
-        _check_out(running["out"], command.suffix)
-        stage = importlib.import_module(f"evetac_cli.{command.module}")
-        jobs: list[Job] = stage.jobs(files, chosen, running["out"])
-        _check_outputs(jobs, files, chosen, force=running["force"])
-        if running["number_of_jobs"] < 1:
-            raise InputError(
-                "out of range", where="--jobs", expected="at least 1", found=str(running["number_of_jobs"])
-            )
-        if getattr(chosen, "dry_run", False):
+        _check_out(running.out, command.suffix)
+        stage: Stage[Any] = importlib.import_module(f"evetac_cli.{command.module}").STAGE
+        jobs = list(stage.jobs(files, chosen, running.out))
+        _check_outputs(jobs, files, chosen, force=running.force)
+        if running.number_of_jobs < 1:
+            raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running.number_of_jobs))
+        if stage.dry_run is not None and chosen.dry_run:
             # A scene is run to measure what it costs: some seconds, up to a minute where it has to be compiled first.
-            quiet = running["quiet"]
+            quiet = running.quiet
             with (
                 console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
                 compiling.announced(quiet=quiet, interrupted=workers.interrupted),
             ):
-                shown: Outcome = stage.dry_run(jobs, chosen, force=running["force"], progress=progress)
+                shown = stage.dry_run(jobs, chosen, force=running.force, progress=progress)
             _show_plan(f"{title} --dry-run", stage, shown, running)
             return
-        for line in stage.cautions(jobs, chosen) if hasattr(stage, "cautions") and not running["quiet"] else ():
+        for line in stage.cautions(jobs, chosen) if not running.quiet else ():
             console.say(f"note: {line}")
         started = time.monotonic()
-        run_jobs(command, jobs, chosen, running, run.results)
+        previews = isinstance(chosen, Record) and chosen.preview
+        run_jobs(command, stage, jobs, chosen, running, run.results)
         run.results = {job.output: run.results[job.output] for job in jobs}
         outcomes, errors = run.outcomes(), run.errors()
-        if not running["quiet"] and outcomes:
+        if not running.quiet and outcomes:
             made = any(outcome.made for outcome in outcomes)
             took = f"{time.monotonic() - started:.1f} s" if made else "up to date, nothing to do"
             console.say(f"{title}: {took}")
-        if outcomes and not (errors and running["as_json"]):
+        if outcomes and not (errors and running.as_json):
             own = outcomes[0].summary if len(outcomes) == 1 else {}
             simulated = any(outcome.simulated for outcome in outcomes)
             rows = [row for outcome in outcomes for row in outcome.rows]
-            if running["as_json"]:
+            if running.as_json:
                 console.show(title, rows, own or console.count(outcomes), simulated=simulated, as_json=True)
-            elif not running["quiet"]:
+            elif not running.quiet:
                 # A stage may say which of its rows people want to see, and what they amount to.
-                for_people = getattr(stage, "for_people", None)
-                shown_rows, verdict = for_people(rows, chosen) if for_people else (rows, [])
-                verbose = running["verbose"]
+                shown_rows, verdict = stage.for_people(rows, chosen)
+                verbose = running.verbose
                 shown_rows = shown_rows if verbose else first_rows(shown_rows)
                 console.print_table(title, shown_rows, own, simulated=simulated, verbose=verbose)
                 if not own:
                     console.print_text(console.counted(outcomes))
                 done = [job for job in jobs if isinstance(run.results[job.output], Outcome)]
-                written = [path for job in done for path in getattr(job, "outputs", [job.output])]
-                console.print_result(verdict, [] if getattr(chosen, "preview", False) else written)
+                written = [path for job in done for path in job.outputs]
+                console.print_result(verdict, [] if previews else written)
         if errors:
             for error in errors[1:]:
                 console.say(f"error: {error}")
             raise errors[0]
 
 
-def _show_plan(title: str, stage: Any, shown: Outcome, running: dict[str, Any]) -> None:
+def _show_plan(title: str, stage: Stage[Any], shown: Outcome, running: Running) -> None:
     """Print what a dry run found: what fits a screen, or with -v and --json all of it."""
-    if running["as_json"] or running["verbose"]:
-        how = {name: running[name] for name in ("as_json", "verbose")}
+    if running.as_json or running.verbose:
+        how = {"as_json": running.as_json, "verbose": running.verbose}
         console.show(title, shown.rows, shown.summary, simulated=shown.simulated, **how)
         return
     rows, said = stage.dry_run_for_people(shown)
@@ -169,23 +168,28 @@ def first_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def run_jobs(
-    command: Command, jobs: list[Job], chosen: Any, running: dict[str, Any], results: dict[Path, Outcome | EvetacError]
+    command: Command,
+    stage: Stage[Any],
+    jobs: list[Job],
+    chosen: Any,
+    running: Running,
+    results: dict[Path, Outcome | EvetacError],
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
-    shown = any(getattr(chosen, name, False) for name in ("live", "preview"))  # a view, with its own lines
-    quiet, force = running["quiet"] or shown, running["force"]
-    engine = engines.Engine.parse(running["engine"])
+    shown = isinstance(chosen, Trials) and chosen.shown_in is not None  # by a view, with its own lines
+    quiet, force = running.quiet or shown, running.force
+    engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
-        raise InputError("devices belong to this computer", where="--engine", expected="local", found=running["engine"])
-    if engine.address and running["number_of_jobs"] > 1:
+        raise InputError("devices belong to this computer", where="--engine", expected="local", found=running.engine)
+    if engine.address and running.number_of_jobs > 1:
         hint = "leave it out: a cluster that runs has as many workers as it has"
-        raise InputError("has no effect", where="--jobs", found=f"--engine {running['engine']}", hint=hint)
+        raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
 
     def run_several(some: list[Job], into: dict[Path, Outcome | EvetacError]) -> None:
-        at_once = 1 if exclusive else min(running["number_of_jobs"], len(some))
+        at_once = 1 if exclusive else min(running.number_of_jobs, len(some))
         if not some or (engine.name == engines.LOCAL and at_once < 2):
             return
         how = (command.module, engines.largest_first(some), chosen, force, at_once)
@@ -195,10 +199,8 @@ def run_jobs(
             else:
                 workers.run_parallel(*how, progress, into, quiet=quiet)
 
-    if engine.name == engines.DASK or running["number_of_jobs"] > 1:
-        # Of some stages a job has parts that can be made at the same time, before it.
-        parts_of = getattr(importlib.import_module(f"evetac_cli.{command.module}"), "parts", None)
-        parts: dict[Path, list[Job]] = {job.output: parts_of(job, chosen) for job in waiting if parts_of is not None}
+    if engine.name == engines.DASK or running.number_of_jobs > 1:
+        parts = {job.output: stage.parts(job, chosen) for job in waiting}
         made: dict[Path, Outcome | EvetacError] = {}
         run_several([part for some in parts.values() for part in some], made)
         for output, some in parts.items():

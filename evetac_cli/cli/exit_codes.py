@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import typer
 
 from evetac_cli import __version__, console, kernel_cache
-from evetac_cli.cli.flags import Group
+from evetac_cli.cli.flags import Group, Running
 from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
 from evetac_cli.errors import (
     INTERNAL_ERROR,
@@ -76,9 +76,9 @@ class CommandExit:
     With --json the error is on stdout too, in one object with the rows of all that was made.
     """
 
-    def __init__(self, title: str, running: dict[str, Any]) -> None:
+    def __init__(self, title: str, running: Running) -> None:
         self.title = title
-        self.as_json, self.verbose = running["as_json"], running["verbose"]
+        self.as_json, self.verbose = running.as_json, running.verbose
         self.results: dict[Path, Outcome | EvetacError] = {}  # of the jobs, by their outputs
 
     def outcomes(self) -> list[Outcome]:

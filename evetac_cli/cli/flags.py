@@ -6,7 +6,8 @@ screen.
 
 import inspect
 from collections import Counter
-from dataclasses import fields
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -65,6 +66,25 @@ OF_LOOKING = {name: OF_STAGES[name] for name in ("as_json", "quiet", "verbose")}
 OF_DOCTOR = OF_LOOKING | {
     "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),
 }
+
+
+@dataclass(frozen=True)
+class Running:
+    """How a command is run, as its flags say; a command that lacks one of them has its default."""
+
+    out: Path | None = None
+    force: bool = False
+    number_of_jobs: int = 1
+    engine: str = engines.LOCAL
+    config: Path | None = None
+    as_json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+
+    @classmethod
+    def take(cls, given: dict[str, Any], names: Iterable[str]) -> "Running":
+        """Take these flags out of all that were given."""
+        return cls(**{name: given.pop(name) for name in names})
 
 
 class PlainSwitches:

@@ -14,6 +14,7 @@ from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
 from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
+from evetac_cli.cli.flags import Running
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
@@ -69,40 +70,40 @@ def _add(
 
 def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
     """Run a command whose output is no stage file (a page, an export), and print where it was written."""
-    running = {name: given.pop(name) for name in flags.OF_VIEW}
+    running = Running.take(given, flags.OF_VIEW)
     named = given.pop("files")
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
         files = execution.with_folders(named, command.kind) if command.kind else named
         module = importlib.import_module(f"evetac_cli.{command.module}")
-        with console.progress_bar(title, command.unit, quiet=running["quiet"]) as progress:
-            result: Outcome = module.run(files, chosen, running["out"], force=running["force"], progress=progress)
-        if not running["quiet"] or running["as_json"]:
-            how = {name: running[name] for name in ("as_json", "verbose")}
+        with console.progress_bar(title, command.unit, quiet=running.quiet) as progress:
+            result: Outcome = module.run(files, chosen, running.out, force=running.force, progress=progress)
+        if not running.quiet or running.as_json:
+            how = {"as_json": running.as_json, "verbose": running.verbose}
             console.show(title, result.rows, result.summary, simulated=result.simulated, **how)
-            if not running["as_json"]:
+            if not running.as_json:
                 written = [row.get("output") or row.get("page") for row in result.rows]
                 console.print_result([], [Path(path) for path in written if path])
 
 
 def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
     """Examine cameras and grippers; exit code 3 if something is wrong with one of them."""
-    running = {name: given.pop(name) for name in flags.OF_DOCTOR}
+    running = Running.take(given, flags.OF_DOCTOR)
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
         module = importlib.import_module(f"evetac_cli.{command.module}")
-        if not chosen.hardware and (chosen.camera or chosen.arm or chosen.yes or running["out"]):
+        if not chosen.hardware and (chosen.camera or chosen.arm or chosen.yes or running.out):
             raise InputError("has no effect without --hardware", where="--camera, --arm, --yes or -o")
         apart = [flag for flag in ("print_udev", "compile", "speed", "hardware") if getattr(chosen, flag)]
         if len(apart) > 1:
             names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
             raise InputError("each does something else", where=names, expected="one of them at a time")
-        if chosen.hardware and running["quiet"]:
+        if chosen.hardware and running.quiet:
             raise InputError("has no effect with --hardware, which announces every step", where="--quiet")
         if chosen.gripper and apart and not chosen.hardware:
             raise InputError(f"has no effect with --{apart[0].replace('_', '-')}", where="--gripper")
         if chosen.print_udev:
-            if running["as_json"]:
+            if running.as_json:
                 console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
             else:
                 print(module.udev_rules())
@@ -110,14 +111,14 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         result: Outcome
         if chosen.compile:
             module = importlib.import_module("evetac_cli.inspect.compile_kernels")
-            with console.progress_bar("compiling", "commands", quiet=running["quiet"]) as progress:
-                result = module.run(progress, say=(lambda line: None) if running["quiet"] else console.say)
-            if not running["quiet"] or running["as_json"]:
-                console.show(title, result.rows, result.summary, simulated=False, as_json=running["as_json"])
+            with console.progress_bar("compiling", "commands", quiet=running.quiet) as progress:
+                result = module.run(progress, say=(lambda line: None) if running.quiet else console.say)
+            if not running.quiet or running.as_json:
+                console.show(title, result.rows, result.summary, simulated=False, as_json=running.as_json)
             return
         if chosen.hardware:
             module = importlib.import_module("evetac_cli.inspect.hardware_check")
-            result = module.run(chosen, running["out"])
+            result = module.run(chosen, running.out)
         elif chosen.speed:
             module = importlib.import_module("evetac_cli.inspect.speed")
             result = module.run(chosen)
@@ -128,11 +129,11 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
             raise typer.Exit(DeviceError.exit_code)
 
 
-def _show(title: str, module: Any, result: Outcome, running: dict[str, Any]) -> None:
+def _show(title: str, module: Any, result: Outcome, running: Running) -> None:
     """Print a result as one JSON object, or as its module does; nothing with --quiet."""
-    if running["as_json"]:
+    if running.as_json:
         console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
-    elif not running["quiet"]:
+    elif not running.quiet:
         module.show(result)
 
 
@@ -145,7 +146,7 @@ def _inspector(name: str, help_: str, files_help: str, unit: str = "files") -> C
         quiet: Quiet = False,
         verbose: Verbose = False,
     ) -> None:
-        running = {"as_json": as_json, "quiet": quiet, "verbose": verbose}
+        running = Running(as_json=as_json, quiet=quiet, verbose=verbose)
         with CommandExit(name, running):
             module = importlib.import_module(f"evetac_cli.inspect.{name}")
             with console.progress_bar(name, unit, quiet=quiet) as progress:
@@ -183,7 +184,7 @@ def _info(
     verbose: Verbose = False,
 ) -> None:
     """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
-    with CommandExit("info", {"as_json": as_json, "verbose": verbose}) as looked:
+    with CommandExit("info", Running(as_json=as_json, verbose=verbose)) as looked:
         if len(files) != 1 or not files[0].is_dir():
             if where:
                 named = ", ".join(map(str, files))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.numerics import labels, models, plots, scene_parts, simulator_cost
 from evetac_cli.numerics.grasp import cost as grasp
 from evetac_cli.numerics.pipeline import cost as pipeline
@@ -152,3 +152,6 @@ def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
             ]
             lines.append(f"{error}: least with {words[0]}; fastest with {words[1]}.")
     return rows, lines
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import EvetacError, attach_outcome
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.numerics import simulator_stability
 from evetac_cli.numerics.grasp import stability as grasp
 from evetac_cli.numerics.tracker import stability as tracker
@@ -92,3 +92,6 @@ def summary(rows: Rows, counted_by: str) -> dict[str, Any]:
         f"not_ok_by_{counted_by}": ", ".join(counts),
         "not_ok": "; ".join(f"{group}: {case}" for (group, case), good in ok.items() if not good) or None,
     }
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -16,15 +16,13 @@ class Devices:
     camera: str = parameter(
         "sim",
         "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2"
-        " (docs/hardware.md lists them); dvxplorer or dvxplorer:SERIAL; dv or dv:SERIAL, through dv-processing;"
-        " replay:FILE, a recording, on which a grasp says what the controller would have done.",
+        " (docs/hardware.md lists them); dvxplorer[:SERIAL]; dv[:SERIAL], through dv-processing; replay:FILE.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md lists them); none, to record"
-        " the camera alone; or PORT[:ID][@BAUD], as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out;"
-        " default: that of the camera.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or PORT[:ID][@BAUD], as in"
+        " /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera.",
         recipe=False,
         needs=(Capability.SCENE, Capability.DEVICE),
     )

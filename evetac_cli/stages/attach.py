@@ -15,7 +15,7 @@ from typing import Any
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.streams import aligned, on_clock_of_events, read_stream
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.params.recording import Attach
 from evetac_cli.stages import one_file
 from evetac_cli.store import contents, streams
@@ -143,3 +143,6 @@ def _offsets(params: Attach) -> dict[str, float]:
             expected = f"NAME=SECONDS, less than {streams.MOST_OFFSET_S:g}"
             raise InputError("not an offset", where="--offset", expected=expected, found=f"{name}={text}")
     return offsets
+
+
+STAGE = Stage(jobs, run)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.formats.read.calibration_pickle import read_pickle
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import dot_search, gel_layout, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.params.parameter import recipe_of
@@ -279,3 +279,6 @@ def _against_stored(recording: Recording, dots: Grid) -> dict[str, float]:
     true = stored[np.isfinite(stored[..., 0])]
     error = np.linalg.norm(present[:, None] - true[None], axis=2).min(axis=1)
     return {"error_px_rms": float(np.sqrt((error**2).mean())), "error_px_worst": float(error.max())}
+
+
+STAGE = Stage(jobs, run)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.params.learning import Featurize
@@ -136,3 +136,6 @@ def _blocks(
 def _named(recording: Path, kind: str, given: Path | None) -> Path:
     """The file of a kind that belongs to a recording: beside it, in the folder given, or the file given."""
     return given if given is not None and not given.is_dir() else output_path(recording, kind, given)
+
+
+STAGE = Stage(jobs, run)

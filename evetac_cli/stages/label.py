@@ -14,7 +14,7 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.params.learning import Label
 from evetac_cli.params.parameter import recipe_of
@@ -159,3 +159,6 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
         confidence = float(slips[onset:stop].mean())
         labels[stop:] = -1
     return flow.Labels(labels, np.full(len(slips), np.nan, np.float32), onset, confidence, 0)
+
+
+STAGE = Stage(jobs, run)

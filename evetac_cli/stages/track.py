@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.params.learning import Track
@@ -120,3 +120,6 @@ def _calibration(recording: Recording, given: Path | None) -> Calibration:
         )
     radius = float(recording.read("sensor/dot_radius_px"))
     return Calibration(recording.frame_px, dots, radius, recording.window_px)
+
+
+STAGE = Stage(jobs, run)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.params.learning import TrackRgb
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.camera.rgb_sensor import RgbCamera, frame, start_tracker, track
@@ -109,3 +109,6 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
         max_displacement_px=farthest_px,
         dots_lost=int(state.lost.sum()) if slices else 0,
     )
+
+
+STAGE = Stage(jobs, run)

@@ -56,11 +56,6 @@ class Trial(Job):
     view: View | None = field(default=None, kw_only=True)
 
     @property
-    def outputs(self) -> tuple[Path, ...]:
-        """All files that the trial makes."""
-        return (self.output,)
-
-    @property
     def shows_simulation(self) -> bool:
         """Whether what is seen is, or once was, simulated; for the title of a view."""
         return self.plan is not None

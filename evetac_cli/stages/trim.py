@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.params.recording import Trim
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.store import schema
@@ -149,3 +149,6 @@ def _lost(recording: Recording, first: int, end: int) -> dict[str, Any]:
     gaps = np.clip(recording.read("capture/lost_slices"), first, end) - first
     gaps = gaps[gaps[:, 0] < gaps[:, 1]]
     return {"capture/lost_slices": gaps} if len(gaps) else {}
+
+
+STAGE = Stage(jobs, run)

@@ -22,6 +22,7 @@ from typer.testing import CliRunner, Result
 from evetac_cli import __version__
 from evetac_cli.cli import execution
 from evetac_cli.cli.commands import EVALUATE, PIPELINE, Command
+from evetac_cli.cli.flags import Running
 from evetac_cli.cli.main import app
 from evetac_cli.errors import (
     DeviceError,
@@ -35,7 +36,7 @@ from evetac_cli.errors import (
     error_dict,
     install_hint,
 )
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.params.learning import Label
 from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import PACKAGE
@@ -62,6 +63,11 @@ def plain_text(text: str) -> str:
 Act = Callable[[Job, Any], Outcome]
 
 
+def module_of(jobs: Any, run: Any, **more: Any) -> SimpleNamespace:
+    """A stage's module, as the command line and its workers see it."""
+    return SimpleNamespace(run=run, STAGE=Stage(jobs, run, **more))
+
+
 @pytest.fixture
 def label_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Act], None]:
     """Let a function stand in for what `evetac label` does to each file."""
@@ -71,7 +77,7 @@ def label_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Act], None]:
             progress(0, 1)
             return act(job, chosen)
 
-        stage = SimpleNamespace(run=run, jobs=lambda files, chosen, out: per_file(files, "labels", out))
+        stage = module_of(lambda files, chosen, out: per_file(files, "labels", out), run)
         monkeypatch.setitem(sys.modules, "evetac_cli.stages.label", stage)
 
     return put
@@ -285,9 +291,7 @@ def test_json_shape(label_is: Any, files: list[str]) -> None:
 def test_json_of_evaluate_says_its_subject(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
     """Assert that the command of a subject is `evaluate slip`, and its own summary is shown."""
     answer = Outcome([{"f1": 0.5}], True, {"f1_mean": 0.5, "report": "x.report.h5"})
-    stage = SimpleNamespace(
-        jobs=lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))], run=lambda *_, **__: answer
-    )
+    stage = module_of(lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))], lambda *_, **__: answer)
     monkeypatch.setitem(sys.modules, "evetac_cli.stages.evaluate.slip", stage)
     shown = json.loads(evetac("evaluate", "slip", *files, "--json").stdout)
     assert shown == {"command": "evaluate slip", "simulated": True, "rows": answer.rows, "summary": answer.summary}
@@ -443,9 +447,9 @@ def test_what_was_made_is_the_last_line(label_is: Any, files: list[str]) -> None
 def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
     """Assert that a stage can choose rows for people and say what they amount to, and that --json has every row."""
     answer = Outcome([{"a": 1}, {"b": 2}], True, {"count": 2})
-    stage = SimpleNamespace(
-        jobs=lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
-        run=lambda *_, **__: answer,
+    stage = module_of(
+        lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
+        lambda *_, **__: answer,
         for_people=lambda rows, chosen: (rows[1:], ["early in 1 of 2"]),
         cautions=lambda jobs, chosen: ["few files"],
     )
@@ -558,7 +562,7 @@ def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
 
 def test_force_never_replaces_a_file_named_by_a_flag(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
     """Assert that a file given by a flag, such as a model, is an input too."""
-    stage = SimpleNamespace(jobs=lambda files, chosen, out: [Job((), out)], run=lambda *_, **__: pytest.fail("ran"))
+    stage = module_of(lambda files, chosen, out: [Job((), out)], lambda *_, **__: pytest.fail("ran"))
     monkeypatch.setitem(sys.modules, "evetac_cli.stages.grasp", stage)
     result = evetac("grasp", "--model", "a.recording.h5", "-o", "a.recording.h5", "--force")
     assert result.exit_code == 2
@@ -620,8 +624,9 @@ def test_wrong_parameters(label_is: Any, files: list[str], arguments: list[str],
 @pytest.mark.parametrize("given", [[], ["--sort"], ["--no-sort"]])
 def test_switches_can_be_set_and_unset(monkeypatch: pytest.MonkeyPatch, files: list[str], given: list[str]) -> None:
     """Assert that a switch of a config file can be turned off again by a flag."""
-    stage = SimpleNamespace(jobs=lambda files, chosen, out: [Job((), Path("x.h5"))])
-    stage.run = lambda job, chosen, **_: parameters(job, chosen)
+    stage = module_of(
+        lambda files, chosen, out: [Job((), Path("x.h5"))], lambda job, chosen, **_: parameters(job, chosen)
+    )
     monkeypatch.setitem(sys.modules, "evetac_cli.stages.record", stage)
     Path("c.toml").write_text("[record]\nsort = true\n")
     result = evetac("record", "--config", "c.toml", "--json", *given) if given else evetac("record", "--json")
@@ -748,25 +753,26 @@ def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             failed = EvetacError("no memory") if job.output.name == "b-1" else Outcome([], simulated=False)
             into[job.output] = failed
 
-    stage = SimpleNamespace(
+    stage = Stage[Any](
+        lambda files, chosen, out: [],
+        lambda job, chosen, **_: Outcome([{"alone": job.output.name}], simulated=False),
         parts=lambda job, chosen: [Job((), Path(f"{job.output}-{number}")) for number in range(2)],
-        run=lambda job, chosen, **_: Outcome([{"alone": job.output.name}], simulated=False),
     )
-    monkeypatch.setattr(execution.importlib, "import_module", lambda name: stage)
+    monkeypatch.setattr(execution.workers.importlib, "import_module", lambda name: stage)
     monkeypatch.setattr(execution.workers, "run_parallel", run_parallel)
     jobs = [Job((), tmp_path / name) for name in ("a", "b", "c", "there")]
     (tmp_path / "there").touch()
-    running = {"quiet": True, "force": False, "engine": "local", "number_of_jobs": 2}
+    running = Running(quiet=True, number_of_jobs=2)
 
     results: dict[Path, Outcome | EvetacError] = {}
-    execution.run_jobs(Command("of parts", object, "", ""), jobs, None, running, results)
+    execution.run_jobs(Command("of parts", object, "", ""), stage, jobs, None, running, results)
     assert begun == [["a-0", "a-1", "b-0", "b-1", "c-0", "c-1"], ["a", "c"]]
     assert isinstance(results[tmp_path / "b"], EvetacError)
     assert set(results) == {job.output for job in jobs}
 
     begun.clear()
     results.clear()
-    execution.run_jobs(Command("of parts", object, "", ""), jobs, None, {**running, "number_of_jobs": 1}, results)
+    execution.run_jobs(Command("of parts", object, "", ""), stage, jobs, None, Running(quiet=True), results)
     assert begun == []
     assert [result.rows[0]["alone"] for result in results.values() if isinstance(result, Outcome)] == [
         "a", "b", "c", "there",

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.params.evaluation import EvaluateDataRate
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.evaluate import Rows, paper, picture, report, report_job
@@ -236,3 +236,6 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
         )
     panels[-1].set_xlabel("time [s]")
     picture.legend(figure, panels)
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, Stage, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.params.evaluation import EvaluateForce
 from evetac_cli.params.parameter import recipe_of
@@ -245,3 +245,6 @@ def _draw(figure: Any, trials: list[TrialForce]) -> None:
         axes.set_xlabel("time [s]")
     figure.suptitle("Shear force from dots, an unseen trajectory (simulated)")
     picture.legend(figure, panels[0])
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.params.evaluation import EvaluateGrasp
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim import grasp_outcome
@@ -280,3 +280,6 @@ def _figure_place(called: int | str) -> tuple[int, str]:
     if isinstance(called, str):
         return 1000, called
     return (PAPER_ORDER.index(called) if called in PAPER_ORDER else 100 + called), ""
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.params.evaluation import EvaluateLabels
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.scenes.true_slip import SLIP_PX
@@ -117,3 +117,6 @@ def _gross_start(slid_px: NDArray[np.float32], onset: int) -> int:
     """First slice of the gross slip that leads to the onset: the slice after the last without any sliding."""
     still = np.flatnonzero(slid_px[:onset] == 0.0)
     return int(still[-1]) + 1 if len(still) else 0
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.kernels.realism import classifier, figures
@@ -387,3 +387,6 @@ def _cumulative(axes: Any, values: NDArray, **style: Any) -> None:
     if len(values):
         shares = np.linspace(0.0, 1.0, min(1000, len(values)))
         axes.plot(np.quantile(values, shares), shares, **style)
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

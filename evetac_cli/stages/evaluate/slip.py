@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, made_by
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.params.evaluation import EvaluateSlip
 from evetac_cli.params.parameter import recipe_of
@@ -286,3 +286,6 @@ def _wrapped(setting: str) -> str:
 
 def _settings(rows: Rows) -> Rows:
     return [row for row in rows if "seeds" in row]
+
+
+STAGE = Stage(jobs, run, cautions=cautions, parts=parts, for_people=for_people)

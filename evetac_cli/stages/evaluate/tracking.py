@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.params.evaluation import EvaluateTracking
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import row_blocks
@@ -289,3 +289,6 @@ def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
     axes.set_yticks(
         range(len(presets)), [f"{picture.plain(row['preset'])}\ntrajectories: {row['trajectories']}" for row in presets]
     )
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

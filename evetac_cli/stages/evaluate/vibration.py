@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.kernels import vibration
 from evetac_cli.params.evaluation import EvaluateVibration
 from evetac_cli.params.parameter import recipe_of
@@ -334,3 +334,6 @@ def _draw_line(axes: Any, frequency_hz: Floats, amplitude: Floats, params: Evalu
     highest = amplitude[shown].max(initial=0.0)
     if highest > 0.0:
         axes.plot(frequency_hz[shown], amplitude[shown] / highest, label=label, linewidth=0.9)
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

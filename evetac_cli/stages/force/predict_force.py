@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import Prediction
 from evetac_cli.params.learning import PredictForce
@@ -137,3 +137,6 @@ def _by_the_paper(job: Job, *, force: bool, progress: Progress) -> Outcome:
         max_force_regression_n=float(np.abs(by_regression).max(initial=0.0)),
         max_force_network_n=float(np.abs(by_network).max(initial=0.0)),
     )
+
+
+STAGE = Stage(jobs, run)

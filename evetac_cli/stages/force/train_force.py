@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, made_by
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import Training
@@ -225,3 +225,6 @@ def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
             found=in_words(*shape),
             hint="evetac train-force fits one to this gel",
         )
+
+
+STAGE = Stage(jobs, run)

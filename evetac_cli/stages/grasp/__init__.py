@@ -15,7 +15,7 @@ from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
 from evetac_cli.params.grasp import Grasp
 from evetac_cli.params.parameter import flag_of
@@ -104,9 +104,6 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
     return part_costs.dry_run(trials, simulated.play, TIMERS, progress)
 
 
-dry_run_for_people = part_costs.for_people
-
-
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Grasp one object and record everything: in simulation, in real time, or on a recording."""
     match job:
@@ -121,3 +118,6 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
 
             return real_time.run(job, force=force, progress=progress)
     raise TypeError(f"grasp has no {type(job).__name__}")
+
+
+STAGE = Stage(jobs, run, dry_run=dry_run, dry_run_for_people=part_costs.for_people)

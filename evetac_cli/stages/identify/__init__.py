@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.params.parameter import recipe_of
 from evetac_cli.params.recording import Identify
 from evetac_cli.sim.setup import plan, sensor_file
@@ -180,3 +180,6 @@ def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
         where=str(path),
         hint="--force replaces it, -o writes another",
     )
+
+
+STAGE = Stage(jobs, run)

@@ -17,7 +17,7 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.devices.opening import require_arm
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
-from evetac_cli.jobs import Job, Outcome, Progress, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
 from evetac_cli.params.recording import Record
 from evetac_cli.stages import part_costs
@@ -112,9 +112,6 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progres
     return part_costs.dry_run(scenes, simulated.play_through, progress=progress)
 
 
-dry_run_for_people = part_costs.for_people
-
-
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Record one trial, or import one file; with --preview, show the camera of the trial instead."""
     match job:
@@ -127,3 +124,6 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
         case ImportJob():
             return imported.run(job, params, force=force, progress=progress)
     raise TypeError(f"record has no {type(job).__name__}")
+
+
+STAGE = Stage(jobs, run, dry_run=dry_run, dry_run_for_people=part_costs.for_people)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, made_by
-from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
@@ -383,3 +383,6 @@ def _check_grid(shape: tuple[int, int], path: Path) -> None:
             found=grid.in_words(rows, columns),
             hint="--model no-hist-img-6x6 sees events instead of dots; featurize with --images for it",
         )
+
+
+STAGE = Stage(jobs, run, cautions=cautions, parts=parts, for_people=for_people)
