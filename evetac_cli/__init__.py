@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from evetac_cli.events import Events, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
-    from evetac_cli.store.read import Recording, SlipWindows, open_recording
+    from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
 
 __all__ = [
     "DotTracker",

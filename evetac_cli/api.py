@@ -22,11 +22,11 @@ from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
-from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
-from evetac_cli.stages.record import SCENE_KINDS, simulated
 from evetac_cli.stages.slip_detectors import why_useless
-from evetac_cli.stages.trials import SimulatedTrial
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.trials.record import SCENE_KINDS, simulated
+from evetac_cli.trials.trial import SimulatedTrial
 
 
 def open_labels(path: str | Path) -> StageFile:

@@ -22,16 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli import kernel_cache, resources
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError, missing_library
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
-from evetac_cli.params.grasp import Grasp
 from evetac_cli.sim.grasp_outcome import LIFTED_MM
 from evetac_cli.sim.setup.plan import plans
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.stages.grasp.loop import Timing, grasp_slices
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials.grasp.loop import Timing, grasp_slices
 
 try:
     import gymnasium
@@ -142,8 +142,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Put an object down and touch it lightly; a seed decides all that is drawn."""
         from evetac_cli.devices.simulated import SimulatedGripper, rig
         from evetac_cli.kernels.tracking import tracker
-        from evetac_cli.stages.grasp.online_detector import open_detector
         from evetac_cli.stages.slip_detectors import require_useful
+        from evetac_cli.trials.grasp.online_detector import open_detector
 
         super().reset(seed=seed)
         known = list(self._plans)

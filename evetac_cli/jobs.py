@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from evetac_cli.errors import InputError
 
 MOST_NAME_BYTES = 255  # of a file, on nearly every file system
-APPENDED_BYTES = 48  # to a name while the file is written (store/disk.py), beside the name of this machine
+APPENDED_BYTES = 48  # to a name while the file is written (store/hdf5/disk.py), beside the name of this machine
 P = TypeVar("P")  # parameters of a command
 
 

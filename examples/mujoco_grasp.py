@@ -26,8 +26,8 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law, uses_
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.gripper import Drive, gap_m, ticks_at_gap
-from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
 SLIP_THRESHOLD = 0.3  # as `evetac grasp`
 FINGER_N_M = 3.6e3  # of one finger: 1.8 N/mm of the gap, as the package's own

@@ -23,22 +23,22 @@ from pathlib import Path
 
 import numpy as np
 
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.console import show
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import rig
+from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
-from evetac_cli.params.grasp import Grasp
 from evetac_cli.resources import MODEL
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import first_plan
-from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
 ROOT = Path(__file__).resolve().parents[1]
 SLICE_US = 1000.0

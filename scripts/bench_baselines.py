@@ -18,18 +18,18 @@ import torch
 from numpy.typing import NDArray
 
 import evetac_cli
+from evetac_cli.evaluate.cost.tracker import DOTS_PX
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.numerics.tracker.cost import DOTS_PX
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.scanning import camera
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
-from evetac_cli.store.trial_writer import TrialWriter
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.trial_writer import TrialWriter
 
 OURS = "ours"
 REPEATS = 5

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.evaluate import realism
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
@@ -47,8 +48,7 @@ from evetac_cli.sim.setup.plan import one_sensor, sensor_ranges
 from evetac_cli.sim.setup.sampling import DISTRIBUTIONS, sample_sensor
 from evetac_cli.sim.setup.scene_file import changed, merged
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.stages.evaluate import realism
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 
 ROOT = Path(__file__).resolve().parents[1]
 # The packaged scenes, with a longer rest, with fewer and faster strokes after each of which the gel comes to rest, and

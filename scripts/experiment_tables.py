@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from experiment_steps import TRACKING_SCENES
 
-from evetac_cli.stages.evaluate.paper import COLUMNS, FIGURES
+from evetac_cli.evaluate.paper import COLUMNS, FIGURES
 
 Row = dict[str, Any]
 Rows = list[Row]

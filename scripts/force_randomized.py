@@ -16,9 +16,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.params.recording import Record
+from evetac_cli.commands.record import Record
 from evetac_cli.sim.setup.scene_file import changed
-from evetac_cli.stages import record
+from evetac_cli.trials import record
 
 FLAT: dict[str, Any] = {}  # that of the scene, 30 mm x 30 mm
 DISC = {"size_mm": None, "radius_mm": 8.0}

@@ -41,15 +41,15 @@ from reproduce import commit
 from results import put_measured
 
 from evetac_cli.console import print_table
+from evetac_cli.evaluate import picture
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.resources import MODEL
-from evetac_cli.stages.evaluate import picture
-from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
 Row = dict[str, Any]
 

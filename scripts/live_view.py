@@ -31,8 +31,8 @@ from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
 from evetac_cli.console import print_table
-from evetac_cli.realtime.live_page.server import NEXT
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials.live_view.server import NEXT
 
 HERE = Path(__file__).resolve().parents[1]
 ADDRESS = re.compile(r"live view: http://(\S+)")

@@ -34,21 +34,29 @@ from experiment_tables import Evaluation, Evaluations
 from numpy.typing import NDArray
 from studies import PART_FIGURES
 
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.evaluate.cost.chain import (
+    BALANCE_S,
+    LIFT_S,
+    chain_of,
+    package_model,
+    prediction,
+    timed,
+)
+from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.labels import shift_labels
-from evetac_cli.numerics.pipeline.chain import BALANCE_S, LIFT_S, chain_of, package_model, prediction, timed
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.recording import Record
 from evetac_cli.sim.setup.scene_file import changed
-from evetac_cli.stages import grasp, label, record
-from evetac_cli.stages.evaluate.labels import EARLIEST_MS, LATEST_MS
-from evetac_cli.stages.grasp import simulated as simulated_grasp
-from evetac_cli.stages.trials import SimulatedTrial
+from evetac_cli.stages import label
 from evetac_cli.store.files import StageFile, output_path
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import grasp, record
+from evetac_cli.trials.grasp import simulated as simulated_grasp
+from evetac_cli.trials.trial import SimulatedTrial
 
 Row = dict[str, Any]
 Floats = NDArray[np.float64]

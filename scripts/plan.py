@@ -267,7 +267,7 @@ def cpu_of(*words: object) -> float:
 
 def measure(folder: Path) -> Costs:
     """The cost of every kind of task, of one core."""
-    from evetac_cli.store.read import open_recording
+    from evetac_cli.store.recordings.read import open_recording
 
     costs: Costs = {}
     folder.mkdir(parents=True)

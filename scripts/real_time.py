@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.console import print_table
-from evetac_cli.inspect.speed import Computer
+from evetac_cli.inspect.doctor.speed import Computer
 from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parents[1]

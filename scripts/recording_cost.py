@@ -25,8 +25,8 @@ from typing import Any
 
 from evetac_cli.cli.main import main as evetac
 from evetac_cli.console import print_table
-from evetac_cli.stages.record import simulated
-from evetac_cli.store.trial_writer import TrialWriter
+from evetac_cli.store.recordings.trial_writer import TrialWriter
+from evetac_cli.trials.record import simulated
 
 MEASURED = "EVETAC_RECORDING_COST"  # names the file to which a worker adds a line for each trial
 MOST_SHARE = 0.1

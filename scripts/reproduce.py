@@ -31,8 +31,8 @@ from report_facts import facts, methods, report_header, words_for
 from results import fill, keys, text
 
 from evetac_cli.errors import EvetacError
-from evetac_cli.stages.evaluate import paper
-from evetac_cli.stages.evaluate.source import Source
+from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.source import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"

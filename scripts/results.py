@@ -7,7 +7,7 @@ docs/results/NAME.json is put between them. The table `summary`, of the README, 
 
 A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
 and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
-brackets with its mark: both are asked of evetac_cli/stages/evaluate/paper.py, for a row and the `source` of its table.
+brackets with its mark: both are asked of evetac_cli/evaluate/paper.py, for a row and the `source` of its table.
 `methods` are the numbers of the methods by which its data were made; those that have changed since are named above the
 table.
 """
@@ -21,8 +21,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from evetac_cli.stages.evaluate import paper
-from evetac_cli.stages.evaluate.source import Source
+from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.source import Source
 
 Row = dict[str, Any]
 Result = dict[str, Any]

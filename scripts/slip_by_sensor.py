@@ -18,15 +18,15 @@ from results import ranges
 from studies import LIGHT_N
 
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction, score
 from evetac_cli.resources import MODEL
-from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.slip_detectors import predict, read_series, read_trajectory
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.layout.provenance import Header, Recipe
 
 RESAMPLES, SEED = 2000, 0  # of the intervals
 AROUND_SLIP_MS = 20  # before a true slip, where a detector that looks ahead may call it already

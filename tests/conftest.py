@@ -10,18 +10,23 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.train import Train
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
 from evetac_cli.devices.virtual.world import VirtualWorld
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import Featurize, Label, Track, Train, TrainForce
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
-from evetac_cli.stages import featurize, grasp, label, record, track, train
+from evetac_cli.stages import featurize, label, track, train
 from evetac_cli.stages.force import train_force
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import grasp, record
 from tests.browser import Browser
 from tests.small_files import recording_of
 

@@ -13,7 +13,7 @@ from evetac_cli.events import Events, slice_starts
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.layout.provenance import Recipe, content_digest
 
 FRAME_PX = (640, 480)
 

@@ -15,8 +15,8 @@ import pytest
 from evetac_cli import resources
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.new_contents import NewContents
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.layout.new_contents import NewContents
+from evetac_cli.store.layout.provenance import Header, Recipe
 from tests.make import event_arrays, truth_arrays, write_recording
 
 SLICES = 24

@@ -16,13 +16,13 @@ import pytest
 
 import evetac_cli as evetac
 from evetac_cli import api
-from evetac_cli.params.evaluation import EvaluateLabels
-from evetac_cli.params.learning import PredictForce
-from evetac_cli.params.recording import Record
+from evetac_cli.commands.evaluate import EvaluateLabels
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.record import Record
+from evetac_cli.evaluate import labels
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages.evaluate import labels
 from evetac_cli.stages.force import predict_force
-from evetac_cli.stages.record import jobs, run
+from evetac_cli.trials.record import jobs, run
 from tests.conftest import Made
 from tests.patience import PATIENCE_S
 

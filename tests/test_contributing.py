@@ -23,7 +23,7 @@ def imports_table() -> str:
     lines = ["| package | may import |", "| --- | --- |"]
     for package, allowed in MAY_IMPORT.items():
         names = [name for name in MAY_IMPORT if name in allowed] + sorted(allowed - set(MAY_IMPORT))
-        module = f"{package}.py" if package in GROUND and package != "params" else package
+        module = f"{package}.py" if package in GROUND and package != "commands" else package
         lines.append(f"| `{module}` | {', '.join(names) or 'nothing of ours'} |")
     return "\n".join(lines) + "\n"
 

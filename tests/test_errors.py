@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 
 from evetac_cli import errors
-from evetac_cli.cli.commands import PIPELINE
+from evetac_cli.commands import PIPELINE
 from evetac_cli.errors import EXTRAS, INSTALLERS, MADE_BY, install_hint, made_by
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.calibration import MAKE_GRID
-from evetac_cli.store.schema import KINDS
+from evetac_cli.store.layout.schema import KINDS
 
 ROOT = PACKAGE.parent
 OFFERED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-OTHERS = ("inspect/doctor.py",)  # it mends a library that is there, but broken or twice
+OTHERS = ("inspect/doctor/__init__.py",)  # it mends a library that is there, but broken or twice
 
 
 INSTALLS = re.compile(r"pipx? install|evetac\[|'\.\[\w")
@@ -59,7 +59,7 @@ def test_one_function_makes_all_hints_that_install() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in docstrings:
                 said += [name] if INSTALLS.search(node.value) and name != "errors.py" else []
     assert set(said) <= set(OTHERS)
-    assert itself <= {"errors.py", "inspect/doctor.py", "stages/evaluate/picture.py"}  # the last two go on without it
+    assert itself <= {"errors.py", "inspect/doctor/__init__.py", "evaluate/picture.py"}  # the last two go on without it
     assert {"camera", "convert", "plot"} <= asked <= EXTRAS.keys()
 
 

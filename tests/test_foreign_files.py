@@ -11,7 +11,7 @@ import pytest
 
 from evetac_cli.formats.write import write_dsec
 from evetac_cli.jobs import silent
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from tests import small_files
 from tests.make import answer_of, evetac
 from tests.quick import few

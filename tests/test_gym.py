@@ -17,8 +17,8 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.kernels.grip.control import Control, FixedGrip
 from evetac_cli.resources import SCENES
-from evetac_cli.stages.grasp.loop import Timing, grasp_slices
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials.grasp.loop import Timing, grasp_slices
 
 SHORT = {"hand_mm_s": 400.0, "lift_s": 0.6, "balance_s": 0.1}
 

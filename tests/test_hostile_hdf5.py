@@ -18,10 +18,11 @@ from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.inspect import repair
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import schema, segments
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings import segments
+from evetac_cli.store.recordings.segments import RecordingWriter
 from tests.hostile_hdf5 import ANYWHERE, IN_HEADERS, IN_OUR_OWN, Change, X, rows_of
 from tests.patience import PATIENCE_S
 from tests.small_files import every_kind

@@ -14,7 +14,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import EXTRAS, install_hint
 from evetac_cli.formats.write import write_aedat4
 from evetac_cli.jobs import silent
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 from tests import small_files
 
 # What is not there, the command that needs it ({f}: a recording, {o}: the folder of outputs), and the extra.

@@ -11,11 +11,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evetac_cli.cli.commands import EVALUATE, EXPORT, PIPELINE, SHARE, VIEW, Command
-from evetac_cli.cli.config import COMMANDS, MOST, resolve
+from evetac_cli.cli.config import MOST, resolve
 from evetac_cli.cli.main import app
+from evetac_cli.commands import (
+    EVALUATE,
+    EXPORT,
+    PIPELINE,
+    SHARE,
+    VIEW,
+    WITH_CONFIG,
+    Command,
+)
+from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError, SceneError
-from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import scene_file, sensor_file
@@ -63,7 +71,7 @@ def test_a_flag_is_a_plain_number_or_refused(command: Command, name: str, value:
 @pytest.mark.parametrize(
     "text", ["-0.0", "nan", "-inf", "1e400", "true", "9223372036854775808", "0x7fffffffffffffff", "1e18"]
 )
-@pytest.mark.parametrize("command", [one for one in PIPELINE if one.name in COMMANDS], ids=lambda one: one.name)
+@pytest.mark.parametrize("command", [one for one in PIPELINE if one.name in WITH_CONFIG], ids=lambda one: one.name)
 def test_a_config_file_has_plain_numbers(command: Command, text: str, tmp_path: Path) -> None:
     """Assert the same of each number that a config file sets; a truth value is no number."""
     hints = typing.get_type_hints(command.params)

@@ -11,17 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.track import Track
 from evetac_cli.events import SLICE_US, Events, Slicer, SliceStarts, concatenate, empty, slice_starts
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.recordings.read import Recording, open_recording
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from tests.conftest import Made
 
 

@@ -8,17 +8,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evetac_cli.commands.calibrate import Calibrate
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.train import Train
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import Featurize, Label, PredictForce, Track, Train, TrainForce
-from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.resources import SCENES
-from evetac_cli.stages import calibrate, featurize, grasp, label, record, track, train
+from evetac_cli.stages import calibrate, featurize, label, track, train
 from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import grasp, record
 from tests.make import output_of
 
 Dots = NDArray[np.float64]

@@ -7,14 +7,16 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-from evetac_cli.cli.commands import EVALUATE, PIPELINE
-from evetac_cli.cli.config import COMMANDS, resolve
+from evetac_cli.cli.config import resolve
+from evetac_cli.commands import EVALUATE, PIPELINE, WITH_CONFIG
+from evetac_cli.commands.doctor import Doctor
+from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.parameter import flag_of, recipe_of
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
-from evetac_cli.params.evaluation import EvaluateLabels, EvaluateSlip
-from evetac_cli.params.inspection import Doctor
-from evetac_cli.params.learning import Label, Track, Train
-from evetac_cli.params.parameter import flag_of, recipe_of
-from evetac_cli.params.recording import Record
 
 EVERY = {command.name: command.params for command in PIPELINE}
 EVERY |= {f"evaluate {command.name}": command.params for command in EVALUATE}
@@ -48,7 +50,7 @@ def test_defaults_are_valid(command: str) -> None:
 
 def test_every_command_has_a_table() -> None:
     """Assert that a config file can have a table for each command, and for no other."""
-    assert set(EVERY) == set(COMMANDS)
+    assert set(EVERY) == set(WITH_CONFIG)
 
 
 def test_flag_beats_config_beats_default(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tests.patience import PATIENCE_S, until
 
 TESTS = Path(__file__).resolve().parent
 # What runs in real time has limits of its own there, with the reason beside each.
-IN_REAL_TIME = (TESTS / "devices", TESTS / "stages" / "grasp")
+IN_REAL_TIME = (TESTS / "devices", TESTS / "trials" / "grasp")
 WAITS = ("wait", "join", "communicate")  # methods whose first argument, or `timeout`, is a limit
 CLOCKS = ("monotonic", "perf_counter")
 MAY_WAIT = re.compile(rf"timeout=|[.](?:{'|'.join(WAITS)})[(][\w.]|{'|'.join(CLOCKS)}")

@@ -16,9 +16,9 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
-from evetac_cli.stages.evaluate.paper import MARKS
-from evetac_cli.stages.record import simulated
-from evetac_cli.store import schema
+from evetac_cli.evaluate.paper import MARKS
+from evetac_cli.store.layout import schema
+from evetac_cli.trials.record import simulated
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import first_hour
@@ -107,7 +107,7 @@ def test_every_check_of_doctor_is_explained() -> None:
     """Assert that the table of troubleshooting has a row for each check of doctor that may be wrong."""
     table = PAGES["docs/troubleshooting.md"].split("## What `doctor` says")[1]
     checks = set()
-    for node in ast.walk(ast.parse((ROOT / "evetac_cli" / "inspect" / "doctor.py").read_text())):
+    for node in ast.walk(ast.parse((ROOT / "evetac_cli" / "inspect" / "doctor" / "__init__.py").read_text())):
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "check" and len(node.args) > 3:
             name, ok = node.args[1:3]
         elif isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple) and len(node.value.elts) == 5:

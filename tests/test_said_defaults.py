@@ -16,7 +16,15 @@ import pytest
 
 from evetac_cli import resources
 from evetac_cli.cli import flags
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW
+from evetac_cli.commands import (
+    DOCTOR,
+    EVALUATE,
+    EXPORT,
+    PIPELINE,
+    REPORT,
+    SHARE,
+    VIEW,
+)
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
@@ -26,10 +34,10 @@ from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import train
-from evetac_cli.stages.grasp import real_time
 from evetac_cli.stages.identify import gripper_rows
-from evetac_cli.stages.record import SCENE_KINDS, capture_plan
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials.grasp import real_time
+from evetac_cli.trials.record import SCENE_KINDS, capture_plan
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT, DOCTOR, SHARE, REPORT)}

@@ -12,18 +12,20 @@ import pytest
 from typer.testing import CliRunner
 
 import evetac_cli as evetac
-from evetac_cli.cli.commands import EVALUATE, EXPORT, PIPELINE, VIEW
 from evetac_cli.cli.main import app
+from evetac_cli.commands import EVALUATE, EXPORT, PIPELINE, VIEW
+from evetac_cli.commands.evaluate import EvaluateCost, EvaluateForce, EvaluateSlip
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.train import Train
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
-from evetac_cli.numerics import cost
-from evetac_cli.params.evaluation import EvaluateCost, EvaluateForce, EvaluateSlip
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import PredictForce, Train, TrainForce
+from evetac_cli.evaluate import force, slip
+from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.resources import FORCE_MODEL, MODEL, SHIPPED, model_file, with_shipped
 from evetac_cli.stages import train
-from evetac_cli.stages.evaluate import force, slip
 from evetac_cli.stages.force import predict_force, train_force
-from evetac_cli.stages.grasp.settings import GraspSettings
+from evetac_cli.trials.grasp.settings import GraspSettings
 from tests.conftest import Made
 
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT)}

@@ -20,11 +20,13 @@ import pytest
 
 from evetac_cli import text_files
 from evetac_cli.cli import config
+from evetac_cli.commands.calibrate import Calibrate
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.calibration_pickle import read_pickle
-from evetac_cli.params.learning import Label, Track
-from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.resources import PACKAGE
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.stages import calibrate

@@ -22,11 +22,12 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.streams import read_stream
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import checked_hdf5, segments
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5 import checked_hdf5
+from evetac_cli.store.recordings import segments
 from tests import small_files
 from tests.make import evetac
-from tests.store.test_recovery import STATIC, broken_off
+from tests.store.recordings.test_recovery import STATIC, broken_off
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
 HOLD = """

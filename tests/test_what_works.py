@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from evetac_cli.cli.commands import EVALUATE, PIPELINE
+from evetac_cli.commands import EVALUATE, PIPELINE
+from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.devices import cameras
 from evetac_cli.events import FRAME_PX
 from evetac_cli.formats import imports
@@ -23,7 +24,6 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ImageArchitecture,
 )
-from evetac_cli.params.recording import Calibrate
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import calibrate, calibrated_gel
 from evetac_cli.store.calibration import read_calibration

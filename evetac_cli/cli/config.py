@@ -14,38 +14,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.commands import WITH_CONFIG
+from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
-from evetac_cli.params.parameter import flag_of
 from evetac_cli.text_files import plain_number, read_toml
 
 MOST = 10**12  # of a number whose parameter has no limit of its own: a year in us, and no sum of such overflows
-
-# A table of a config file for each: [track], [evaluate.slip].
-COMMANDS = (
-    "record",
-    "trim",
-    "attach",
-    "calibrate",
-    "identify",
-    "label",
-    "track",
-    "featurize",
-    "train",
-    "track-rgb",
-    "train-force",
-    "predict-force",
-    "evaluate slip",
-    "evaluate vibration",
-    "evaluate data-rate",
-    "evaluate labels",
-    "evaluate tracking",
-    "evaluate grasp",
-    "evaluate force",
-    "evaluate realism",
-    "evaluate cost",
-    "evaluate stability",
-    "grasp",
-)
 
 
 def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | None) -> Any:
@@ -63,7 +37,7 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
     table = read_toml(path)
     words = command.split()
     for depth, word in enumerate(words):
-        tables = {name.split()[depth] for name in COMMANDS if name.split()[:depth] == words[:depth]}
+        tables = {name.split()[depth] for name in WITH_CONFIG if name.split()[:depth] == words[:depth]}
         for key in table:
             if key not in tables:
                 raise _unknown("table", key, sorted(tables), where=str(path))

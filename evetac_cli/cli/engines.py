@@ -194,7 +194,7 @@ def run_on_dask(
 @contextmanager
 def _sign(folder: Path) -> Iterator[Path]:
     """The file that says that a command runs, in a folder that is made for it; absolute, as workers need it."""
-    from evetac_cli.store import disk
+    from evetac_cli.store.hdf5 import disk
 
     folder = folder.absolute()
     disk.existing_folder(folder)

@@ -14,13 +14,13 @@ from typing import Any
 
 from evetac_cli import console
 from evetac_cli.cli import compiling, config, engines, flags, workers
-from evetac_cli.cli.commands import Command
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.trials import Trials
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
-from evetac_cli.params.recording import Record
-from evetac_cli.params.trials import Trials
 
 MOST_ROWS = 100  # of one table on a terminal
 

@@ -1,4 +1,4 @@
-"""Flags and help of a command, made from its parameters: each is written down once, in params/.
+"""Flags and help of a command, made from its parameters: each is written down once, in commands/.
 
 Flags that most people need come first, then how to run, then the others in panels of their own: the first two fit on a
 screen.
@@ -15,8 +15,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from evetac_cli.cli import engines
-from evetac_cli.cli.commands import Command
-from evetac_cli.params.parameter import RUNNING, flag_of
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import RUNNING, flag_of
 
 # How to run, the same for every command that makes files; none of it changes the numbers. Of each flag: the type, the
 # default, the names, the help.

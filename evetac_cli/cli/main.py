@@ -12,9 +12,18 @@ import typer
 
 from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
+from evetac_cli.commands import (
+    DOCTOR,
+    EVALUATE,
+    EXPORT,
+    PIPELINE,
+    REPORT,
+    SHARE,
+    VIEW,
+)
+from evetac_cli.commands.command import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
@@ -110,17 +119,17 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
             return
         result: Outcome
         if chosen.compile:
-            module = importlib.import_module("evetac_cli.inspect.compile_kernels")
+            module = importlib.import_module("evetac_cli.inspect.doctor.compile_kernels")
             with console.progress_bar("compiling", "commands", quiet=running.quiet) as progress:
                 result = module.run(progress, say=(lambda line: None) if running.quiet else console.say)
             if not running.quiet or running.as_json:
                 console.show(title, result.rows, result.summary, simulated=False, as_json=running.as_json)
             return
         if chosen.hardware:
-            module = importlib.import_module("evetac_cli.inspect.hardware_check")
+            module = importlib.import_module("evetac_cli.inspect.doctor.hardware_check")
             result = module.run(chosen, running.out)
         elif chosen.speed:
-            module = importlib.import_module("evetac_cli.inspect.speed")
+            module = importlib.import_module("evetac_cli.inspect.doctor.speed")
             result = module.run(chosen)
         else:
             result = module.run(chosen)

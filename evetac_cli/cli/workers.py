@@ -328,7 +328,7 @@ def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) ->
 
 def remove_unfinished(outputs: Sequence[Path]) -> None:
     """Remove the temporary files that dead processes of this computer left beside these outputs."""
-    from evetac_cli.store import disk
+    from evetac_cli.store.hdf5 import disk
 
     for output in outputs:
         disk.remove_unfinished(output)

@@ -18,8 +18,8 @@ from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.events import FRAME_PX
 from evetac_cli.names import Capability
-from evetac_cli.store.provenance import Header
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.read import open_recording
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.word_sources import PreparedWords

@@ -15,8 +15,8 @@ from typing import Any
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, Slicer
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.store.provenance import Header
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.read import open_recording
 
 PACKET_EVENTS = 8192
 BLOCK_SLICES = 1000  # that are cut at once

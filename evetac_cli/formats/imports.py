@@ -31,8 +31,8 @@ from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, ae
 from evetac_cli.formats.read.read_text import open_text
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Progress, silent
-from evetac_cli.store.disk import leave_if_interrupted
-from evetac_cli.store.streams import Stream, free_name
+from evetac_cli.store.hdf5.disk import leave_if_interrupted
+from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import Steady
 
 EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"

@@ -15,7 +15,7 @@ from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.host_clock import clock_of_bag, on_sensor_clock
 from evetac_cli.formats.read.bags.read_bag_stream import read_bag_stream
 from evetac_cli.formats.read.read_table import read_table
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.recordings.streams import Stream
 from evetac_cli.text_files import open_regular, steady
 
 

@@ -6,14 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.commands.export import Export
+from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import FORMATS, export, export_folder, is_folder, target_path
 from evetac_cli.formats.write.slice_columns import Opener, TrialFiles
-from evetac_cli.inspect.view.time_series import model_output
-from evetac_cli.inspect.view.trial_files import open_trial
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.params.inspection import Export
-from evetac_cli.params.parameter import flag_of
+from evetac_cli.pages.view.time_series import model_output
+from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.store.files import StageFile

@@ -11,7 +11,7 @@ from typing import Any
 from evetac_cli.console import print_table, say
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store.index import Index, Row, open_index
+from evetac_cli.store.index import FOREIGN, Index, Row, open_index
 from evetac_cli.text_files import as_utf8
 
 NAMES = tuple(name for name in Row._fields if name != "changed_ns")  # that --where knows, and a row shows
@@ -22,8 +22,8 @@ MISSING = "none"
 TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # as simulated is shown in a table
 
 
-# Stage files, broken ones among them; the others are HDF5 files of other programs, which are passed over.
-_OURS, _FOREIGN = "(kind IS NOT NULL OR error IS NOT NULL)", "kind IS NULL AND error IS NULL"
+# Stage files, broken ones among them; all others are FOREIGN.
+_OURS = "(kind IS NOT NULL OR error IS NOT NULL)"
 _TOTALS = f"SELECT COUNT(CASE WHEN {_OURS} THEN 1 END), COUNT(error), MAX(simulated) FROM files"
 
 
@@ -34,15 +34,6 @@ def indexed(folder: Path, progress: Progress) -> Iterator[Index]:
         if index.note:
             say(f"{folder}: {index.note}")
         yield index
-
-
-def foreign_note(index: Index) -> str:
-    """How many HDF5 files of other programs were passed over, in words; empty if there is none."""
-    names = [row.path for row in index.rows(_FOREIGN)]
-    if not names:
-        return ""
-    several = f"s of other programs ({names[0]}, ...)" if len(names) > 1 else f" of another program ({names[0]})"
-    return f"passed over: {len(names):,} HDF5 file{several}"
 
 
 def run(folders: list[Path], progress: Progress = silent) -> Outcome:
@@ -91,7 +82,7 @@ def _files(index: Index, where: str, values: list[Any]) -> list[dict[str, Any]]:
 
 
 def _foreign(index: Index) -> int:
-    return int(_one(index, f"SELECT COUNT(*) FROM files WHERE {_FOREIGN}")[0])
+    return int(_one(index, f"SELECT COUNT(*) FROM files WHERE {FOREIGN}")[0])
 
 
 def _counts(index: Index) -> list[dict[str, Any]]:

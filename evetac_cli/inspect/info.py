@@ -13,9 +13,9 @@ from evetac_cli.devices import losses
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
-from evetac_cli.store import streams
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
 
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor

@@ -10,11 +10,19 @@ from evetac_cli.console import print_table
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store import part_folder
-from evetac_cli.store.checked_hdf5 import DAMAGE
-from evetac_cli.store.disk import remove_unfinished
-from evetac_cli.store.recovery import SUFFIX, Leftover, check_folder, held, read_leftover, recording_path, was_joined
-from evetac_cli.store.segments import join
+from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE
+from evetac_cli.store.hdf5.disk import remove_unfinished
+from evetac_cli.store.recordings import part_folder
+from evetac_cli.store.recordings.recovery import (
+    SUFFIX,
+    Leftover,
+    check_folder,
+    held,
+    read_leftover,
+    recording_path,
+    was_joined,
+)
+from evetac_cli.store.recordings.segments import join
 
 ENDED = "broke off, and was repaired"
 

@@ -11,10 +11,10 @@ from evetac_cli.console import print_table
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.resources import schemas
-from evetac_cli.store import contents
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import ContentDigest
-from evetac_cli.store.read import Recording
+from evetac_cli.store.layout import contents
+from evetac_cli.store.layout.provenance import ContentDigest
+from evetac_cli.store.recordings.read import Recording
 
 EVENTS = 1 << 18  # that are read together
 

@@ -2,7 +2,7 @@
 
 A stage has OUTPUT (a kind of file), METHOD (raised when its numbers change) and two functions:
 `jobs(files, params, out)` says which outputs will be made from which inputs, `run(job, params, ...)` makes one of them.
-The jobs of `record` and `grasp` are trials (trials.py); those with devices share a session (session.py).
+`record` and `grasp` are stages, too, whose jobs are trials (evetac_cli/trials/).
 """
 
 from collections.abc import Iterator, Sequence

@@ -12,18 +12,19 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.commands.attach import Attach
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.streams import aligned, on_clock_of_events, read_stream
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.params.recording import Attach
 from evetac_cli.stages import one_file
-from evetac_cli.store import contents, streams
-from evetac_cli.store.disk import existing_folder
 from evetac_cli.store.files import stem, up_to_date, write_stage
-from evetac_cli.store.provenance import ContentDigest, Recipe
-from evetac_cli.store.read import Recording, open_recording
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.hdf5.disk import existing_folder
+from evetac_cli.store.layout import contents
+from evetac_cli.store.layout.provenance import ContentDigest, Recipe
+from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings.read import Recording, open_recording
+from evetac_cli.store.recordings.streams import Stream
 
 OUTPUT = "recording"
 METHOD = 1

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.calibrate import Calibrate
+from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import dot_search, gel_layout, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
-from evetac_cli.params.parameter import recipe_of
-from evetac_cli.params.recording import Calibrate
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.setup import sensor_file
@@ -28,8 +28,8 @@ from evetac_cli.stages import calibrated_gel
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
-from evetac_cli.store.provenance import Recipe, made
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.layout.provenance import Recipe, made
+from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
 METHOD = 2

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import CLOSED_COLUMNS, CUT_COLUMNS, ROWS, Window
-from evetac_cli.params.recording import Calibrate
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.store.calibration import Calibration
 

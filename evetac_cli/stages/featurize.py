@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import GEL_PX
-from evetac_cli.params.learning import Featurize
-from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
 METHOD = 4

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.labelling import event_flow, flow
-from evetac_cli.params.learning import Label
-from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording, open_recording, ramp_start
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start
 
 OUTPUT = "labels"
 METHOD = 5

@@ -8,7 +8,7 @@ from pathlib import Path
 from evetac_cli.errors import MADE_BY, InputError, made_by
 from evetac_cli.resources import MODELS, SHIPPED, model_file
 from evetac_cli.store.files import StageFile, output_path
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.recordings.read import Recording, open_recording
 
 BY_SLICE = {
     "labels": "label",

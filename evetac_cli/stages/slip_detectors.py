@@ -15,9 +15,9 @@ from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.splits import object_name
-from evetac_cli.store.disk import joined_on_disk
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Header
+from evetac_cli.store.hdf5.disk import joined_on_disk
+from evetac_cli.store.layout.provenance import Header
 
 USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
 

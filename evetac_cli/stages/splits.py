@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.provenance import Header
+from evetac_cli.store.layout.provenance import Header
 
 
 def object_name(header: Header) -> str:

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params.learning import Track
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "tracks"
 METHOD = 4

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.params.learning import TrackRgb
-from evetac_cli.params.parameter import recipe_of
 from evetac_cli.sim.camera.rgb_sensor import RgbCamera, frame, start_tracker, track
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.track import COLUMNS
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.provenance import Header, Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.read import open_recording
 
 OUTPUT = "tracks"
 METHOD = 2

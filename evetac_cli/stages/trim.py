@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.params.recording import Trim
 from evetac_cli.stages import one_file, row_blocks
-from evetac_cli.store import schema
-from evetac_cli.store.contents import BLOCK_VALUES
 from evetac_cli.store.files import stem, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording, open_recording
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.contents import BLOCK_VALUES
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "recording"
 METHOD = 1

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
-from evetac_cli.store.disk import taking_the_place_of
-from evetac_cli.store.provenance import Recipe, content_digest, first_difference, other_recipe
+from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.layout.provenance import Recipe, content_digest, first_difference, other_recipe
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 MAKE_GRID = "evetac calibrate makes one from a press recording or a file; give it with --calibration GRID.json"

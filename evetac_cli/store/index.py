@@ -41,6 +41,9 @@ MOST_UNKNOWN_ROWS = 100_000
 STEPS_A_ROW = 200  # of SQLite's machine, which takes 30
 STEPS_AT_ONCE = 10_000
 
+# The condition of HDF5 files of other programs, which are passed over.
+FOREIGN = "kind IS NULL AND error IS NULL"
+
 
 class Row(NamedTuple):
     """What the index says of a file; None where a file of its kind has no such thing, or it is unknown."""
@@ -91,6 +94,15 @@ class Index(NamedTuple):
         """The rows for which a condition of SQL holds, by their paths."""
         chosen = self.table.execute(f"{_SELECT} WHERE {where} ORDER BY path", values)
         return sorted(Row(_name(path), *more) for path, *more in chosen)
+
+
+def foreign_note(index: Index) -> str:
+    """How many HDF5 files of other programs were passed over, in words; empty if there is none."""
+    names = [row.path for row in index.rows(FOREIGN)]
+    if not names:
+        return ""
+    several = f"s of other programs ({names[0]}, ...)" if len(names) > 1 else f" of another program ({names[0]})"
+    return f"passed over: {len(names):,} HDF5 file{several}"
 
 
 def _name(path: str | bytes) -> str:
@@ -256,7 +268,7 @@ def _filled(table: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> sqlit
 
 def _store(path: Path, rows: Iterable[tuple[Any, ...]]) -> bool:
     """Let a new index take the place of the old one; False if the folder cannot be written to."""
-    from evetac_cli.store.disk import existing_folder, taking_the_place_of
+    from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of
 
     try:
         existing_folder(path.parent)

@@ -20,7 +20,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.store import index
-from evetac_cli.store.disk import (
+from evetac_cli.store.hdf5.disk import (
     existing_folder,
     missing_folders,
     remove_empty,

@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.resources import MODEL
-from evetac_cli.store import schema
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording, open_recording
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording, open_recording
+from evetac_cli.store.recordings.segments import RecordingWriter
 
 TRIAL = ("record", "--scene", "slip", "--object", "2", "--count", "1", "--seed", "8000", "-q")
 EVENTS_A_SLICE = 300

@@ -9,10 +9,11 @@ from typing import Any
 import typer
 from page_text import bounds, code, fenced, prose, sentence, table
 
-from evetac_cli.cli import commands, config
+from evetac_cli import commands
 from evetac_cli.cli.main import app
+from evetac_cli.commands import WITH_CONFIG
+from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import DeviceError, EvetacError, InputError
-from evetac_cli.params.parameter import flag_of
 
 FOLDER = "commands"
 UNNAMED_PANEL = "Options"
@@ -94,7 +95,7 @@ def _page(name: str, command: Any) -> str:
         panels.setdefault(panel, []).append(_option(param, known.get(param.name)))
     for panel, rows in panels.items():
         parts += [f"## {panel}\n", table(("option", "what it does", "values", "default"), rows)]
-    if name in config.COMMANDS:
+    if name in WITH_CONFIG:
         parts.append(_in_a_file(name, known))
     return "\n".join(parts)
 

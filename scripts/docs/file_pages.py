@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from page_text import bounds, code, fenced, prose, sentence, table
 
-from evetac_cli.store.schema import KINDS, Dataset, Limits, Schema, load
+from evetac_cli.store.layout.schema import KINDS, Dataset, Limits, Schema, load
 
 FOLDER = "files"
 MADE_BY = {

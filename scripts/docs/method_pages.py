@@ -11,12 +11,13 @@ from typing import Any
 
 from page_text import code, comments, prose, sentence, table, value
 
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, MOST_FIXED_TICKS
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, weight_shapes
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import TrackerConstants
-from evetac_cli.params.learning import Label, TrainForce
 from evetac_cli.resources import FORCE_MODEL, MODEL
 
 ROWS, COLUMNS = 7, 8  # of the cut gel, for which numbers of weights are counted

@@ -16,7 +16,7 @@ from film_story import PICTURE_MS, Story, frame_times, read_story
 from PIL import Image
 
 from evetac_cli.errors import EvetacError
-from evetac_cli.inspect.view.trial_files import Trial, open_trial
+from evetac_cli.pages.view.trial_files import Trial, open_trial
 
 LAST_MS = 1500  # how long the last picture stays
 SHOWN_MS = 5  # the paper's images show 5 ms

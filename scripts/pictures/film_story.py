@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.inspect.view.trial_files import Trial
+from evetac_cli.pages.view.trial_files import Trial
 from evetac_cli.sim.setup.plan import read_plan
 
 PICTURE_MS = 50  # of the film: 20 pictures a second

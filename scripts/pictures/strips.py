@@ -12,10 +12,10 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from evetac_cli.evaluate import picture
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.sim.setup.scene_file import changed
-from evetac_cli.stages.evaluate import picture
-from evetac_cli.store.read import Recording, open_recording, true_onset
+from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 
 SHOWN_MS = 5  # the paper's images show 5 ms
 IMAGES = 4

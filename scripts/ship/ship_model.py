@@ -10,8 +10,8 @@ import shutil
 import sys
 from pathlib import Path
 
+from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.resources import MODEL
-from evetac_cli.stages.evaluate.slip_models import Model
 from evetac_cli.store.files import StageFile
 
 FIGURES = ("slip_early", "slip_correct", "slip_late", "f1", "trajectories", "objects")

@@ -1,6 +1,6 @@
 """Ctrl-C in commands that work on files: how long until the program has ended, and what is left then.
 
-Those of recording from devices are in tests/stages/record/test_ctrl_c.py. The bound is generous, for busy machines; the
+Those of recording from devices are in tests/trials/record/test_ctrl_c.py. The bound is generous, for busy machines; the
 times are printed (pytest -s). A command that had ended by itself before Ctrl-C came says nothing, and is skipped.
 """
 
@@ -22,8 +22,8 @@ from evetac_cli.formats.exports import export
 from evetac_cli.jobs import silent
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Header, Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.read import open_recording
 from tests.patience import PATIENCE_S
 
 BOUND_S = 20.0  # on a machine that is not busy it is 1 s

@@ -10,8 +10,17 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from evetac_cli.cli.commands import DOCTOR, EVALUATE, EXPORT, PIPELINE, REPORT, SHARE, VIEW, Command
 from evetac_cli.cli.main import app
+from evetac_cli.commands import (
+    DOCTOR,
+    EVALUATE,
+    EXPORT,
+    PIPELINE,
+    REPORT,
+    SHARE,
+    VIEW,
+    Command,
+)
 from tests.conftest import Made
 
 COMMANDS = [([command.name], command) for command in (*PIPELINE, VIEW, EXPORT, DOCTOR)]

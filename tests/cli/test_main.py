@@ -21,9 +21,12 @@ from typer.testing import CliRunner, Result
 
 from evetac_cli import __version__
 from evetac_cli.cli import execution
-from evetac_cli.cli.commands import EVALUATE, PIPELINE, Command
 from evetac_cli.cli.flags import Running
 from evetac_cli.cli.main import app
+from evetac_cli.commands import EVALUATE, PIPELINE
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import (
     DeviceError,
     DeviceTimeout,
@@ -37,12 +40,10 @@ from evetac_cli.errors import (
     install_hint,
 )
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.params.learning import Label
-from evetac_cli.params.parameter import flag_of
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.patience import PATIENCE_S
 
 COMMANDS = [([command.name], command) for command in PIPELINE]
@@ -292,7 +293,7 @@ def test_json_of_evaluate_says_its_subject(monkeypatch: pytest.MonkeyPatch, file
     """Assert that the command of a subject is `evaluate slip`, and its own summary is shown."""
     answer = Outcome([{"f1": 0.5}], True, {"f1_mean": 0.5, "report": "x.report.h5"})
     stage = module_of(lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))], lambda *_, **__: answer)
-    monkeypatch.setitem(sys.modules, "evetac_cli.stages.evaluate.slip", stage)
+    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
     shown = json.loads(evetac("evaluate", "slip", *files, "--json").stdout)
     assert shown == {"command": "evaluate slip", "simulated": True, "rows": answer.rows, "summary": answer.summary}
 
@@ -453,7 +454,7 @@ def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files:
         for_people=lambda rows, chosen: (rows[1:], ["early in 1 of 2"]),
         cautions=lambda jobs, chosen: ["few files"],
     )
-    monkeypatch.setitem(sys.modules, "evetac_cli.stages.evaluate.slip", stage)
+    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
     result = evetac("evaluate", "slip", *files)
     assert result.stdout.splitlines()[-2:] == ["count: 2", "early in 1 of 2"]
     assert result.stderr.splitlines()[0] == "note: few files"
@@ -563,7 +564,7 @@ def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
 def test_force_never_replaces_a_file_named_by_a_flag(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
     """Assert that a file given by a flag, such as a model, is an input too."""
     stage = module_of(lambda files, chosen, out: [Job((), out)], lambda *_, **__: pytest.fail("ran"))
-    monkeypatch.setitem(sys.modules, "evetac_cli.stages.grasp", stage)
+    monkeypatch.setitem(sys.modules, "evetac_cli.trials.grasp", stage)
     result = evetac("grasp", "--model", "a.recording.h5", "-o", "a.recording.h5", "--force")
     assert result.exit_code == 2
     assert "the output would replace an input" in result.stderr
@@ -627,7 +628,7 @@ def test_switches_can_be_set_and_unset(monkeypatch: pytest.MonkeyPatch, files: l
     stage = module_of(
         lambda files, chosen, out: [Job((), Path("x.h5"))], lambda job, chosen, **_: parameters(job, chosen)
     )
-    monkeypatch.setitem(sys.modules, "evetac_cli.stages.record", stage)
+    monkeypatch.setitem(sys.modules, "evetac_cli.trials.record", stage)
     Path("c.toml").write_text("[record]\nsort = true\n")
     result = evetac("record", "--config", "c.toml", "--json", *given) if given else evetac("record", "--json")
     (row,) = json.loads(result.stdout, parse_constant=pytest.fail)["rows"] if result.exit_code == 0 else [{}]

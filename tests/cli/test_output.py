@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.patience import PATIENCE_S
 
 NASTY = "\x1b[31mred\x1b]0;title\x07\x9b2J\u202egnp.exe\r[bold]b[/bold]\x00"

@@ -19,7 +19,7 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.setup.plan import first_plan
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made
 
 

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.record import Record
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.opening import open_peers, open_rig
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import InputError
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import grasp, record
+from evetac_cli.trials import grasp, record
 
 CAMERAS = ("virtual:prepared=1e5", "virtual", "dvxplorer", "dv", "virtual:prepared=1e5,virtual:prepared=1e5")
 
@@ -73,8 +73,8 @@ def test_there_is_no_other_way_to_a_gripper() -> None:
 
     assert using("RhP12Rn(") == {
         "devices/grippers.py",  # opened by open_rig
-        "stages/grasp/controller_process.py",  # started after open_peers
+        "trials/grasp/controller_process.py",  # started after open_peers
         "devices/virtual/gripper.py",  # an example in its docstring
     }
-    assert using(".switch_on(") == {"devices/rh_p12_rn/driver.py", "inspect/hardware_check.py"}
-    assert using("require_arm(") >= {"inspect/hardware_check.py", "stages/record/__init__.py"}
+    assert using(".switch_on(") == {"devices/rh_p12_rn/driver.py", "inspect/doctor/hardware_check.py"}
+    assert using("require_arm(") >= {"inspect/doctor/hardware_check.py", "trials/record/__init__.py"}

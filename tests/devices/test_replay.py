@@ -11,7 +11,7 @@ from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Slicer
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
+from evetac_cli.store.layout.provenance import Recipe, content_digest
 from tests import small_files
 
 

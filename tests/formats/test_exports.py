@@ -27,9 +27,9 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.formats.write import pieces, write_dsec, write_text
-from evetac_cli.store import disk
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5 import disk
 from tests.importing import FRAME, same
 from tests.make import event_arrays, write_recording
 from tests.patience import PATIENCE_S

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
@@ -26,9 +27,8 @@ from evetac_cli.formats.read import events_on_disk, read_text, time_order
 from evetac_cli.formats.read.event_validation import Columns, Foreign, Normal, normalise
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
-from evetac_cli.params.recording import Record
-from evetac_cli.stages import record
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials import record
 from tests.importing import FRAME, event_rows, real, refusal, same
 from tests.make import event_arrays, events_at, run_stage, write_recording
 from tests.patience import PATIENCE_S

@@ -21,11 +21,11 @@ from evetac_cli.formats.write import slice_columns, write_table
 from evetac_cli.inspect.export import trial_files
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages.slip_detectors import load_detector, read_series
-from evetac_cli.store import disk
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
-from evetac_cli.store.schema import load
+from evetac_cli.store.hdf5 import disk
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.schema import load
+from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.text_files import csv_text
 from tests import small_files
 from tests.conftest import Made

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
 from tests.small_files import DOTS, SLICES
 

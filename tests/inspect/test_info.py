@@ -10,12 +10,13 @@ import h5py
 import numpy as np
 import pytest
 
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
-from evetac_cli.params.recording import Record
-from evetac_cli.stages import record, train
+from evetac_cli.stages import train
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.trials import record
 from tests import small_files
 from tests.conftest import Made
 from tests.make import event_arrays, events_at, run_stage

@@ -19,12 +19,12 @@ from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import part_folder, segments
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import open_recording
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.recordings import part_folder, segments
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.segments import RecordingWriter
 from tests.patience import PATIENCE_S, until
-from tests.store.test_recovery import RECIPE, STATIC, broken_off, events_of
+from tests.store.recordings.test_recovery import RECIPE, STATIC, broken_off, events_of
 
 
 @pytest.fixture(autouse=True)
@@ -80,7 +80,7 @@ def test_gap_stays_in_time(tmp_path: Path) -> None:
 
 def control(k: int) -> dict[str, float]:
     """What a controller did; every second slice."""
-    from evetac_cli.store import schema
+    from evetac_cli.store.layout import schema
 
     named = (row for row in schema.load("recording").datasets if row.path.startswith("control/") and row.dims)
     return {row.path: 1 for row in named if row.dims == ("control_steps",) and not row.optional} if k % 2 == 0 else {}

@@ -14,20 +14,25 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.track_rgb import TrackRgb
+from evetac_cli.commands.trim import Trim
+from evetac_cli.commands.view import View
 from evetac_cli.errors import InputError
-from evetac_cli.inspect import validate, view
-from evetac_cli.params.evaluation import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
-from evetac_cli.params.inspection import View
-from evetac_cli.params.learning import Featurize, Label, PredictForce, Track, TrackRgb
-from evetac_cli.params.recording import Trim
+from evetac_cli.evaluate import labels as evaluate_labels
+from evetac_cli.evaluate import slip as evaluate_slip
+from evetac_cli.evaluate import tracking as evaluate_tracking
+from evetac_cli.evaluate import vibration as evaluate_vibration
+from evetac_cli.inspect import validate
+from evetac_cli.pages import view
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
-from evetac_cli.stages.evaluate import labels as evaluate_labels
-from evetac_cli.stages.evaluate import slip as evaluate_slip
-from evetac_cli.stages.evaluate import tracking as evaluate_tracking
-from evetac_cli.stages.evaluate import vibration as evaluate_vibration
 from evetac_cli.stages.force import predict_force
 from evetac_cli.store.files import StageFile, put_header
-from evetac_cli.store.provenance import recompute_id
+from evetac_cli.store.layout.provenance import recompute_id
 from tests import small_files
 from tests.make import run_stage
 from tests.small_files import COLUMNS, DOTS, ROWS, SLICES

@@ -17,13 +17,14 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.commands.evaluate import EvaluateSlip
+from evetac_cli.commands.export import Export
+from evetac_cli.commands.share import Share
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import slip
 from evetac_cli.inspect import export, share
-from evetac_cli.params.evaluation import EvaluateSlip
-from evetac_cli.params.inspection import Export, Share
-from evetac_cli.stages.evaluate import slip
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
 from tests.conftest import Made
 from tests.make import run_stage

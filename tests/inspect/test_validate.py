@@ -7,7 +7,7 @@ import numpy as np
 
 from evetac_cli.inspect import validate
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.events import Events
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.numerics.tracker.cost import DOTS_PX, rim_events
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 

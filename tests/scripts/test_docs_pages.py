@@ -10,13 +10,14 @@ import pytest
 import evetac_cli
 from evetac_cli import resources
 from evetac_cli.cli import main
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, make_law
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.params.learning import Label, TrainForce
 from evetac_cli.sim.parts import rows_of
-from evetac_cli.store import schema
+from evetac_cli.store.layout import schema
 from tests import small_files
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "docs"))

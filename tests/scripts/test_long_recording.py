@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect import repair, validate
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from scripts.attack.long_recording import Repeated
 from tests.conftest import Made
 

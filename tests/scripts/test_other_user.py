@@ -103,7 +103,7 @@ def test_ports_and_arguments_are_seen() -> None:
 
 def test_links_are_laid_under_the_names_of_this_edition(tmp_path: Path) -> None:
     """Assert that the names that are guessed are those that were written under once, but for what is random now."""
-    from evetac_cli.store import disk
+    from evetac_cli.store.hdf5 import disk
 
     name = disk.temporary_name(tmp_path / "a.tracks.h5").name
     guessed = f".a.tracks.h5.{tries.platform.node()}.{os.getpid()}-{disk._started(os.getpid())}"

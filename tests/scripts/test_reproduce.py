@@ -17,8 +17,8 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
-from evetac_cli.params.evaluation import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
-from evetac_cli.stages.evaluate import grasp, labels, slip, tracking
+from evetac_cli.commands.evaluate import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
+from evetac_cli.evaluate import grasp, labels, slip, tracking
 from tests.conftest import Made
 from tests.make import run_stage
 from tests.patience import PATIENCE_S

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from evetac_cli.commands.train import Train
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.kernels.slip.training import PRESETS
-from evetac_cli.params.learning import Train
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results

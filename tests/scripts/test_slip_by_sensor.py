@@ -20,7 +20,7 @@ from slip_by_sensor import Sensor
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.layout.provenance import Header, Recipe
 
 SLICES, ONSET = 400, 300
 

@@ -14,16 +14,18 @@ import xarray
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.commands.attach import Attach
+from evetac_cli.commands.trim import Trim
+from evetac_cli.commands.view import View
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats import exports
 from evetac_cli.formats.read.bags import read_bag_stream
-from evetac_cli.inspect import info, validate, view
-from evetac_cli.params.inspection import View
-from evetac_cli.params.recording import Attach, Trim
+from evetac_cli.inspect import info, validate
+from evetac_cli.pages import view
 from evetac_cli.stages import attach, trim
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, run_stage
 
 pytest.importorskip("pyarrow")
@@ -214,7 +216,7 @@ def test_bags(recording: Path, tmp_path: Path, kind: str) -> None:
 
 def test_large_images_can_be_read_again(recording: Path, tmp_path: Path) -> None:
     """Assert that an image larger than a chunk may be is stored in several, and read back as it was."""
-    from evetac_cli.store.streams import Stream
+    from evetac_cli.store.recordings.streams import Stream
 
     frames = np.random.default_rng(0).integers(0, 256, (2, 700, 600, 3), np.uint8)
     stream = Stream("wrist", np.array([0, 10_000]), frames=frames)

@@ -12,20 +12,23 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.commands.calibrate import Calibrate
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate, empty
 from evetac_cli.kernels.calibration.rest_image import RestImage
-from evetac_cli.params.learning import Featurize, Track
-from evetac_cli.params.recording import Calibrate, Record
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera import gel_camera
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages import calibrate, featurize, record, track
+from evetac_cli.stages import calibrate, featurize, track
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import record
 from tests.conftest import DATA
 from tests.make import event_arrays, run_stage, write_recording
 from tests.quick import few

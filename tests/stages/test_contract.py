@@ -16,10 +16,9 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.cli.config import COMMANDS
-from evetac_cli.errors import InputError
-from evetac_cli.inspect import validate
-from evetac_cli.params.evaluation import (
+from evetac_cli.commands import WITH_CONFIG
+from evetac_cli.commands.attach import Attach
+from evetac_cli.commands.evaluate import (
     EvaluateDataRate,
     EvaluateForce,
     EvaluateGrasp,
@@ -29,21 +28,39 @@ from evetac_cli.params.evaluation import (
     EvaluateTracking,
     EvaluateVibration,
 )
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import Featurize, Label, PredictForce, Track, TrackRgb, Train, TrainForce
-from evetac_cli.params.recording import Attach, Record, Trim
-from evetac_cli.stages import attach, featurize, grasp, label, record, track, track_rgb, train, trim
-from evetac_cli.stages.evaluate import data_rate as evaluate_data_rate
-from evetac_cli.stages.evaluate import force as evaluate_force
-from evetac_cli.stages.evaluate import grasp as evaluate_grasp
-from evetac_cli.stages.evaluate import labels as evaluate_labels
-from evetac_cli.stages.evaluate import realism as evaluate_realism
-from evetac_cli.stages.evaluate import slip as evaluate_slip
-from evetac_cli.stages.evaluate import tracking as evaluate_tracking
-from evetac_cli.stages.evaluate import vibration as evaluate_vibration
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.track_rgb import TrackRgb
+from evetac_cli.commands.train import Train
+from evetac_cli.commands.train_force import TrainForce
+from evetac_cli.commands.trim import Trim
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import data_rate as evaluate_data_rate
+from evetac_cli.evaluate import force as evaluate_force
+from evetac_cli.evaluate import grasp as evaluate_grasp
+from evetac_cli.evaluate import labels as evaluate_labels
+from evetac_cli.evaluate import realism as evaluate_realism
+from evetac_cli.evaluate import slip as evaluate_slip
+from evetac_cli.evaluate import tracking as evaluate_tracking
+from evetac_cli.evaluate import vibration as evaluate_vibration
+from evetac_cli.inspect import validate
+from evetac_cli.stages import (
+    attach,
+    featurize,
+    label,
+    track,
+    track_rgb,
+    train,
+    trim,
+)
 from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Header
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.trials import grasp, record
 from tests.conftest import Made
 from tests.make import run_stage
 
@@ -303,7 +320,7 @@ def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path, f
 
 def test_every_stage_takes_part() -> None:
     """Assert that no command that makes a stage file is missing here."""
-    assert {stage.name for stage in STAGES} == set(COMMANDS) - {
+    assert {stage.name for stage in STAGES} == set(WITH_CONFIG) - {
         "calibrate",
         "identify",
         "evaluate cost",
@@ -365,7 +382,7 @@ def test_empty_recording(stage: Stage, made: Made, tmp_path: Path) -> None:
 def empty_recording(like: Path, path: Path) -> None:
     """A recording of 0 slices from the same sensor."""
     from evetac_cli.store.files import write_stage
-    from evetac_cli.store.provenance import Recipe, content_digest
+    from evetac_cli.store.layout.provenance import Recipe, content_digest
 
     with StageFile(like) as file:
         selected = {name: file.read(name) for name in file.contents() if name.startswith("sensor/")}

@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
 from evetac_cli.kernels.slip.features import event_image
-from evetac_cli.params.learning import Featurize, Track
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made
 from tests.make import run_stage
 

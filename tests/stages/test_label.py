@@ -8,18 +8,18 @@ import h5py
 import numpy as np
 import pytest
 
+from evetac_cli.commands.evaluate import EvaluateLabels
+from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import labels as evaluate_labels
+from evetac_cli.evaluate.cost.labels import flow_constants
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import flow
-from evetac_cli.numerics.labels import flow_constants
-from evetac_cli.params.evaluation import EvaluateLabels
-from evetac_cli.params.learning import Label
 from evetac_cli.stages import label
-from evetac_cli.stages.evaluate import labels as evaluate_labels
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe, content_digest
-from evetac_cli.store.read import open_recording, ramp_start
+from evetac_cli.store.layout.provenance import Recipe, content_digest
+from evetac_cli.store.recordings.read import open_recording, ramp_start
 from tests.conftest import Made
 from tests.make import event_arrays, run_stage, write_recording
 

@@ -8,20 +8,27 @@ from pathlib import Path
 import pytest
 
 from evetac_cli import stages
+from evetac_cli.commands.evaluate import EvaluateTracking
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.track_rgb import TrackRgb
+from evetac_cli.commands.trim import Trim
 from evetac_cli.devices import replay
+from evetac_cli.evaluate import tracking
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_hdf5
 from evetac_cli.formats.write import pieces, write_mcap, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
-from evetac_cli.params.evaluation import EvaluateTracking
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import Featurize, Label, Track, TrackRgb
-from evetac_cli.params.recording import Record, Trim
-from evetac_cli.stages import featurize, grasp, label, record, track, track_rgb, trim
-from evetac_cli.stages.evaluate import tracking
-from evetac_cli.store import chunks, contents, read
-from evetac_cli.store.read import open_recording
+from evetac_cli.stages import featurize, label, track, track_rgb, trim
+from evetac_cli.store.hdf5 import chunks
+from evetac_cli.store.layout import contents
+from evetac_cli.store.recordings import read
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import grasp, record
 from scripts.attack.long_recording import Repeated
 from tests.conftest import Made
 from tests.make import run_stage

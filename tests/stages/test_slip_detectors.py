@@ -12,12 +12,12 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from evetac_cli import resources
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.stages import grasp
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials import grasp
 
 
 @pytest.fixture

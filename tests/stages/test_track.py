@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS
-from evetac_cli.params.learning import Track
 from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import DATA, Made
 from tests.make import run_stage
 

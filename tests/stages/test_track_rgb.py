@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.params.learning import TrackRgb
+from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.stages import track_rgb
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, run_stage, truth_arrays
 
 SLICES = 240

@@ -8,21 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.track import Track
+from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.inspect import validate
-from evetac_cli.params.learning import Featurize, Track
-from evetac_cli.params.recording import Trim
 from evetac_cli.stages import featurize, track, trim
-from evetac_cli.store import schema
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.segments import RecordingWriter
 from tests.conftest import Made
 from tests.inspect.test_repair import control
 from tests.make import run_stage
-from tests.store.test_recovery import STATIC, events_of
+from tests.store.recordings.test_recovery import STATIC, events_of
 
 
 def piece(path: Path, out: Path, **flags: Any) -> Path:

@@ -9,7 +9,6 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
-from evetac_cli.store import schema
 from evetac_cli.store.calibration import (
     Calibration,
     read_calibration,
@@ -17,7 +16,8 @@ from evetac_cli.store.calibration import (
     up_to_date,
     write_calibration,
 )
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.provenance import Recipe
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "evetac_base_calibration.json"
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(4), 40.0 + 60 * np.arange(3)), axis=-1)

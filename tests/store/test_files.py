@@ -18,11 +18,12 @@ import pytest
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError, UnavailableError
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import chunks, disk, files
-from evetac_cli.store.chunks import RowWriter, put
+from evetac_cli.store import files
 from evetac_cli.store.files import StageFile, output_path, put_header, replacing, stem, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.schema import KINDS
+from evetac_cli.store.hdf5 import chunks, disk
+from evetac_cli.store.hdf5.chunks import RowWriter, put
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.schema import KINDS
 from tests.patience import PATIENCE_S
 
 RECIPE = Recipe("labels", 1, {"threshold_px": 0.5}, parents=(Recipe("recording", 1, {}, seed=1).header(),))
@@ -552,8 +553,8 @@ from pathlib import Path
 import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.schema import KINDS
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.schema import KINDS
 
 rng = np.random.default_rng(0)
 arrays = {"label": rng.integers(0, 2, 200000).astype(np.int8), "relative_flow_px": rng.random(200000, np.float32),
@@ -607,7 +608,7 @@ def test_two_writers_of_one_target(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 LEFT = """
 import sys
 from pathlib import Path
-from evetac_cli.store.disk import taking_the_place_of
+from evetac_cli.store.hdf5.disk import taking_the_place_of
 
 with taking_the_place_of(Path(sys.argv[1]) / "a.labels.h5") as unfinished:
     unfinished.write_bytes(b"half")

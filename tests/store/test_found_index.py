@@ -209,7 +209,7 @@ def test_any_damage_to_an_index(folder: Path) -> None:
 def test_what_a_header_says_is_text_that_can_be_kept(tmp_path: Path) -> None:
     """Assert that names of sensors and scenes that are no UTF-8, or are long, have a row, as text."""
     from evetac_cli.store.files import StageFile, write_stage
-    from evetac_cli.store.provenance import Recipe
+    from evetac_cli.store.layout.provenance import Recipe
 
     made = small_files.events()
     parameters = {"sensor": "\udcff", "scene": {"name": "s" * 10_000}, "object": "\ud800", "trial": "three"}

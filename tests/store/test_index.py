@@ -12,8 +12,9 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store import disk, index
+from evetac_cli.store import index
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5 import disk
 from tests.conftest import Made
 
 

@@ -22,7 +22,7 @@ from evetac_cli.formats.read import events_on_disk
 from evetac_cli.formats.read.column_times import FLAG, ColumnTimes
 from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, TimeOrder
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.recordings.streams import Stream
 
 # Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
 SPAN_LIMIT_US = (LONGEST_SLICES - 1) * SLICE_US

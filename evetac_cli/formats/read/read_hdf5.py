@@ -23,7 +23,7 @@ from evetac_cli.formats.read.event_validation import (
     check_lengths,
     choose_frame,
 )
-from evetac_cli.store.checked_hdf5 import DAMAGE, EVENT_FILE_FILTERS, CheckedHdf5, damage_in_words
+from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, EVENT_FILE_FILTERS, CheckedHdf5, damage_in_words
 
 BATCH_ROWS = 1 << 20
 OFFSETS = ("t_offset", "events/t_offset")

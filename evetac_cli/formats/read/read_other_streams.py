@@ -37,8 +37,8 @@ from evetac_cli.formats.read.bags.read_bag_stream import (
 )
 from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
 from evetac_cli.formats.read.prophesee.read_prophesee import TRIGGERS as EDGES
-from evetac_cli.store.disk import joined_on_disk
-from evetac_cli.store.streams import Stream, free_name
+from evetac_cli.store.hdf5.disk import joined_on_disk
+from evetac_cli.store.recordings.streams import Stream, free_name
 
 IMU = "sensor_msgs/msg/Imu"
 NAMES = {"IMUS": "imu", "TRIG": "triggers", "FRME": "frames"}

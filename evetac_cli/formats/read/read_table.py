@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.parquet_pages import MAGIC, RowGroup, footer_bytes, row_groups, unpacked_bytes
 from evetac_cli.formats.read.unpacked_size import refuse_too_much
-from evetac_cli.store.disk import joined_on_disk, utf8_path
-from evetac_cli.store.streams import Stream, free_name
+from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
+from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
 
 BATCH_ROWS = 1 << 16

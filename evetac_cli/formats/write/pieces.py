@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from evetac_cli.events import Events
 from evetac_cli.formats.note import Note
 from evetac_cli.jobs import Progress
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 PIECE_EVENTS = 1 << 18  # some 3 MB: memory stays flat however long the recording is
 

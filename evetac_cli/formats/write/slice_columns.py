@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.store import schema, streams
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import describe
-from evetac_cli.store.read import Recording
-from evetac_cli.store.schema import Dataset
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.schema import Dataset
+from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import as_utf8, parse_json
 
 Masked = np.ma.MaskedArray[Any, Any]

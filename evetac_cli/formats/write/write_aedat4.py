@@ -15,7 +15,7 @@ from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.aedat.aedat4_packets import is_whole
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, as recorders cut them
 EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as faery takes them

@@ -14,8 +14,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.store.calibration import Calibration, write_calibration
-from evetac_cli.store.provenance import made
-from evetac_cli.store.read import Recording
+from evetac_cli.store.layout.provenance import made
+from evetac_cli.store.recordings.read import Recording
 
 PROTOCOL = 3  # the newest in which names are lines of text
 

@@ -13,11 +13,11 @@ import numpy as np
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
-from evetac_cli.store import schema
-from evetac_cli.store.chunks import RowWriter, put
-from evetac_cli.store.disk import new_file
-from evetac_cli.store.netcdf import describe_dataset
-from evetac_cli.store.read import Recording
+from evetac_cli.store.hdf5.chunks import RowWriter, put
+from evetac_cli.store.hdf5.disk import new_file
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.netcdf import describe_dataset
+from evetac_cli.store.recordings.read import Recording
 
 TYPES = {"x": np.uint16, "y": np.uint16, "p": np.uint8}
 SHORT_MS = 2**32 // 1000

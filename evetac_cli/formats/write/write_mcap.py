@@ -39,9 +39,9 @@ from evetac_cli.formats.read.bags.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
 from evetac_cli.formats.write.pieces import note_for, t_offset_us
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.jobs import Progress
-from evetac_cli.store import streams
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import BLOCK_SLICES, Recording
+from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings.read import BLOCK_SLICES, Recording
 from evetac_cli.text_files import as_utf8, parse_json
 
 PACKET = "event_camera_msgs/msg/EventPacket"

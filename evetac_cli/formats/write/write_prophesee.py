@@ -24,7 +24,7 @@ from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.prophesee.read_prophesee import OFFSET
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 TIME_HIGH, TIME_LOW, ROW, COLUMN = 8, 6, 0, 2  # the upper four bits of a word
 EVENT_OF_DAT = bytes((0x0C, 8))  # "contrast detection", of 8 bytes

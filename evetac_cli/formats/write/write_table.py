@@ -32,7 +32,7 @@ from evetac_cli.formats.write.slice_columns import (
     not_in_tables,
 )
 from evetac_cli.jobs import Progress
-from evetac_cli.store.disk import utf8_path
+from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.index import LARGEST
 from evetac_cli.text_files import csv_text, open_regular, parse_json
 

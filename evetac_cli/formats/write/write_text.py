@@ -7,7 +7,7 @@ import numpy as np
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 LINES = 1 << 14  # at once: text of so many events is built in memory
 

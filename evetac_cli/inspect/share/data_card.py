@@ -4,13 +4,14 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.formats.write.write_table import is_simulated
-from evetac_cli.inspect.index import foreign_note, indexed
+from evetac_cli.inspect.index import indexed
 from evetac_cli.jobs import Progress
-from evetac_cli.params.inspection import Share
+from evetac_cli.store.index import foreign_note
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 LARGER = "1M<n<10M"

@@ -4,16 +4,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.inspect import info, validate
-from evetac_cli.params.inspection import Share
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.index import recording_of, scene_words
-from evetac_cli.store.provenance import Header
+from evetac_cli.store.layout.provenance import Header
 from evetac_cli.text_files import parse_json
 
 KINDS = ("model", "force-model")

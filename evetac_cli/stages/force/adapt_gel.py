@@ -11,17 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, outcome
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.params.learning import TrainForce
 from evetac_cli.resources import model_file
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import Gel, GelModel
 from evetac_cli.stages.force.readings import Readings
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import UNKNOWN_SENSOR
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
 
 OUTPUT = "force-model"
 METHOD = 2

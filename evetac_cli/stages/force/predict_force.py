@@ -5,20 +5,19 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.commands.parameter import recipe_of, refuse_unused
+from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import Prediction
-from evetac_cli.params.learning import PredictForce
-from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import model_file
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force import gel_model
 from evetac_cli.stages.force.train_force import check_grid, read_model, read_rest_px
-from evetac_cli.stages.unused_options import refuse_unused
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import UNKNOWN_SENSOR
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
 
 OUTPUT = "forces"
 METHOD = 2

@@ -12,21 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.evaluate import EvaluateForce
+from evetac_cli.commands.parameter import recipe_of, refuse_unused
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import Training
-from evetac_cli.params.evaluation import EvaluateForce
-from evetac_cli.params.learning import TrainForce
-from evetac_cli.params.parameter import recipe_of
 from evetac_cli.stages.force import adapt_gel, train_gel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
-from evetac_cli.stages.unused_options import refuse_unused
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.layout.provenance import Header, Recipe
 
 OUTPUT = "force-model"
 METHOD = 1

@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import Errors
 from evetac_cli.kernels.force.models import CONTACT_N
-from evetac_cli.params.learning import TrainForce
 from evetac_cli.sim.setup.plan import read_sensor, sensor_ranges
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import gel_model, readings
 from evetac_cli.stages.force.gel_model import GelModel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import Recording
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording
 
 OUTPUT = "force-model"
 METHOD = 2

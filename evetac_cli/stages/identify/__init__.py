@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.identify import Identify
+from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.params.parameter import recipe_of
-from evetac_cli.params.recording import Identify
 from evetac_cli.sim.setup import plan, sensor_file
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text
-from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import stem
-from evetac_cli.store.provenance import Header, Recipe
-from evetac_cli.store.read import UNKNOWN_SENSOR, open_recording
+from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.read import UNKNOWN_SENSOR, open_recording
 
 OUTPUT = "sensor"
 METHOD = 3

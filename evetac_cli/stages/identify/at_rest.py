@@ -8,7 +8,7 @@ from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import rest
 from evetac_cli.kernels.identify.rest import RestNoise
 from evetac_cli.stages.identify.sensor_text import Entry, Row
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 SHORTEST_REST = 500  # slices
 LONGEST_REST = 60_000  # slices that are looked at

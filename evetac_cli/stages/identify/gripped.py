@@ -23,7 +23,7 @@ from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import DriveFit, GripperRows
 from evetac_cli.store.calibration import MAKE_GRID
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 Floats = NDArray[np.float64]
 

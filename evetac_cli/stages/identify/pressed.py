@@ -17,7 +17,7 @@ from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import calibrate, calibrated_gel
 from evetac_cli.stages.identify.sensor_text import Entry, Row
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 MAKE_PRESS = "make one in which a blunt tip strokes the whole gel, as for evetac calibrate"
 MAKE_WHOLE = "cannot be told from these recordings: some dots were not seen; press over the whole gel"

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.kernels.estimates import Estimate
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 
 DIGITS = 6  # of an estimate: no recording tells more
 LINE = 110

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import grid
@@ -32,8 +34,6 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose_threshold
-from evetac_cli.params.learning import Train
-from evetac_cli.params.parameter import recipe_of
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
@@ -43,7 +43,7 @@ from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
 from evetac_cli.stages.train.networks import Networks, state_file
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
-from evetac_cli.store.provenance import Header, Recipe
+from evetac_cli.store.layout.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Training

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import missing_extra
-from evetac_cli.store.disk import taking_the_place_of
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5.disk import taking_the_place_of
 
 COLUMNS = ("step", "loss", "validation_score", "threshold", "chosen", "simulated")
 OnPoint = Callable[[int, float, float | None], None]  # step, training loss, loss on what validates

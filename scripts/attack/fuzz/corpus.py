@@ -17,9 +17,9 @@ import tables
 import wire
 
 from evetac_cli.resources import SCENES
-from evetac_cli.store.provenance import Recipe
-from evetac_cli.store.read import open_recording
-from evetac_cli.store.segments import RecordingWriter
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.segments import RecordingWriter
 
 COMMANDS = """
 record --scene short.toml --seed 1 --out first.recording.h5

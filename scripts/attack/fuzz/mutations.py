@@ -309,7 +309,7 @@ def _header(file: h5py.File, name: str, rng: Rng) -> str:
     text = json.dumps(header)
     if rng.random() < 0.7:  # a forger would make the recipe id fit
         with suppress(Exception):
-            from evetac_cli.store.provenance import recompute_id
+            from evetac_cli.store.layout.provenance import recompute_id
 
             header["id"] = recompute_id(header)
             text = json.dumps(header)

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli.commands.record import Record
 from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, GRIPPER_FAULTS, Fault, camera_fault, gripper_fault
 from evetac_cli.devices.virtual.servo import Answer
 from evetac_cli.devices.virtual.servo_process import LATE_S, Faults
 from evetac_cli.errors import InputError
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE
 
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.commands.record import Record
 from evetac_cli.formats.imports import Imported, read_events
 from evetac_cli.formats.read.aedat.aedat4_packets import read_header, walk
 from evetac_cli.inspect import info
-from evetac_cli.params.recording import Record
-from evetac_cli.stages import record
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import record
 from tests.formats.read.aedat.test_read_aedat4 import store
 from tests.importing import real
 from tests.make import run_stage

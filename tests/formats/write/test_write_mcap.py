@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.commands.export import Export
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export
@@ -23,14 +24,13 @@ from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.ros_messages import Packet, mono
 from evetac_cli.formats.write import write_mcap
 from evetac_cli.inspect.export import run as run_export
-from evetac_cli.params.inspection import Export
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.read import open_recording
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.streams import Stream
 from tests import small_files
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
-from tests.inspect.view.trials import REST, SLICES, moving, write_labels, write_recording, write_tracks
+from tests.pages.view.trials import REST, SLICES, moving, write_labels, write_recording, write_tracks
 from tests.test_readme import PAGES, shown_commands
 
 pytest.importorskip("mcap")

@@ -13,7 +13,7 @@ from evetac_cli.formats.exports import export, target_path
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.write import pieces, write_prophesee
 from evetac_cli.jobs import silent
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
 

@@ -189,7 +189,7 @@ def test_damaged_graphs_are_refused(name: str) -> None:
 
 def test_needs_no_torch() -> None:
     """Assert that a detector runs where torch cannot be imported."""
-    code = "import sys; sys.modules['torch'] = None; import evetac_cli.kernels.slip.detector, evetac_cli.stages.grasp"
+    code = "import sys; sys.modules['torch'] = None; import evetac_cli.kernels.slip.detector, evetac_cli.trials.grasp"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match
 from evetac_cli.events import Events, concatenate
-from evetac_cli.numerics.camera.reference import FineEvents, fine, match
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.ideal import camera as ideal

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.evaluate.cost.camera_reference import fine, match
 from evetac_cli.events import Events, concatenate
-from evetac_cli.numerics.camera.reference import fine, match
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera as scanning

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import SceneError
+from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.events import concatenate
-from evetac_cli.numerics.extreme_scenes import merge
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
@@ -23,10 +24,9 @@ from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep
-from evetac_cli.stages import record
-from evetac_cli.stages.evaluate import paper
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import record
 from tests.conftest import Made
 from tests.make import play_trial, run_stage
 from tests.sim.scenes.trials import grasp_of

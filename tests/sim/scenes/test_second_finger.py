@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.kernels.grip import paper as grip
-from evetac_cli.numerics.extreme_scenes import merge
 from evetac_cli.sim.scenes.gripped import FINGER_STIFFNESS_N_M, GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelFriction

@@ -13,17 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.inspect import validate
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import first_plan, tones_hz
-from evetac_cli.stages import record
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import record
 from tests.make import play_trial
 
 PURE = {"second_harmonic_least": [0.0] * 5, "second_harmonic_most": [0.0] * 5, "modulation_most": [0.0] * 5}

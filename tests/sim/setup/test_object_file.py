@@ -11,17 +11,17 @@ from typer.testing import CliRunner
 
 import evetac_cli as evetac
 from evetac_cli.cli.main import app
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import PACKAGE, schemas, table
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup import object_file
 from evetac_cli.sim.setup.plan import named_objects
 from evetac_cli.sim.setup.tables import as_table
-from evetac_cli.stages import grasp, record
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import grasp, record
 
 CAN = {"shape": "cylinder", "mass_g": 350, "width_mm": 66, "height_mm": 115, "static_friction": 0.8}
 COARSE = {"node_pitch_mm": 1.667}

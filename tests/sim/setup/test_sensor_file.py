@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
-from evetac_cli.params.recording import Record
 from evetac_cli.resources import table
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import named_sensor, one_sensor
 from evetac_cli.sim.setup.tables import as_table
-from evetac_cli.stages import record
-from evetac_cli.stages.record import simulated
 from evetac_cli.text_files import as_toml
+from evetac_cli.trials import record
+from evetac_cli.trials.record import simulated
 
 HOT = {
     "x_px": [3, 600],

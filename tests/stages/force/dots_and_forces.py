@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, truth_arrays
 
 

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from evetac_cli import resources
+from evetac_cli.commands.evaluate import EvaluateForce
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import force as evaluate_force
 from evetac_cli.inspect import info
-from evetac_cli.params.evaluation import EvaluateForce
-from evetac_cli.params.learning import PredictForce, TrainForce
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
@@ -23,10 +25,9 @@ from evetac_cli.sim.scenes.shared import pad
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import adapt_gel, predict_force, train_force
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_valid
 from tests.stages.force.dots_and_forces import write_trial
 

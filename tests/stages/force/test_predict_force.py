@@ -8,15 +8,17 @@ import h5py
 import numpy as np
 import pytest
 
+from evetac_cli.commands.evaluate import EvaluateForce
+from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.track_rgb import TrackRgb
+from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import force as evaluate_force
 from evetac_cli.inspect import info
-from evetac_cli.params.evaluation import EvaluateForce
-from evetac_cli.params.learning import PredictForce, TrackRgb, TrainForce
 from evetac_cli.stages import track_rgb
-from evetac_cli.stages.evaluate import force as evaluate_force
 from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_valid
 from tests.stages.force.dots_and_forces import write_trial
 

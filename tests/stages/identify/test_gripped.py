@@ -5,21 +5,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.identify import Identify
+from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.estimates import Estimate
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.recording import Identify, Record
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_sensor, one_sensor
 from evetac_cli.sim.setup.sensor import Sensor, SensorGripper
 from evetac_cli.sim.setup.tables import build
-from evetac_cli.stages import grasp, identify, record
+from evetac_cli.stages import identify
 from evetac_cli.stages.identify import gripped, gripper_rows
 from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
 from evetac_cli.stages.identify.gripped import Gripped, Weight
 from evetac_cli.stages.identify.gripper_rows import Known
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import grasp, record
 from tests.make import run_stage
 
 LIKE = one_sensor("evetac")

@@ -11,16 +11,19 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
+from evetac_cli.commands.identify import Identify
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.kernels.realism import figures
-from evetac_cli.params.recording import Identify, Record, Trim
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import scene_file, sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
-from evetac_cli.stages import identify, record, trim
+from evetac_cli.stages import identify, trim
 from evetac_cli.stages.identify.sensor_text import Entry
-from evetac_cli.store.read import open_recording
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import record
 from tests.conftest import DATA
 from tests.make import run_stage
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from evetac_cli.commands.train import Train
 from evetac_cli.errors import EvetacError
-from evetac_cli.params.learning import Train
 from evetac_cli.stages import train
 from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.files import StageFile

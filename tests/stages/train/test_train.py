@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.params.learning import Train
 from evetac_cli.stages import slip_detectors, splits, train
 from evetac_cli.stages.train import networks
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_stage
 
 SLICES, ONSET = 170, 130

@@ -13,13 +13,14 @@ from typer.testing import CliRunner
 import evetac_cli as evetac
 from evetac_cli import resources
 from evetac_cli.cli.main import app
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
-from evetac_cli.params.grasp import Grasp
-from evetac_cli.params.learning import Train
-from evetac_cli.stages import grasp, train
+from evetac_cli.stages import train
 from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.provenance import Recipe
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.trials import grasp
 from tests.conftest import Made
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.formats.read.aedat.read_aedat3 import IMU6, IMU9, NAMES, OVERFLOW_BITS, SPECIAL, packets_beside
-from evetac_cli.store.disk import joined_on_disk
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.hdf5.disk import joined_on_disk
+from evetac_cli.store.recordings.streams import Stream
 
 AXES = [f"{part}_{axis}" for part in ("accelerometer", "gyroscope") for axis in "xyz"]
 VALUES: dict[int, list[str]] = {

@@ -25,7 +25,7 @@ from evetac_cli.formats.read.bags.db3_rows import Db3File
 from evetac_cli.formats.read.bags.mcap_records import McapFile
 from evetac_cli.formats.read.bags.rosbag1_records import Rosbag1File
 from evetac_cli.formats.read.bags.rosbag_unpacking import unpack_file
-from evetac_cli.store.disk import temporary_name
+from evetac_cli.store.hdf5.disk import temporary_name
 from evetac_cli.text_files import open_regular, read_bytes
 
 ZSTD = b"\x28\xb5\x2f\xfd"

@@ -23,7 +23,7 @@ from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, layout, topics_of_events
 from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, TIME_HIGH
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.recordings.streams import Stream
 
 SAME_CLOCK_US = 1_000_000  # a header is this near to its events where both are on one clock
 ALIKE_US = 10_000  # two cameras whose clocks differ by no more are synchronized

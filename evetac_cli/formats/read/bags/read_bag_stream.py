@@ -28,8 +28,8 @@ from evetac_cli.formats.read.bags.message_definitions import checksum
 from evetac_cli.formats.read.bags.open_bag import Bag, bag_in_words, open_bag
 from evetac_cli.formats.read.bags.read_rosbag import PACKET, TRIGGER, is_of_triggers, layout
 from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
-from evetac_cli.store.disk import joined_on_disk
-from evetac_cli.store.streams import LARGEST_FRAME_PX, Stream, free_name
+from evetac_cli.store.hdf5.disk import joined_on_disk
+from evetac_cli.store.recordings.streams import LARGEST_FRAME_PX, Stream, free_name
 
 MESSAGES_AT_ONCE = 1000  # of numbers
 MOST_NUMBERS = 512  # of a message

@@ -27,7 +27,7 @@ from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.clock import BITS_32, Clock
 from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, MOST_UNDEFINED, Decoder
-from evetac_cli.store.streams import Stream
+from evetac_cli.store.recordings.streams import Stream
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 OFFSET = "t_offset_us"  # the key of a line of ours

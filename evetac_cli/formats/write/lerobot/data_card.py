@@ -9,7 +9,7 @@ from typing import Any
 
 from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text, inline, table
 from evetac_cli.formats.write.lerobot.episodes import RATE_HZ, Outline, Vectors
-from evetac_cli.store.provenance import made
+from evetac_cli.store.layout.provenance import made
 
 RULES = {
     "mean": "the mean of the frame's slices",

@@ -21,7 +21,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.store.index import scene_words
-from evetac_cli.store.read import Recording
+from evetac_cli.store.recordings.read import Recording
 
 Floats = NDArray[np.float32]
 RATE_HZ = 1_000_000 // SLICE_US

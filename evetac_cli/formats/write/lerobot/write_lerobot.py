@@ -38,7 +38,7 @@ from evetac_cli.formats.write.lerobot.statistics import Figures, as_lists, of_co
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder
 from evetac_cli.formats.write.write_table import load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress
-from evetac_cli.store import streams
+from evetac_cli.store.recordings import streams
 
 VERSION = "v3.0"
 VIDEO = "observation.images.tactile"

@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.commands.attach import Attach
+from evetac_cli.commands.record import Record
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import Imported, read_events
 from evetac_cli.formats.read.bags.host_clock import SAME_CLOCK_US, host_clock
-from evetac_cli.params.recording import Attach, Record
-from evetac_cli.stages import attach, record
-from evetac_cli.store.read import open_recording
+from evetac_cli.stages import attach
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import record
 from tests.formats.read.bags.bag_writing import ENCODERS, START_S, Types, Write, drawn
 from tests.make import run_stage
 

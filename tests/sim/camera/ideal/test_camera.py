@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import erfinv
 
+from evetac_cli.evaluate.cost import camera as camera_cost
+from evetac_cli.evaluate.cost.camera import Workload
+from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match, reference_events
 from evetac_cli.events import Events, concatenate
-from evetac_cli.numerics.camera import cost as camera_cost
-from evetac_cli.numerics.camera.cost import Workload
-from evetac_cli.numerics.camera.reference import FineEvents, fine, match, reference_events
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState

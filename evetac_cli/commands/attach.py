@@ -1,0 +1,36 @@
+"""attach: its flags, its examples, and the stage that it runs."""
+
+from dataclasses import dataclass
+
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import parameter
+
+
+@dataclass(frozen=True)
+class Attach:
+    """Add other streams of the trial to a recording: an arm's pose, forces, a camera's images; as a new recording."""
+
+    stream: list[str] | None = parameter(
+        None,
+        "NAME=FILE: a stream of this name from CSV, Parquet or a bag of ROS 1 or ROS 2; of a bag FILE:/TOPIC. Several"
+        " times for several streams.",
+        recipe=False,
+    )
+    offset: list[str] | None = parameter(
+        None,
+        "NAME=SECONDS: added to the times of a stream, where its clock is not that of the events; default: 0.",
+        unit="s",
+        recipe=False,
+    )
+
+
+COMMAND = Command(
+    "attach",
+    Attach,
+    "stages.attach",
+    "Recordings.",
+    examples=(
+        "evetac attach a.recording.h5 --stream arm=pose.csv --stream force=ft.parquet --offset arm=0.012",
+        "evetac attach a.recording.h5 --stream wrist=trial.mcap:/wrist/image_raw -o b.recording.h5",
+    ),
+)

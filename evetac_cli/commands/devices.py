@@ -1,0 +1,58 @@
+"""Devices by name, and how a gripper is kept safe: flags of `record` and `grasp` alike."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from evetac_cli.commands.parameter import parameter
+from evetac_cli.names import Capability
+
+DEVICES = "Devices"  # panel of --help
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Camera and gripper, and what both commands ask of them."""
+
+    camera: str = parameter(
+        "sim",
+        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2"
+        " (docs/hardware.md lists them); dvxplorer[:SERIAL]; dv[:SERIAL], through dv-processing; replay:FILE.",
+        recipe=False,
+    )
+    gripper: str | None = parameter(
+        None,
+        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or PORT[:ID][@BAUD], as in"
+        " /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera.",
+        recipe=False,
+        needs=(Capability.SCENE, Capability.DEVICE),
+    )
+    arm: bool = parameter(
+        False,
+        "Move a real gripper. Torque goes off at the end and if anything fails: what is held then falls.",
+        recipe=False,
+        consent=True,
+        needs=(Capability.MOVED, Capability.GRASPED),
+    )
+    calibration: Path | None = parameter(
+        None,
+        "Dot grid (JSON) of the sensor; a grasp with a real camera needs it, and a recording that is imported or from a"
+        " device stores it.",
+        recipe=False,
+        panel=DEVICES,
+        needs=(Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),
+    )
+    watchdog_ms: int | None = parameter(
+        None,
+        "The gripper lets go if it gets no command for so long, or the program hangs; a multiple of 20; default: 100"
+        " to record, 60 to grasp.",
+        unit="ms",
+        low=20,
+        high=500,
+        recipe=False,
+        panel=DEVICES,
+        needs=(Capability.MOVED, Capability.GRASPED),
+    )
+
+    def gripper_flag(self) -> str:
+        """`, --gripper NAME` where one is named, for errors."""
+        return f", --gripper {self.gripper}" if self.gripper is not None else ""

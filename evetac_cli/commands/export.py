@@ -1,0 +1,86 @@
+"""export: its flags, its examples, and the stage that it runs."""
+
+from dataclasses import dataclass
+
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import parameter
+
+LEROBOT = "LeRobot"  # the panel of --help of what only this format takes
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write recordings, and what was computed from them, in a format that other programs read.
+
+    Formats of events hold the events alone; mcap has dots, forces, labels, gripper and control too. Tables have a row
+    a slice, with all that tracks, labels, features and forces beside the recording say of it. A data set for LeRobot
+    has a frame for several slices.
+    """
+
+    format: str = parameter(
+        "aedat4",
+        "aedat4: for DV and dv-processing; dsec: HDF5 as in the DSEC data set; text: `t_us x y p` a line;"
+        " raw: Prophesee's RAW, EVT3; raw-evt2: the same, EVT2; dat: Prophesee's DAT;"
+        " mcap: ROS 2 messages, with dots, forces, labels, gripper, control and other streams;"
+        " calibration: the dot grid as JSON, or with -o NAME.pkl as the official software's pickle;"
+        " parquet: a table a recording, or with -o FOLDER one data set of all; csv: the same as text;"
+        " lerobot: a LeRobotDataset v3.0 in the folder -o.",
+        choices=(
+            "aedat4",
+            "dsec",
+            "text",
+            "raw",
+            "raw-evt2",
+            "dat",
+            "mcap",
+            "calibration",
+            "parquet",
+            "csv",
+            "lerobot",
+        ),
+        recipe=False,
+    )
+    model: str | None = parameter(
+        None,
+        "Of tables and data sets: with the slip probability by this model, or by `shipped`, the package's.",
+        recipe=False,
+    )
+    fps: int | None = parameter(
+        None, "Frames a second; default: 50.", unit="1/s", low=1, high=1000, recipe=False, panel=LEROBOT
+    )
+    per_frame: str | None = parameter(
+        None,
+        "What stands for the slices of a frame in the tactile vector: their mean (the default), the last, or all of"
+        " them stacked.",
+        choices=("mean", "last", "stacked"),
+        recipe=False,
+        panel=LEROBOT,
+    )
+    test_objects: str | None = parameter(
+        None, "Objects that make the split `test`, as in 18-20; default: none.", recipe=False, panel=LEROBOT
+    )
+    task: str | None = parameter(
+        None, "What the episodes do, in words; default: what the scene is about.", recipe=False, panel=LEROBOT
+    )
+    tactile_key: str | None = parameter(
+        None,
+        "Name of the tactile vector; default: observation.tactile. Policies that know nothing of touch, such as ACT,"
+        " read it as observation.environment_state.",
+        choices=("observation.tactile", "observation.environment_state"),
+        recipe=False,
+        panel=LEROBOT,
+    )
+
+
+COMMAND = Command(
+    "export",
+    Export,
+    "inspect.export",
+    "Recordings.",
+    unit="events",
+    examples=(
+        "evetac export a.recording.h5 --format aedat4",
+        "evetac export data --format parquet -o tables",
+        "evetac export grasps --format lerobot --fps 50 -o touch",
+    ),
+)

@@ -1,0 +1,31 @@
+"""featurize: its flags, its examples, and the stage that it runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import parameter
+
+
+@dataclass(frozen=True)
+class Featurize:
+    """Turn a recording and its tracks (and labels) into features for slip detection."""
+
+    tracks: Path | None = parameter(
+        None, "Tracks of the recording, or their folder; default: beside it, under the same name.", recipe=False
+    )
+    labels: Path | None = parameter(
+        None,
+        "Labels of the recording, or their folder; default: beside it, under the same name, where there are any.",
+        recipe=False,
+    )
+    images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
+
+
+COMMAND = Command(
+    "featurize",
+    Featurize,
+    "stages.featurize",
+    "Recordings (tracks and labels lie beside them).",
+    examples=("evetac featurize data --jobs 2", "evetac featurize data --tracks paper -o paper"),
+)

@@ -1,0 +1,89 @@
+"""grasp: its flags, its examples, and the stage that it runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.devices import DEVICES, Devices
+from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.trials import SIMULATED, Trials
+from evetac_cli.names import Capability
+
+GRIP = "Grip and detector"  # panel of --help
+WITH_DEVICES = (Capability.GRASPED,)
+
+
+@dataclass(frozen=True)
+class Grasp(Devices, Trials):
+    """Lift an object with slip feedback: detect slip at 1000 Hz, control the gripper at 500 Hz."""
+
+    scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
+    objects: str = parameter(
+        "11",
+        "Objects of the paper's table, 1 to 20, as in `11` or `10-18`; or a TOML file.",
+        flag="--object",
+        needs=SIMULATED,
+    )
+    model: Path | None = parameter(
+        None,
+        "Model file of the slip detector; default: `shipped`, the package's, disp-xy 10 ms ahead.",
+        recipe=False,
+    )
+    slip_threshold: float = parameter(
+        0.3,
+        "Probability from which on the controller is told of slip. Lower than the package's detector's own, which is"
+        " chosen for timing: a grip is best tightened while the contact begins to slip.",
+        low=0.0,
+        high=1.0,
+        panel=GRIP,
+    )
+    controller: str = parameter(
+        "paper",
+        "Law of the grip; paper: balance sets the reference at the first slip; paper-reset: at every slip;"
+        " load-proportional: ours; none: contact alone, no detector; fixed:N: N ticks beyond light contact.",
+    )
+    gain: float = parameter(
+        1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
+    )
+    latency_ms: int = parameter(
+        0, "The slip signal reaches the controller so much later.", unit="ms", low=0, high=1000, panel=GRIP
+    )
+    control_hz: float = parameter(
+        500.0,
+        "Steps of the controller a second; 1000 has to be a multiple.",
+        unit="Hz",
+        low=1.0,
+        high=1000.0,
+        panel=GRIP,
+    )
+    tracker: str = parameter(
+        "stable", "Preset of the dot tracker.", choices=("stable", "paper", "official", "unregularised"), panel=GRIP
+    )
+    lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0, panel=GRIP)
+    balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
+    max_current_ma: int = parameter(
+        100,
+        "The gripper's motor current never exceeds this.",
+        unit="mA",
+        low=1,
+        high=2000,
+        recipe=False,
+        panel=DEVICES,
+        needs=WITH_DEVICES,
+    )
+    max_seconds: float = parameter(
+        60.0, "No grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False, panel=DEVICES, needs=WITH_DEVICES
+    )
+
+
+COMMAND = Command(
+    "grasp",
+    Grasp,
+    "trials.grasp",
+    "",
+    examples=(
+        "evetac grasp --object 11-13 --count 2 -o grasps",
+        "evetac grasp --object 11 --controller load-proportional -o grasps",
+        "evetac grasp --camera dvxplorer --gripper /dev/ttyUSB0 --arm",
+    ),
+)

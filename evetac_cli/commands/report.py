@@ -1,0 +1,24 @@
+"""report: its flags, its examples, and the stage that it runs."""
+
+from dataclasses import dataclass
+
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import parameter
+
+
+@dataclass(frozen=True)
+class Report:
+    """Look at a whole data set or study: one HTML page that needs no network, with trials, onsets and evaluations."""
+
+    compare: bool = parameter(False, "Set two folders side by side.", recipe=False)
+
+
+COMMAND = Command(
+    "report",
+    Report,
+    "pages.report",
+    "A folder of stage files; two with --compare.",
+    kind="",
+    unit="files",
+    examples=("evetac report data", "evetac report before after --compare -o compared.html"),
+)

@@ -1,0 +1,35 @@
+"""track: its flags, its examples, and the stage that it runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import parameter
+
+
+@dataclass(frozen=True)
+class Track:
+    """Track the dots of the gel, slice by slice."""
+
+    preset: str = parameter(
+        "stable",
+        "Tracker; stable: ours; paper; official: the authors' published code; unregularised: paper's without grid.",
+        choices=("stable", "paper", "official", "unregularised"),
+    )
+    step_size: float | None = parameter(None, "Gradient step alpha; overrides the preset.", low=0.0)
+    regulariser: float | None = parameter(None, "Weight of the distance regulariser; overrides the preset.", low=0.0)
+    min_events: int | None = parameter(
+        None, "A dot moves only with more events than this; overrides the preset.", unit="events", low=0
+    )
+    calibration: Path | None = parameter(
+        None, "Dot grid (JSON) to use instead of the one in the recording.", recipe=False
+    )
+
+
+COMMAND = Command(
+    "track",
+    Track,
+    "stages.track",
+    "Recordings.",
+    examples=("evetac track data --jobs 2", "evetac track a.recording.h5 --preset paper -o paper"),
+)

@@ -1,0 +1,125 @@
+"""Trials to simulate, and how finely: what `record` and `grasp` have in common."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from evetac_cli.commands.parameter import RUNNING, parameter
+from evetac_cli.names import Capability
+
+SCENE, SOLVER, VIEW = "Scene", "Precision of the simulation", "Live view"  # panels of --help
+SIMULATED = (Capability.SCENE,)
+SERIES = (Capability.SCENE, Capability.DEVICE)
+SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_substeps", "scans_per_ms")
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Trials to simulate: what `record` and `grasp` have in common."""
+
+    scene: str
+    objects: str
+    count: int = parameter(1, "Trials of each object.", low=1, high=100000, recipe=False, needs=SERIES)
+    seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1, needs=SERIES)
+    sensor: str = parameter(
+        "evetac",
+        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel, realistic; randomized: another for every trial;"
+        " randomized:N: the N-th of these; or a TOML file, as `evetac identify` writes one.",
+        needs=SIMULATED,
+    )
+    gel: str | None = parameter(
+        None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"), panel=SCENE, needs=SIMULATED
+    )
+    texture: str | None = parameter(
+        None,
+        "Whether the window shows the object's texture, instead of what the scene says.",
+        choices=("on", "off"),
+        panel=SCENE,
+        needs=SIMULATED,
+    )
+    readout: str = parameter(
+        "dvxplorer",
+        "Camera: scanned 5000 times a second, or every event to the us.",
+        choices=("dvxplorer", "ideal"),
+        panel=SCENE,
+        needs=SIMULATED,
+    )
+    tolerance_um: float | None = parameter(
+        None,
+        "Largest estimated error of the displacement in one mechanical step; default: the scene's, or 0.2.",
+        unit="um",
+        low=0.001,
+        high=1000.0,
+        flag="--tolerance",
+        panel=SOLVER,
+        needs=SIMULATED,
+    )
+    step_ms: float | None = parameter(
+        None,
+        "Fixed mechanical step instead, 1 divided by a whole number.",
+        unit="ms",
+        low=0.0001,
+        high=1.0,
+        panel=SOLVER,
+        needs=SIMULATED,
+    )
+    theta: float | None = parameter(
+        None,
+        "Of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: the scene's, or 0.51.",
+        low=0.5,
+        high=1.0,
+        panel=SOLVER,
+        needs=SIMULATED,
+    )
+    node_pitch_mm: float | None = parameter(
+        None,
+        "Distance of the gel's nodes; default: the scene's, or 0.833.",
+        unit="mm",
+        low=0.05,
+        high=5.0,
+        panel=SOLVER,
+        needs=SIMULATED,
+    )
+    camera_substeps: int | None = parameter(
+        None,
+        "Straight pieces of a dot's path in each ms; default: the scene's, or 1.",
+        low=1,
+        high=100,
+        panel=SOLVER,
+        needs=SIMULATED,
+    )
+    scans_per_ms: int | None = parameter(
+        None,
+        "Scans of the simulated readout; default: the scene's, or 5.",
+        unit="1/ms",
+        low=1,
+        high=100,
+        panel=SOLVER,
+        needs=SIMULATED,
+    )
+    live: bool = parameter(
+        False,
+        "Show it while it is recorded: a page in the browser with dots, slip, force and gripper.",
+        recipe=False,
+        panel=VIEW,
+        needs=(Capability.SCENE, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),
+    )
+    live_in: str = parameter(
+        "auto",
+        "Where it is shown; browser: its address is printed; terminal: characters; auto: in a browser, where there is a"
+        " display.",
+        choices=("auto", "browser", "terminal"),
+        recipe=False,
+        panel=VIEW,
+        needs=(Capability.SHOWN,),
+    )
+    dry_run: bool = parameter(False, "Show what it would build and cost; write nothing.", recipe=False, panel=RUNNING)
+
+    @property
+    def shown_in(self) -> str | None:
+        """Where the trials are shown while they are made: auto, browser or terminal; None: nowhere."""
+        return self.live_in if self.live else None
+
+    def solver(self) -> dict[str, Any]:
+        """The settings of the simulation that were given."""
+        named = {name: getattr(self, name) for name in SOLVER_OPTIONS}
+        return {name: value for name, value in named.items() if value is not None}

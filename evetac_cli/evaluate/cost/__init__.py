@@ -1,0 +1,1 @@
+"""evaluate cost: error against run time, part by part."""

@@ -1,0 +1,209 @@
+"""One trial through the whole chain, stage by stage as the commands run them, with the clock running.
+
+record, label, track, featurize, and the probabilities of the package's detector as `evaluate slip` computes them. Then,
+outside the clock, what came out of it is compared with the truth of a reference: the same trial, simulated more finely.
+"""
+
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import resources
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.evaluate.labels import true_onsets
+from evetac_cli.evaluate.rows import Setting
+from evetac_cli.evaluate.slip_models import Model, check, predict_all
+from evetac_cli.jobs import silent
+from evetac_cli.kernels.force import models as forces
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.stages import featurize, label, track
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import grasp, record
+from evetac_cli.trials.grasp import simulated as simulated_grasp
+from evetac_cli.trials.grasp.settings import SimulatedGrasp
+from evetac_cli.trials.record import simulated as simulated_record
+from evetac_cli.trials.trial import SimulatedTrial
+
+Floats = NDArray[np.float64]
+Result = TypeVar("Result")
+
+LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand has risen by 50 mm, less counts as not held, after 3.1 s
+
+
+class Trial(NamedTuple):
+    """A trial by the flags that choose it: its object, its seed, and the object of the grasp with that seed.
+
+    number: which of the trials with that object and seed, as `--count` numbers them.
+    """
+
+    object: int
+    seed: int
+    grasped: int
+    number: int = 0
+
+
+class Chain(NamedTuple):
+    """What came out of the chain for one trial; onsets are slices, and None where none was found.
+
+    gross_slip_ms: of the simulation's truth; label_ms: of the labels; detection_ms: first slice that the detector takes
+    for slip. dot_xy_px, true_dot_xy_px (slices, dots, 2): as tracked, and in truth; rest_xy_px (dots, 2).
+    shear_force_n (slices, 2): of the object on one pad. record_us, chain_us: run time of a recorded millisecond.
+    """
+
+    gross_slip_ms: int | None
+    label_ms: int | None
+    detection_ms: int | None
+    dot_xy_px: Floats
+    true_dot_xy_px: Floats
+    rest_xy_px: Floats
+    shear_force_n: Floats
+    record_us: float
+    chain_us: float
+
+    @property
+    def slices(self) -> int:
+        """How many slices the recording has."""
+        return len(self.dot_xy_px)
+
+
+class Lifted(NamedTuple):
+    """What became of one grasp: held to the end or not, how far the object moved in the gripper, and its run time."""
+
+    held: bool
+    moved_mm: float
+    grasp_us: float
+
+
+def slip_trial(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> SimulatedTrial:
+    """The trial that `evetac record --scene slip --object N --seed N` makes with the flags of a setting."""
+    chosen: dict[str, Any] = dict(setting.solver)
+    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **chosen)
+    planned = record.jobs([], params, folder)[trial.number]
+    assert isinstance(planned, SimulatedTrial)
+    return planned
+
+
+def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> Chain:
+    """Record a trial with a setting, and everything that is made from it, in a folder of its own."""
+    return chain_of(slip_trial(trial, setting, folder, scene))
+
+
+def chain_of(made: SimulatedTrial) -> Chain:
+    """Record a trial, and everything that is made from it, beside it."""
+    _, record_s = timed(lambda: simulated_record.run(made, force=False, progress=silent))
+    path = made.output
+
+    def further() -> int | None:
+        for stage, params in ((label, Label()), (track, Track()), (featurize, Featurize())):
+            (job,) = stage.jobs([path], params, None)
+            stage.run(job, params)
+        return detection(output_path(path, "features", None))
+
+    detected_ms, rest_s = timed(further)
+    with open_recording(path) as recording:
+        gross_slip_ms = true_onsets(recording)["t_s_ms"]
+        true_dots, shear = recording.read("truth/dot_xy_px"), recording.read("truth/shear_force_n")
+        slices = len(recording)
+    with StageFile(output_path(path, "labels", None), "labels") as labels:
+        onset = int(labels.read("onset_slice"))
+    with StageFile(output_path(path, "tracks", None), "tracks") as tracks:
+        dots, rest = tracks.read("dot_xy_px"), tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    return Chain(
+        gross_slip_ms,
+        onset if onset >= 0 else None,
+        detected_ms,
+        dots.astype(float),
+        true_dots.astype(float),
+        rest,
+        shear.astype(float),
+        1e6 * record_s / slices,
+        1e6 * (record_s + rest_s) / slices,
+    )
+
+
+def detection(features: Path) -> int | None:
+    """The first slice that the package's detector takes for slip; None where there is none."""
+    first = metrics.onset(prediction(features).detected(package_model().threshold))
+    return first if first >= 0 else None
+
+
+def prediction(features: Path) -> metrics.Prediction:
+    """The probabilities of the package's detector."""
+    model = package_model()
+    ((predicted,),) = predict_all([model], [features], check([model], [features]), silent)
+    return predicted
+
+
+@cache
+def package_model() -> Model:
+    """The slip detector that comes with evetac."""
+    return Model.read(resources.MODEL)
+
+
+def run_grasp(trial: Trial, setting: Setting, folder: Path) -> Lifted:
+    """The grasp that `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 0.5` makes with a setting's flags."""
+    chosen: dict[str, Any] = dict(setting.solver)
+    times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
+    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **chosen)
+    made = grasp.jobs([], params, folder)[trial.number]
+    assert isinstance(made, SimulatedGrasp)
+    outcome, seconds = timed(lambda: simulated_grasp.run(made, force=False, progress=silent))
+    (row,) = outcome.rows
+    return Lifted(bool(row["balanced"]), float(row["moved_mm"]), 1e6 * seconds / row["slices"])
+
+
+def timed(act: Callable[[], Result]) -> tuple[Result, float]:
+    """What a function gives, and the processor time in s that it took: other programs do not count."""
+    started = time.process_time()
+    result = act()
+    return result, time.process_time() - started
+
+
+def fit_force(chains: list[Chain]) -> forces.Regression:
+    """The shear force over the mean displacement of tracked dots, by least squares, up to gross slip."""
+    moved = [(chain.dot_xy_px - chain.rest_xy_px)[: chain.gross_slip_ms] for chain in chains]
+    force = [chain.shear_force_n[: chain.gross_slip_ms] for chain in chains]
+    return forces.fit_regression(np.concatenate(moved), np.concatenate(force))
+
+
+def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dict[str, float]:
+    """How far the chain is off the reference's truth, by column; NaN where the reference does not slip.
+
+    An onset that was not found counts as one at the end of the recording. Tracks and forces are compared up to the
+    reference's onset of gross slip: after it the object falls, and a small shift in time is a long way.
+    """
+    truth_ms = reference.gross_slip_ms
+    if truth_ms is None:
+        return dict.fromkeys(SLIP_ERRORS, float("nan"))
+    onsets = (chain.gross_slip_ms, chain.label_ms, chain.detection_ms)
+    late = [abs((chain.slices if onset is None else onset) - truth_ms) for onset in onsets]
+    stop = min(truth_ms, chain.slices)
+    apart_px = chain.dot_xy_px[:stop] - reference.true_dot_xy_px[:stop]
+    told_n = forces.apply_regression(force, (chain.dot_xy_px - chain.rest_xy_px)[:stop])
+    apart_n = told_n - reference.shear_force_n[:stop]
+    values: tuple[Any, ...] = (
+        *late,
+        np.sqrt((apart_px**2).sum(-1).mean()),
+        np.sqrt((apart_n**2).sum(-1).mean()),
+    )
+    return dict(zip(SLIP_ERRORS, map(float, values), strict=True))
+
+
+# Columns of `slip_errors`, in its order.
+SLIP_ERRORS = (
+    "error_ms_gross_slip",
+    "error_ms_label",
+    "error_ms_detection",
+    "error_px_dots",
+    "error_n_shear",
+)

@@ -1,0 +1,155 @@
+"""evaluate cost: error against run time of a part's numerical choices, as rows and as a picture beside the report.
+
+Every part is a function `(params, inputs, progress) -> rows`, in which a row has `setting`, errors, `time_us_median`
+and `time_us_p99`. Run times are those of the machine and the moment, so the same recipe gives other figures elsewhere.
+A report that exists is kept: delete it to measure again.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, own_report, picture, plots, report, report_job
+from evetac_cli.evaluate.cost import grasp, labels, models, pipeline, scene_parts, tracker
+from evetac_cli.evaluate.cost import simulator as simulator_cost
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.store.files import header_of
+
+OUTPUT = "report"
+METHOD = 2
+
+
+class Part(NamedTuple):
+    """How a part is measured, title, errors and size of its picture, which files it takes, if any, and --trials or not.
+
+    inputs: (files, --model) -> the files that the report is made from.
+    """
+
+    title: str
+    errors: tuple[str, ...]
+    measure: Callable[[EvaluateCost, Sequence[Path], Progress], Rows]
+    summary: Callable[[Rows], dict[str, Any]]
+    draw: Callable[[Any, Rows, Sequence[str]], None] = plots.draw
+    size_in: Callable[[Rows], tuple[float, float]] = plots.size_in
+    takes_trials: bool = True
+    inputs: Callable[[list[Path], Path | None], tuple[Path, ...]] | None = None
+
+
+PARTS: dict[str, Part] = {
+    "sim": Part(
+        "Simulated gel and camera: error against run time",
+        simulator_cost.ERRORS,
+        simulator_cost.measure,
+        simulator_cost.summary,
+    ),
+    "pipeline": Part(
+        "Settings of a recording: error at the end of the chain against its run time, means over trials",
+        pipeline.ERRORS,
+        pipeline.measure,
+        pipeline.summary,
+        pipeline.draw,
+        pipeline.size_in,
+    ),
+    "label": Part(
+        "Methods of labelling: error against run time",
+        ("error_ms_onset", "error_ms_reference"),
+        labels.measure,
+        labels.summary,
+    ),
+    "track": Part(
+        "Dot tracker: error against run time",
+        ("error_px_rms", "error_px_worst"),
+        tracker.measure,
+        tracker.summary,
+        takes_trials=False,
+    ),
+    "model": Part(
+        "Slip detectors: error against the time of one inference",
+        ("error_share_timing", "error_share_f1"),
+        models.measure,
+        models.summary,
+        models.draw,
+        models.size_in,
+        takes_trials=False,
+        inputs=models.inputs,
+    ),
+    "grasp": Part(
+        "Grasps with a late detector, a slow controller, another detector",
+        ("error_share_lost", "error_mm_moved"),
+        grasp.measure,
+        grasp.summary,
+        grasp.draw,
+        inputs=grasp.inputs,
+    ),
+    "scenes": Part(
+        "What the parts of a scene cost a slice",
+        (),
+        scene_parts.measure,
+        scene_parts.summary,
+        scene_parts.draw,
+    ),
+}
+
+
+def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]:
+    """One report: beside the files that it is made from, else `<part>.cost.report.h5` in the present folder."""
+    part = PARTS[params.part]
+    if part.inputs is None and (files or params.model):
+        raise InputError(
+            "this part is measured without files and models",
+            where="evaluate cost",
+            expected="files with part model only, --model with part model or grasp",
+            found=f"part {params.part}",
+        )
+    if params.trials is not None and not part.takes_trials:
+        taking = ", ".join(name for name, other in PARTS.items() if other.takes_trials)
+        raise InputError(
+            "this part has no trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}"
+        )
+    inputs = part.inputs(files, params.model) if part.inputs else ()
+    if files:
+        return report_job([inputs[0]], "cost", out, *inputs[1:])
+    return [Job(inputs, own_report(params.part, "cost", out))]
+
+
+def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for every setting; the picture is drawn again where it is missing."""
+    part = PARTS[params.part]
+    parents = [header_of(path) for path in job.inputs]  # of any kind: `measure` checks that it is what it needs
+    simulated = not any(header["kind"] == "report" for header in parents)  # figures of a report are as real as it is
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows = part.measure(params, job.inputs, progress)
+        return rows, part.summary(rows)
+
+    outcome = report(
+        job, "evaluate cost", METHOD, recipe_of(params), parents, measure, force=force, simulated_source=simulated
+    )
+
+    def draw(figure: Any) -> None:
+        figure.suptitle(f"{part.title}{' (simulated)' if outcome.simulated else ''}")
+        part.draw(figure, outcome.rows, part.errors)
+
+    return picture.beside(outcome, job.output, draw, part.size_in(outcome.rows))
+
+
+def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
+    """All rows, and of each error the setting that has least of it, and the fastest."""
+    lines = []
+    for error in PARTS[params.part].errors:
+        known = [row for row in rows if row.get(error) is not None and row.get("time_us_median") is not None]
+        known = [row for row in known if not row["setting"].startswith("reference")]
+        if known:
+            least = min(known, key=lambda row: (row[error], row["time_us_median"]))
+            fastest = min(known, key=lambda row: (row["time_us_median"], row[error]))
+            words = [
+                f"{row['setting']}, {row[error]:.3g} in {row['time_us_median']:.4g} us" for row in (least, fastest)
+            ]
+            lines.append(f"{error}: least with {words[0]}; fastest with {words[1]}.")
+    return rows, lines
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -1,0 +1,154 @@
+"""What the numerical choices of the mechanics cost and are worth where friction is constant: error, and run time.
+
+Where it falls with speed, as in the scenes: see unloading.
+
+One trial is simulated again and again: a cylinder of 100 g, held slightly tilted and beside its centre of mass, while
+the grip falls from 2 to 0.2 N within 0.2 s. It bounces on the gel, slips in part, turns, and falls. Compared are the
+integrator and its time step, the number of nodes, and the layer's answer to a pattern of wave number k (order 0: G/H,
+springs of their own; order 1: G/H (1 + (kH)^2/3), the one in use; order 2: G k / tanh(kH), exact for a bonded layer).
+
+Why so: each comparison changes one choice and has a reference of its own that differs in that choice only, so that the
+errors of the others do not hide it. How far the reference in time is itself off is bounded by step doubling: with a
+method of first order, the solution at twice the step differs from it by what it differs from the truth.
+
+An error is the root mean square over samples every 10 ms: of the distance between the object's positions, and of the
+distance between displacements of the gel over nodes (or points). Times are those of one simulated millisecond, on one
+core, without the waiting that other programs cause.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from evetac_cli.evaluate.cost.gel_reference import simulate_explicit, simulate_modes
+from evetac_cli.evaluate.cost.gel_trial import (
+    PAD_M,
+    SAMPLE_S,
+    Motion,
+    Trial,
+    draw_trial,
+    simulate,
+)
+from evetac_cli.evaluate.rows import Extent, Row, run_times
+from evetac_cli.sim.gel.contact import pad_nodes
+
+PART = "mechanics, constant friction"
+THETAS = (1.0, 0.51, 0.5)
+REFERENCE_THETA = 0.51
+# Time steps, of which each divides 10 ms, and grids (columns, rows).
+STEPS_US = Extent[tuple[float, ...]](
+    quick=(10_000, 5_000, 2_000, 1_000, 500, 200, 100),
+    full=(10_000, 5_000, 2_000, 1_000, 500, 200, 100, 50, 20),
+)
+EXPLICIT_US = Extent[tuple[float, ...]](
+    quick=(1_000, 100, 20, 10, 8, 5, 4, 2, 1),
+    full=(1_000, 100, 20, 10, 8, 5, 4, 2, 1, 0.5, 0.25),
+)
+REFERENCE_US = Extent(quick=5.0, full=2.0)
+NODES = Extent[tuple[tuple[int, int], ...]](
+    quick=((8, 10), (14, 10), (24, 18), (32, 24)),
+    full=((8, 10), (14, 10), (24, 18), (32, 24), (48, 36)),
+)
+FINEST_NODES = Extent(quick=(64, 48), full=(96, 72))
+
+
+def errors_um(motion: Motion, reference: Motion) -> tuple[float, float]:
+    """Root mean square distance from a reference of the object's position, and of the gel; NaN after a blow-up."""
+    if len(motion.pose) == 0:
+        return math.nan, math.nan
+    square = ((motion.pose - reference.pose)[:, :2] ** 2).sum(-1).mean()
+    gel_square = ((motion.gel_m - reference.gel_m) ** 2).sum(-1).mean()
+    return 1e6 * math.sqrt(square), 1e6 * math.sqrt(gel_square)
+
+
+def row(setting: str, motion: Motion, reference: Motion | None, outcome: str = "finished") -> Row:
+    """The row of a setting; without a reference it is one itself and has no error."""
+    blown_up = not math.isnan(motion.blown_up_s)
+    object_um, gel_um = errors_um(motion, reference) if reference else (math.nan, math.nan)
+    return {
+        "part": PART,
+        "setting": setting,
+        "error_um_object_rms": None if math.isnan(object_um) else object_um,
+        "error_um_gel_rms": None if math.isnan(gel_um) else gel_um,
+        **run_times(motion.block_us),
+        "times_real_time": 1e3 / float(motion.block_us.mean()),
+        "outcome": f"blew up after {motion.blown_up_s * 1e3:.3g} ms" if blown_up else outcome,
+    }
+
+
+def time_step_text(dt_us: float) -> str:
+    """A time step as it stands in a setting: 1 ms, 0.1 ms, 20 us."""
+    return f"{dt_us / 1e3:g} ms" if dt_us >= 100 else f"{dt_us:g} us"
+
+
+def time_reference(trial: Trial, dt_us: float = REFERENCE_US.quick) -> tuple[Motion, Row]:
+    """The reference in time at a step far below all others, and its row: errors bounded by step doubling.
+
+    Its theta of 0.51 leaves next to nothing of the first order, and still damps the ringing. An error falls at least in
+    proportion to the step, e(2 dt) >= 2 e(dt), so the difference of the two solutions, the row's error, is >= e(dt).
+    """
+    twice = simulate(trial, 2e-6 * dt_us, REFERENCE_THETA, tolerance=1e-8)
+    once = simulate(trial, 1e-6 * dt_us, REFERENCE_THETA, tolerance=1e-8)
+    setting = f"reference: theta {REFERENCE_THETA:g}, dt {time_step_text(dt_us)}"
+    return once, row(setting, once, twice, "error bounded by step doubling")
+
+
+def implicit_row(trial: Trial, reference: Motion, theta: float, dt_us: float) -> Row:
+    """`gel.step` at a theta and a time step."""
+    return row(f"theta {theta:g}, dt {time_step_text(dt_us)}", simulate(trial, 1e-6 * dt_us, theta), reference)
+
+
+def explicit_row(trial: Trial, reference: Motion, dt_us: float) -> Row:
+    """The explicit integrator at a time step, also where it blows up."""
+    return row(f"explicit, dt {time_step_text(dt_us)}", simulate_explicit(trial, 1e-6 * dt_us), reference)
+
+
+def node_rows(
+    trial: Trial,
+    counts: Iterable[tuple[int, int]] = NODES.quick,
+    finest: tuple[int, int] = FINEST_NODES.quick,
+    dt_s: float = 1e-3,
+) -> Iterator[Row]:
+    """Grids against a much finer one, all at theta 0.51 and the same time step; the gel is compared at 8 x 7 points."""
+    x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
+    points = pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2)
+
+    def motion(columns: int, rows: int) -> Motion:
+        return simulate(replace(trial, columns=columns, rows=rows), dt_s, 0.51, points_xy_m=points)
+
+    reference = motion(*finest)
+    for columns, rows in counts:
+        yield row(f"{columns} x {rows} nodes", motion(columns, rows), reference)
+    yield row(f"{finest[0]} x {finest[1]} nodes", reference, None, "the reference of the grids")
+
+
+def layer_rows(trial: Trial, dt_s: float = 1e-3) -> Iterator[Row]:
+    """Layers of order 0 and 1 by `gel.step` against order 2 by its cosine modes, same grid and time step."""
+    reference = simulate_modes(trial, 2, dt_s, 0.51)
+    for order in (0, 1):
+        layered = replace(trial, material=replace(trial.material, coupled=order == 1))
+        yield row(f"layer order {order}", simulate(layered, dt_s, 0.51), reference)
+    yield row("layer order 2, cosine modes", reference, None, "the reference of the layers")
+
+
+def row_count(full: bool) -> int:
+    """How many rows `mechanics_rows` gives: with the three references, and the layers of order 0 and 1."""
+    implicit = len(THETAS) * len(STEPS_US.pick(full))
+    return implicit + len(EXPLICIT_US.pick(full)) + len(NODES.pick(full)) + 5
+
+
+def mechanics_rows(seed: int, full: bool) -> Iterator[Row]:
+    """All rows of the mechanics, one after the other."""
+    trial = draw_trial(seed)
+    short = replace(trial, seconds=SAMPLE_S)
+    simulate(short, 1e-3, 0.51)  # compiles
+    simulate_explicit(short, 1e-5)
+    reference, reference_row = time_reference(trial, REFERENCE_US.pick(full))
+    yield reference_row
+    for theta in THETAS:
+        for dt_us in STEPS_US.pick(full):
+            yield implicit_row(trial, reference, theta, dt_us)
+    for dt_us in EXPLICIT_US.pick(full):
+        yield explicit_row(trial, reference, dt_us)
+    yield from node_rows(trial, NODES.pick(full), FINEST_NODES.pick(full))
+    yield from layer_rows(trial)

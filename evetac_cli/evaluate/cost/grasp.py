@@ -1,0 +1,161 @@
+"""The part `grasp`: what a grasp loses by a late detector, a slow controller, or another detector.
+
+Each setting differs from the usual one (no added latency, 500 Hz, the package's detector) in one thing, and is made
+with every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held
+to the end, `error_mm_moved` how far the held objects moved in the gripper (mean), `force_n` how firmly they were held
+at the end. more_mm_moved is the paired difference from the usual setting on the same trials, where both held, with its
+interval (see paired). Run times are those of the detector: tracker, features and network of one slice. Beside the
+network stands the simulation's own knowledge of slip (`detector truth`): no detector can know more of the present,
+though one may predict.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli import resources
+from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.devices import Rig
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, picture
+from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
+from evetac_cli.evaluate.paired import Floats, difference, known
+from evetac_cli.evaluate.rows import Extent, Row, collect, run_times
+from evetac_cli.jobs import Progress
+from evetac_cli.stages.related_files import named_files
+from evetac_cli.trials.grasp.loop import SlipDetector
+
+OBJECTS = Extent[tuple[int, ...]](quick=(11, 17), full=(10, 11, 12, 13, 17, 18))
+TRIALS = Extent(quick=1, full=3)  # of each object
+CONTROLLERS = Extent[tuple[str, ...]](
+    quick=("paper", "load-proportional"), full=("paper", "paper-reset", "load-proportional")
+)
+LATENCIES_MS = Extent[tuple[int, ...]](quick=(5, 10, 20, 50), full=(2, 5, 10, 20, 30, 50))
+RATES_HZ = Extent[tuple[float, ...]](quick=(50.0, 100.0, 1000.0), full=(50.0, 100.0, 200.0, 250.0, 1000.0))
+BALANCE_S = 8.0
+TITLES = {
+    "error_share_lost": "share of objects lost",
+    "error_mm_moved": "object moved in the gripper, mean [mm]",
+    "force_n": "grip force at the end, mean [N]",
+}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How slip is detected and the gripper controlled."""
+
+    name: str
+    latency_ms: int = 0
+    control_hz: float = 500.0
+    truth: bool = False
+    model: Path | None = None
+
+
+def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
+    """The package's model, then those named by `--model`: a file, a folder or a glob."""
+    if files:
+        raise InputError(
+            "grasps are simulated, not read from files",
+            where="evaluate cost grasp",
+            expected="no files; detectors to compare with after --model",
+            found=f"{len(files)} files",
+        )
+    named = [] if model is None else named_files(model, "model", "--model")
+    return tuple(dict.fromkeys((resources.MODEL, *named)))
+
+
+def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
+    """Rows of every setting with every controller."""
+    chosen = settings(params.full, inputs[1:])
+    return collect(_rows(chosen, params), len(CONTROLLERS.pick(params.full)) * len(chosen), progress)
+
+
+def summary(rows: Rows) -> dict[str, Any]:
+    """How many settings and trials there are."""
+    return {"settings": len(rows), "trials": sum(row["trials"] for row in rows)}
+
+
+def settings(full: bool, models: Sequence[Path]) -> list[Setting]:
+    """The usual setting and all that differ from it."""
+    usual = Setting("500 Hz, no latency")
+    return [
+        usual,
+        *(replace(usual, name=f"latency {ms} ms", latency_ms=ms) for ms in LATENCIES_MS.pick(full)),
+        *(replace(usual, name=f"control at {hz:g} Hz", control_hz=hz) for hz in RATES_HZ.pick(full)),
+        replace(usual, name="detector truth", truth=True),
+        *(replace(usual, name=f"detector {path.name.partition('.')[0]}", model=path) for path in models),
+    ]
+
+
+def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
+    for controller in CONTROLLERS.pick(params.full):
+        usual: list[GraspResult] = []
+        for setting in settings:
+            short = ShortGrasp(
+                0, controller, balance_s=BALANCE_S, latency_ms=setting.latency_ms, control_hz=setting.control_hz
+            )
+            wrap_detector = ground_truth_detector if setting.truth else _unchanged
+            results = [
+                run_short_grasp(
+                    replace(short, object=number), params.seed + trial, setting.model, wrap_detector=wrap_detector
+                )
+                for number in OBJECTS.pick(params.full)
+                for trial in range(params.trials or TRIALS.pick(params.full))
+            ]
+            usual = usual or results
+            yield {"setting": f"{controller}, {setting.name}", **_figures(results, usual)}
+
+
+def _unchanged(detector: SlipDetector, devices: Rig) -> SlipDetector:
+    return detector
+
+
+def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Row:
+    """Errors over the trials of a setting; distance and force over those that held their object."""
+    held = [result.figures for result in results if result.figures["balanced"]]
+    apart = difference(_moved_mm(results), _moved_mm(usual))
+    return {
+        "trials": len(results),
+        "error_share_lost": 1 - len(held) / len(results),
+        "error_mm_moved": float(np.mean([figures["moved_mm"] for figures in held])) if held else None,
+        "more_mm_moved": known(apart.mean),
+        "interval_low_mm": known(apart.low),
+        "interval_high_mm": known(apart.high),
+        "trials_compared": apart.trials,
+        "force_n": float(np.mean([figures["force_end_n"] for figures in held])) if held else None,
+        **run_times(np.concatenate([result.detector_us for result in results])),
+    }
+
+
+def _moved_mm(results: Sequence[GraspResult]) -> Floats:
+    """How far each trial's object moved in the gripper, NaN where it was lost."""
+    moved = (result.figures["moved_mm"] if result.figures["balanced"] else math.nan for result in results)
+    return np.array(list(moved))
+
+
+def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
+    """Errors and force of every setting, a colour for each controller."""
+    settings = list(dict.fromkeys(row["setting"].partition(", ")[2] for row in rows))
+    controllers = list(dict.fromkeys(row["setting"].partition(", ")[0] for row in rows))
+    panels = picture.panels(figure, len(TITLES), len(TITLES), sharey=True)
+    for axes, (name, title) in zip(panels, TITLES.items(), strict=True):
+        for number, controller in enumerate(controllers):
+            known = [row for row in rows if row["setting"].startswith(f"{controller}, ") and row[name] is not None]
+            apart = 0.5 * ((number + 0.5) / len(controllers) - 0.5)
+            heights = [settings.index(row["setting"].partition(", ")[2]) + apart for row in known]
+            if name == "error_share_lost":
+                for row, height in zip(known, heights, strict=True):
+                    reach = picture.wilson(row[name], row["trials"])
+                    label = "95 % interval by the number of trials (Wilson)"
+                    axes.errorbar(row[name], height, xerr=reach, label=label, **picture.INTERVAL)
+            style = {**picture.series(number), "markersize": 7, "linestyle": "none"}
+            axes.plot([row[name] for row in known], heights, label=f"controller {controller}", **style)
+        axes.set_xlabel(title)
+    picture.share_axis(panels[0].xaxis)
+    panels[0].set_yticks(range(len(settings)), settings)
+    panels[0].set_ylim(len(settings) - 0.5, -0.5)
+    picture.legend(figure, panels)

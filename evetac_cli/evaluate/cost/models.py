@@ -1,0 +1,269 @@
+"""The part `model`: how often slip detectors are right against the run time of one inference.
+
+With models and the report of `evaluate slip` on them, timing and F1 are those of the report, means over objects and
+seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks: each task has a Pareto front of its own.
+Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their weights
+alone are timed once, so that no setting wins by the noise of a clock.
+
+- time_us_*: the network on one thread, one input at a time, as `grasp` runs it: what the paper's inference times are.
+- step_us_*: what `grasp` does with a slice of about 500 events, from events to a probability: tracker (its default),
+  features, network. A network that predicts every 5th slice costs its time in one step of five: the 99th percentile
+  shows it, the median does not.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, paper, picture
+from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
+from evetac_cli.evaluate.rows import Row, collect, run_times
+from evetac_cli.evaluate.slip import split_models
+from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip_tables import group_by_setting
+from evetac_cli.jobs import Progress
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
+from evetac_cli.kernels.slip.detector import Detector, Live
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.store.files import StageFile
+
+TRACKER = tracker.PRESETS[Grasp().tracker]
+EVENTS = 500  # of a slice in a step
+DISTINCT = 20  # slices that are timed in turn
+REPEATS = 3000  # inferences and steps timed, fewer where that would take longer than
+LONGEST_S = 2.0
+FEWEST = 30
+WARM_UP = 20  # and not counted
+FIGURES = {"timing": "slip_correct", "f1": "f1"}  # errors of a setting, and the columns of `evaluate slip` behind them
+GRID = (7, 8)  # rows and columns of dots of the untrained networks
+
+
+class Candidate(NamedTuple):
+    """A network that is timed, and its figures in `evaluate slip`, if it was trained."""
+
+    setting: str
+    detector: Detector
+    dot_shape: tuple[int, int]
+    parameters: int
+    graph_bytes: int
+    horizon_ms: int = 0
+    figures: Row = {}
+
+    @property
+    def build(self) -> tuple[str, tuple[int, int], int]:
+        """Equal for networks that differ in their weights alone; one that normalises has a longer graph."""
+        return self.detector.architecture.name, self.dot_shape, self.graph_bytes
+
+
+def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
+    """The report of `evaluate slip`, then the models; empty without any file."""
+    if not files and model is None:
+        return ()
+    reports, models = split_models(files, model)
+    if len(reports) != 1:
+        raise InputError(
+            "the report of `evaluate slip` on these models is missing",
+            where="evaluate cost model",
+            expected="one report of `evaluate slip` on these models",
+            found=f"{len(reports)} files that are no models",
+            hint="evetac evaluate slip FEATURES --model MODELS first; without any file, untrained networks are timed",
+        )
+    return (*reports, *models)
+
+
+def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
+    """A row for every setting; with a report, also whether it is on the Pareto front of its task."""
+    models = [Model.read(path) for path in inputs[1:]]
+    candidates = _trained(models, _report_rows(inputs[0], models)) if models else _untrained()
+    rows = collect(_rows(candidates, params.seed), len(candidates), progress)
+    for figure in FIGURES if models else ():
+        for row, on_front in zip(rows, front(rows, f"error_share_{figure}"), strict=True):
+            row[f"pareto_{figure}"] = on_front
+    return rows
+
+
+def summary(rows: Rows) -> dict[str, Any]:
+    """How many settings there are, and which are on the Pareto fronts."""
+    figures: dict[str, Any] = {"settings": len(rows), "events_a_step": EVENTS}
+    for name in (f"pareto_{figure}" for figure in FIGURES):
+        for task in sorted({row["horizon_ms"] for row in rows if name in row}):
+            on_front = [row["setting"] for row in rows if row[name] and row["horizon_ms"] == task]
+            figures[f"{name}_{task}_ms_ahead"] = "; ".join(on_front) or None
+    return figures
+
+
+def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
+    """Rows of a report of `evaluate slip`, by setting; InputError if it is not on these models."""
+    with StageFile(path, "report") as file:
+        header, rows = file.header, json.loads(file.read("rows"))
+    reported = {id_ for id_ in header["parents"] if header["history"][id_]["kind"] == "model"}
+    by_setting = {row["setting"]: row for row in rows if "seeds" in row}
+    given = {model.header["id"] for model in models}
+    command = header["parameters"].get("command")
+    if command != "evaluate slip" or given != reported or {*group_by_setting(models)} != {*by_setting}:
+        raise InputError(
+            "this is not the report of `evaluate slip` on the models given",
+            where=str(path),
+            expected=f"a report on these {len(given)} models",
+            found=f"{command}, on {len(reported)} models, {len(reported & given)} of these",
+        )
+    return by_setting
+
+
+def _trained(models: Sequence[Model], report_rows: dict[str, Row]) -> list[Candidate]:
+    """One candidate for each setting, with the figures of its row in the report."""
+    candidates = []
+    for setting, members in group_by_setting(models).items():
+        first, row = models[members[0]], report_rows[setting]
+        errors = {
+            f"error_share_{name}": None if row[figure] is None else 1 - row[figure] for name, figure in FIGURES.items()
+        }
+        figures = {key: row[key] for key in ("seeds", "slip_correct", "f1")}
+        network = (first.detector(), first.dot_shape, first.parameters, first.graph_bytes)
+        candidates.append(Candidate(setting, *network, first.horizon_ms, figures | errors))
+    return candidates
+
+
+def _untrained() -> list[Candidate]:
+    """Every architecture with weights as they are before training: run time does not depend on them."""
+    from evetac_cli.kernels.slip import networks  # imports torch
+
+    candidates = []
+    for name, architecture in ARCHITECTURES.items():
+        network = networks.build(architecture, *GRID)
+        graph = networks.onnx_graph(network)
+        detector, size = Detector(graph, architecture), networks.parameters(network)
+        candidates.append(Candidate(name, detector, GRID, size, len(graph)))
+    return candidates
+
+
+def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
+    """The row of each candidate; networks of the same build share their run times."""
+    times: dict[Any, Row] = {}
+    for candidate in candidates:
+        if candidate.build not in times:
+            rng = np.random.default_rng(seed)
+            inference_us, step_us = timed(_inference(candidate, rng)), timed(_grasp_step(candidate, rng))
+            times[candidate.build] = run_times(inference_us) | run_times(step_us, "step")
+        paper_ms = paper.value("inference", candidate.detector.architecture.name)
+        yield {
+            "setting": candidate.setting,
+            "horizon_ms": candidate.horizon_ms,
+            **candidate.figures,
+            "parameters": candidate.parameters,
+            **times[candidate.build],
+            "paper_us_on_a_gpu": None if paper_ms is None else 1000 * paper_ms,
+        }
+
+
+def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
+    """One inference on one input of random numbers."""
+    architecture = candidate.detector.architecture
+    if isinstance(architecture, ImageArchitecture):
+        shape: tuple[int, ...] = architecture.input_shape
+    else:
+        shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)
+    batch = rng.random((1, *shape), np.float32)
+    return lambda: candidate.detector.probability(batch)
+
+
+def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
+    """A step of `grasp` on events of the dots' rims at rest; histories are filled first."""
+    rows, columns = candidate.dot_shape
+    whole = DOTS_PX.reshape(7, 9, 2)
+    if rows > whole.shape[0] or columns > whole.shape[1]:
+        raise InputError(
+            "there are no events to time this grid of dots with",
+            where=candidate.setting,
+            expected="at most 7 x 9 dots",
+            found=f"{rows} x {columns}",
+        )
+    rest = whole[:rows, :columns].reshape(-1, 2)
+    window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
+    live = Live(candidate.detector, tracker.start(rest, TRACKER), window)
+    slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]
+    taken = 0
+
+    def step() -> None:
+        nonlocal taken
+        live.step(*slices[taken % DISTINCT])
+        taken += 1
+
+    for _ in range(candidate.detector.architecture.history):
+        step()
+    return step
+
+
+def _rims(rng: np.random.Generator, right_px: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """EVENTS events on the rims of the dots left of right_px: columns x, y, p."""
+    x, y, p = rim_events(rng, 4 * EVENTS)
+    left = np.flatnonzero(x < right_px)[:EVENTS]
+    return x[left], y[left], p[left]
+
+
+def timed(act: Callable[[], Any], repeats: int = REPEATS, longest_s: float = LONGEST_S) -> NDArray[np.float64]:
+    """Run times in us; fewer repeats, but at least FEWEST, where they would take longer than longest_s."""
+    for _ in range(WARM_UP):
+        act()
+    took_us: list[float] = []
+    started = time.perf_counter()
+    while len(took_us) < repeats and (len(took_us) < FEWEST or time.perf_counter() - started < longest_s):
+        begin = time.perf_counter()
+        act()
+        took_us.append((time.perf_counter() - begin) * 1e6)
+    return np.array(took_us)
+
+
+def front(rows: Rows, error: str) -> list[bool]:
+    """Which rows are on the Pareto front of an error and the median time among those of their task (`horizon_ms`).
+
+    No other is as good in both, better in one. A row without that error is not on the front.
+    """
+    points = [(row["horizon_ms"], row[error], row["time_us_median"]) for row in rows]
+    known = [point for point in points if point[1] is not None]
+
+    def beaten(point: tuple[int, float, float]) -> bool:
+        same_task = (other for other in known if other[0] == point[0] and other != point)
+        return any(error <= point[1] and time_us <= point[2] for _, error, time_us in same_task)
+
+    return [point[1] is not None and not beaten(point) for point in points]
+
+
+def size_in(rows: Rows) -> tuple[float, float]:
+    """Width and height of the picture in inches."""
+    return 12.0, 4.6 + picture.legend_height_in([row["setting"] for row in rows], 12.0)
+
+
+def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
+    """Errors against run time, filled where on the front of its task; without errors, parameters against it."""
+    names = [name for name in errors if name in rows[0]] or ["parameters"]
+    titles = {"error_share_timing": "share of slips not timed right", "error_share_f1": "1 - F1"}
+    panels = picture.panels(figure, len(names), len(names))
+    for axes, name in zip(panels, names, strict=True):
+        front_column = name.replace("error_share", "pareto")
+        for task, shade in zip(sorted({row["horizon_ms"] for row in rows}), ("0.2", "0.5", "0.75"), strict=False):
+            on_front = [row for row in rows if row.get(front_column) and row["horizon_ms"] == task]
+            best = sorted((row["time_us_median"], row[name]) for row in on_front)
+            if best:
+                label = f"Pareto front, {task} ms ahead"
+                axes.step([x for x, _ in best], [y for _, y in best], where="post", color=shade, label=label)
+        for number, row in enumerate(rows):
+            if row[name] is not None:
+                style = {**picture.series(number), "markersize": 7, "linestyle": "none"}
+                style |= {} if row.get(front_column) else {"markerfacecolor": "white"}
+                axes.plot(row["time_us_median"], row[name], label=row["setting"], **style)
+        axes.set(xlabel="run time of one inference, median [us]", ylabel=titles.get(name, "trained parameters"))
+        picture.log_axis(axes.xaxis)
+        if name == "parameters":
+            picture.log_axis(axes.yaxis)
+        else:
+            axes.set_ylim(0, None)
+    picture.legend(figure, panels, title="filled: on the Pareto front" if names != ["parameters"] else None)

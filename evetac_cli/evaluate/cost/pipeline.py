@@ -1,0 +1,260 @@
+"""The part `pipeline`: what the settings of a recording are worth at the end of the whole chain, and what they cost.
+
+Every setting records the same seeded slip trials and grasps, and everything is made from them as the commands do it:
+labels, tracks, features, the judgement of the package's detector. All of it is compared with the truth of a reference:
+the same trials, simulated more finely in every respect. Columns, as means over the trials:
+
+- error_ms_gross_slip: onset of gross slip (`truth/slip`) in the simulation with this setting.
+- error_ms_label, error_ms_detection: onset of the labels, and first detection by the package's detector (which is made
+  to warn 10 ms ahead), both against the onset of gross slip in the reference's truth.
+- error_px_dots: tracked dots against the reference's true dots, root mean square up to gross slip.
+- error_n_shear: shear force on a pad, told from the tracked dots by a regression that was fitted at the defaults on
+  other trials, against the reference's true one, root mean square up to gross slip.
+- error_share_lost, error_mm_moved: grasps whose object was not held to the end, and how much farther or less far it
+  moved in the gripper than in the reference.
+- time_us_*: processor time of the chain for a recorded millisecond, over the trials; record_us_median, grasp_us_median:
+  of recording alone, and of a simulated millisecond of the grasp.
+
+A second table has the paired difference of every setting from the defaults, with its interval (see paired), a third
+every trial, with its onsets. A row is on the Pareto front of an error where the intervals say so against every other
+row; the reference is no candidate. The errors of labels, detector, tracker and regression are in every row: what a
+setting adds is in the differences.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.evaluate import Rows, picture
+from evetac_cli.evaluate.cost.chain import (
+    BALANCE_S,
+    LIFT_S,
+    SLIP_ERRORS,
+    Chain,
+    Lifted,
+    Trial,
+    fit_force,
+    run_chain,
+    run_grasp,
+    slip_errors,
+)
+from evetac_cli.evaluate.paired import Floats, difference, known, on_front
+from evetac_cli.evaluate.rows import Extent, Row, Setting, line, run_times
+from evetac_cli.jobs import Progress
+
+TRIALS = Extent(quick=4, full=20)
+OBJECTS = (8, 1, 12, 4, 16, 3, 14, 6, 10, 17)  # that slip, in turn
+GRASPED = (11, 17, 12, 13, 10, 18)  # in turn
+CALIBRATION = (Trial(8, 9000, 11), Trial(3, 9001, 11))  # of the regression of forces; below the seeds that are reported
+
+DEFAULTS = Setting("defaults")
+REFERENCE = Setting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.625, "camera_substeps": 4})
+FINEST = Setting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "camera_substeps": 8})
+CHOICES = Extent[tuple[Setting, ...]](
+    quick=(
+        *line("fixed step", "step_ms", (1.0,), "ms"),
+        *line("tolerance", "tolerance_um", (0.05,), "um"),
+        *line("node pitch", "node_pitch_mm", (1.25,), "mm"),
+        *line("scans", "scans_per_ms", (2,), "a ms"),
+    ),
+    full=(
+        *line("fixed step", "step_ms", (1.0, 0.5, 0.25, 0.125), "ms"),
+        *line("tolerance", "tolerance_um", (5.0, 2.0, 1.0, 0.5, 0.1, 0.05), "um"),
+        *line("theta", "theta", (1.0, 0.75, 0.5)),
+        *line("node pitch", "node_pitch_mm", (1.67, 1.25, 1.0, 0.625), "mm"),
+        *line("camera sub-steps", "camera_substeps", (2, 4)),
+        *line("scans", "scans_per_ms", (1, 2, 10), "a ms"),
+    ),
+)
+
+GRASP_ERRORS = ("error_share_lost", "error_mm_moved")
+ERRORS = (*SLIP_ERRORS, *GRASP_ERRORS)
+TITLES = {
+    "error_ms_gross_slip": "true onset of gross slip",
+    "error_ms_label": "onset by the labels",
+    "error_ms_detection": "first detection of slip",
+    "error_px_dots": "tracked dots",
+    "error_n_shear": "shear force from the dots",
+    "error_mm_moved": "object moved in the grasp",
+}
+SLICE_MS = 1.0  # onsets are whole slices
+
+
+class Measured:
+    """The errors and run times of one setting, an entry a trial."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+        self.trials: Rows = []
+        self.errors: dict[str, list[float]] = {name: [] for name in ERRORS}
+        self.chain_us: list[float] = []
+        self.record_us: list[float] = []
+        self.grasp_us: list[float] = []
+
+    def add(self, trial: Trial, chain: Chain, lifted: Lifted, slip_errors: dict[str, float], reference: Lifted) -> None:
+        """Append what came out of a trial."""
+        both_held = lifted.held and reference.held
+        moved = abs(lifted.moved_mm - reference.moved_mm) if both_held else float("nan")
+        errors = {**slip_errors, "error_share_lost": float(not lifted.held), "error_mm_moved": moved}
+        for name, value in errors.items():
+            self.errors[name].append(value)
+        self.trials.append(
+            {
+                "trial_flags": f"--object {trial.object} --seed {trial.seed} {self.setting.flags}".rstrip(),
+                "gross_slip_ms": chain.gross_slip_ms,
+                "label_ms": chain.label_ms,
+                "detection_ms": chain.detection_ms,
+                **{name: known(errors[name]) for name in SLIP_ERRORS},
+                "grasped_object": trial.grasped,
+                "held": lifted.held,
+                "moved_mm": lifted.moved_mm,
+            }
+        )
+        self.chain_us.append(chain.chain_us)
+        self.record_us.append(chain.record_us)
+        self.grasp_us.append(lifted.grasp_us)
+
+    def of(self, name: str) -> Floats:
+        """An error over the trials."""
+        return np.array(self.errors[name])
+
+
+def trials(count: int, seed: int) -> list[Trial]:
+    """Trials with seeds from `seed` on, each with an object that slips and one that is grasped."""
+    return [Trial(OBJECTS[k % len(OBJECTS)], seed + k, GRASPED[k % len(GRASPED)]) for k in range(count)]
+
+
+def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
+    """A row for the reference and every setting, for every paired difference from the defaults, and for every trial."""
+    chosen = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
+    tried = trials(params.trials or TRIALS.pick(params.full), params.seed)
+    measured = [Measured(setting) for setting in chosen]
+    done, total = 0, len(CALIBRATION) + len(chosen) * len(tried)
+    calibration = []
+    for trial in CALIBRATION:
+        with TemporaryDirectory() as folder:
+            calibration.append(run_chain(trial, DEFAULTS, Path(folder)))
+        done += 1
+        progress(done, total)
+    force = fit_force(calibration)
+    for trial in tried:
+        reference: tuple[Chain, Lifted] | None = None
+        for entry in measured:
+            with TemporaryDirectory() as folder:  # files of one setting have the names of those of another
+                chain = run_chain(trial, entry.setting, Path(folder))
+                lifted = run_grasp(trial, entry.setting, Path(folder))
+            reference = reference or (chain, lifted)
+            entry.add(trial, chain, lifted, slip_errors(chain, reference[0], force), reference[1])
+            done += 1
+            progress(done, total)
+    return tables(measured)
+
+
+def tables(measured: Sequence[Measured]) -> Rows:
+    """The three tables; of `measured` the reference comes first, the defaults second."""
+    reference, defaults, *_ = measured
+    fronts = _fronts(measured[1:])
+    rows: Rows = [_row(reference, None)]
+    rows += [_row(entry, [name for name in ERRORS if fronts[name][at]]) for at, entry in enumerate(measured[1:])]
+    for name in ERRORS:
+        for entry in measured[2:]:
+            apart = difference(entry.of(name), defaults.of(name), _resolution(name))
+            rows.append(
+                {
+                    "error": name.removeprefix("error_"),
+                    "setting": entry.setting.name,
+                    "more_than_defaults": known(apart.mean),
+                    "interval_low": known(apart.low),
+                    "interval_high": known(apart.high),
+                    "trials": apart.trials,
+                }
+            )
+    return rows + [row for entry in measured for row in entry.trials]
+
+
+def _resolution(name: str) -> float:
+    return SLICE_MS if name.startswith("error_ms") else 0.0
+
+
+def _fronts(candidates: Sequence[Measured]) -> dict[str, list[bool]]:
+    """For each error, which settings are surely on its Pareto front with the run time of what makes the error."""
+    fronts = {}
+    for name in ERRORS:
+        times = [np.array(one.grasp_us if name in GRASP_ERRORS else one.chain_us) for one in candidates]
+        fronts[name] = on_front([one.of(name) for one in candidates], times, _resolution(name))
+    return fronts
+
+
+def _row(entry: Measured, front: list[str] | None) -> Row:
+    """The row of a setting; front: the errors on whose Pareto front it is, None for the reference."""
+    own = front is None  # against itself a reference has no errors, but those of what looks at it
+    compared_with_itself = ("error_ms_gross_slip", "error_mm_moved") if own else ()
+    errors = {name: None if name in compared_with_itself else _mean(entry.of(name)) for name in ERRORS}
+    on = None if front is None else ", ".join(name.removeprefix("error_") for name in front) or "none"
+    return {
+        "setting": entry.setting.name,
+        "flags": entry.setting.flags or "none",
+        "trials": len(entry.chain_us),
+        **errors,
+        **run_times(np.array(entry.chain_us)),
+        "record_us_median": float(np.median(entry.record_us)),
+        "grasp_us_median": float(np.median(entry.grasp_us)),
+        "pareto": on,
+    }
+
+
+def _mean(values: Floats) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None
+
+
+def summary(rows: Rows) -> dict[str, Any]:
+    """How many settings and trials there are, and the commands that a row's flags are for."""
+    settings = [row for row in rows if "flags" in row]
+    return {
+        "settings": len(settings),
+        "trials": settings[0]["trials"],
+        "reference": settings[0]["flags"],
+        "trial": "evetac record --scene slip TRIAL_FLAGS",
+        "grasp": f"evetac grasp --object GRASPED_OBJECT --seed N --lift-s {LIFT_S:g} --balance-s {BALANCE_S:g} FLAGS",
+    }
+
+
+def size_in(rows: Rows) -> tuple[float, float]:
+    """Width and height of the picture in inches."""
+    return 13.0, 7.6
+
+
+def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
+    """Each error over the run time of the chain: lines lead from the defaults; filled where on the Pareto front."""
+    settings = [row for row in rows if "flags" in row]
+    lines: dict[str, Rows] = {}
+    for row in settings[1:]:
+        lines.setdefault(row["setting"].partition(", ")[0], []).append(row)
+    names = [name for name in errors if name in TITLES]
+    panels = picture.panels(figure, len(names), 3)
+    for axes, name in zip(panels, names, strict=True):
+        time = "grasp_us_median" if name in GRASP_ERRORS else "time_us_median"
+        for number, (line_name, members) in enumerate(lines.items()):
+            drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
+            style = {**picture.series(number), "linestyle": "none"}
+            around = [row for row in (settings[1], *drawn) if row[name] is not None]
+            around.sort(key=lambda row: float(row[time]))
+            axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
+            own = {"label": line_name, "mfc": "white", **style}
+            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], **own)
+            best = [row for row in drawn if name.removeprefix("error_") in row["pareto"].split(", ")]
+            axes.plot([row[time] for row in best], [row[name] for row in best], **style)
+        if settings[0][name] is not None:
+            axes.axhline(settings[0][name], color="0.5", linewidth=1, linestyle=":", label="reference")
+        unit, top = name.split("_")[1], max((row[name] for row in settings if row[name] is not None), default=0.0)
+        axes.set(
+            title=TITLES[name], ylabel=f"error [{'N' if unit == 'n' else unit}]", ylim=(0, 1.1 * top if top else 1.0)
+        )
+        what = "simulated ms of the grasp" if name in GRASP_ERRORS else "recorded ms, whole chain"
+        axes.set_xlabel(f"run time of a {what}, median [us]")
+    picture.legend(figure, panels, title="filled: surely on the Pareto front")

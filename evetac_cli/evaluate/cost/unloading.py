@@ -1,0 +1,199 @@
+"""Error against run time of the mechanics where friction falls with speed, as it does in every slip and lift scene.
+
+The trial of gel.trial, unloaded in two ways. `fast`: the weight drops on at once and bounces, the grip falls by 9 N/s.
+`slow`: the weight is handed over within 80 ms, then the grip falls by 2 N/s, which is the slip scene's rate near onset.
+Each with constant friction and at two corners of the scenes' ranges, with the same memory length everywhere: errors are
+those of the numbers, not of the law.
+
+Lines: a fixed time step, a tolerance for which steps are halved, the node pitch. Steps and tolerances are compared with
+a reference of much smaller steps on the same nodes, node pitches with a much finer grid at the same steps, so that the
+errors of one choice do not hide those of the other. Columns, over the trials:
+
+- error_ms_gross_slip: onset of gross slip, half a pixel slid (sim.scenes.true_slip), between slices interpolated; root
+  mean square. error_ms_last_stuck_node: the same distance, counted only while no node of the pad sticks.
+- error_um_before, error_px_before: position of the object, sampled every ms up to the onset, root mean square.
+- error_um_gel_before: displacement of the gel at 8 x 7 places, likewise.
+- error_um_after: distance of the objects AFTER_MS after the onset, median: how far an error in time leads.
+- time_us_*: run time of a simulated ms, mean over a trial, as steps are shorter in a few slices only; over the trials.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.evaluate.cost.gel_trial import PAD_M, Trial, draw_trial
+from evetac_cli.evaluate.rows import Extent, Row, Setting, line, run_times
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.adaptive import Stepper
+from evetac_cli.sim.gel.contact import pad_nodes
+from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
+from evetac_cli.sim.setup.solver import Solver
+
+Floats = NDArray[np.float64]
+
+MM_PER_PX = 0.0329
+AFTER_MS = 8
+SLICE_S = 1e-3
+STATIC = 0.8
+
+TRIALS = Extent(quick=3, full=8)
+REFERENCE_STEP_MS = Extent(quick=0.02, full=0.01)
+REFERENCE_PITCH_MM = Extent(quick=0.5, full=0.4)
+STEPS_MS = Extent[tuple[float, ...]](quick=(1.0, 0.5, 0.25, 0.1), full=(1.0, 0.5, 0.25, 0.2, 0.1, 0.05))
+TOLERANCES_UM = Extent[tuple[float, ...]](quick=(1.0, 0.2, 0.05), full=(5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02))
+PITCHES_MM = Extent[tuple[float, ...]](quick=(1.67, 1.25, 0.833), full=(2.5, 1.67, 1.25, 1.0, 0.833, 0.625))
+PITCH_STEP_MS = 0.25  # of the runs in which node pitches are compared
+
+
+class Slide(NamedTuple):
+    """A solved trial, sampled after every ms.
+
+    pose: (samples, 3); gel_m: (samples, places, 2). slid_px, every_node_slid_px: (samples,), how far the object slid
+    in gross slip, and since no node sticks. slice_us: (samples,), run time.
+    """
+
+    pose: Floats
+    gel_m: Floats
+    slid_px: Floats
+    every_node_slid_px: Floats
+    slice_us: Floats
+
+
+def onset_ms(slid_px: Floats) -> float:
+    """When an object has slid by half a pixel, between samples of every ms; NaN where it never has."""
+    beyond = np.flatnonzero(slid_px > SLIP_PX)
+    if not len(beyond):
+        return math.nan
+    first = int(beyond[0])
+    before_px = slid_px[first - 1] if first else 0.0
+    return float(first + (SLIP_PX - before_px) / (slid_px[first] - before_px))
+
+
+def unloadings() -> dict[str, Callable[[Trial], Trial]]:
+    """The two ways to unload a trial, by name."""
+    slow: dict[str, Any] = {"first_n": 1.1, "last_n": 0.58, "seconds": 0.36, "begin_s": 0.1, "hang_s": 0.08}
+    return {"fast": lambda trial: trial, "slow": lambda trial: replace(trial, **slow)}
+
+
+def frictions() -> dict[str, gel.Friction]:
+    """Constant friction, and two corners of what the scenes draw: kinetic over static, Stribeck speed."""
+
+    def falling(share: float, speed_mm_s: float) -> gel.Friction:
+        return gel.Friction(STATIC, share * STATIC, 1e-3 * speed_mm_s)
+
+    return {
+        "constant friction": gel.Friction(STATIC, STATIC),
+        "friction falls to 0.8 at 10 mm/s": falling(0.8, 10.0),
+        "friction falls to 0.75 at 5 mm/s": falling(0.75, 5.0),
+    }
+
+
+def grid(trial: Trial, solver: Solver) -> Trial:
+    """The trial on the nodes of a solver."""
+    columns, rows = solver.nodes(PAD_M)
+    return replace(trial, columns=columns, rows=rows)
+
+
+def solve(trial: Trial, solver: Solver) -> Slide:
+    """Solve a trial from start to end, on the nodes of the solver."""
+    trial = grid(trial, solver)
+    state, stepper = trial.start(), Stepper(solver, SLICE_S)
+    shares = trial.shares(state)
+    x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
+    places = gel.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
+    slip = GroundTruthSlip(state, MM_PER_PX, None)
+    samples: list[tuple[Floats, Floats, float, float, float]] = []
+    for slice_ in range(round(trial.seconds / SLICE_S)):
+        ends_n = (trial.grip_n(slice_ * SLICE_S), trial.grip_n((slice_ + 1) * SLICE_S))
+        weight_n = trial.weight_n((slice_ + 0.5) * SLICE_S)
+        started = time.thread_time()
+        stepper.advance(state, shares, ends_n, weight_n, trial.friction)
+        took_us = (time.thread_time() - started) * 1e6
+        slip.follow(state, shares, ends_n[1])
+        slid_px = (slip.slid_px, float(slip.truth()["truth/every_node_slid_px"]))
+        samples.append((state.pose.copy(), gel.displacement_at(state, *places), *slid_px, took_us))
+    return Slide(*(np.array(column) for column in zip(*samples, strict=True)))
+
+
+def choices(full: bool) -> list[Setting]:
+    """The settings that are compared."""
+    return [
+        *line("fixed step", "step_ms", STEPS_MS.pick(full), "ms"),
+        *line("tolerance", "tolerance_um", TOLERANCES_UM.pick(full), "um"),
+        *line("node pitch", "node_pitch_mm", PITCHES_MM.pick(full), "mm", step_ms=PITCH_STEP_MS),
+    ]
+
+
+def row_count(full: bool) -> int:
+    """How many rows `unloading_rows` gives."""
+    return len(unloadings()) * len(frictions()) * len(choices(full))
+
+
+def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator[Row]:
+    """The rows of every unloading and friction, one after the other."""
+    drawn = [draw_trial(seed + number) for number in range(trials or TRIALS.pick(full))]
+    solve(replace(drawn[0], seconds=0.01), Solver())  # compiles
+    for unloading, unload in unloadings().items():
+        for law, friction in frictions().items():
+            part = f"mechanics, {unloading} unloading, {law}"
+            cases = [replace(unload(trial), friction=friction) for trial in drawn]
+            yield from _part_rows(part, cases, full)
+
+
+def _part_rows(part: str, cases: Sequence[Trial], full: bool) -> Iterator[Row]:
+    """The rows of one panel: trials of one unloading and friction."""
+    finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, residual=1e-8)
+    in_time = [solve(trial, finest) for trial in cases]
+    finer_grid = Solver(step_ms=PITCH_STEP_MS, node_pitch_mm=REFERENCE_PITCH_MM.pick(full))
+    in_space = [solve(trial, finer_grid) for trial in cases]
+    for setting in choices(full):
+        chosen: dict[str, Any] = dict(setting.solver)
+        solved = [solve(trial, Solver(**chosen)) for trial in cases]
+        yield _row(part, setting, solved, in_space if "node_pitch_mm" in chosen else in_time)
+
+
+def _row(part: str, setting: Setting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
+    """The row of a setting over all trials of a panel."""
+    errors = [_errors(one, reference) for one, reference in zip(solved, references, strict=True)]
+    onset, last_stuck, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))
+    return {
+        "part": part,
+        "setting": setting.name,
+        "flags": setting.flags,
+        "trials": len(solved),
+        "error_ms_gross_slip": _rms(onset),
+        "error_ms_last_stuck_node": _rms(last_stuck),
+        "error_um_before": _rms(before),
+        "error_px_before": _rms(before / (1e3 * MM_PER_PX)),
+        "error_um_gel_before": _rms(gel_before),
+        "error_um_after": float(np.median(after[np.isfinite(after)])) if np.isfinite(after).any() else None,
+        **run_times(np.array([one.slice_us.mean() for one in solved])),
+    }
+
+
+def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float, float]:
+    """Both onsets in ms, object and gel before it and object after it in um, against a reference."""
+    true_ms = onset_ms(reference.slid_px)
+    stop = len(reference.pose) if math.isnan(true_ms) else max(int(true_ms), 1)
+    apart = ((one.pose - reference.pose)[:, :2] ** 2).sum(axis=-1)
+    gel_apart = ((one.gel_m - reference.gel_m)[:stop] ** 2).sum(axis=-1)
+    later = stop + AFTER_MS
+    after = 1e6 * math.sqrt(apart[later]) if later < len(apart) else math.nan
+    return (
+        onset_ms(one.slid_px) - true_ms,
+        onset_ms(one.every_node_slid_px) - onset_ms(reference.every_node_slid_px),
+        1e6 * math.sqrt(apart[:stop].mean()),
+        1e6 * math.sqrt(gel_apart.mean()),
+        after,
+    )
+
+
+def _rms(values: Floats) -> float | None:
+    """Root mean square of what is known; None where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt((known**2).mean())) if len(known) else None

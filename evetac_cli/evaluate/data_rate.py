@@ -1,0 +1,241 @@
+"""evaluate data-rate: bytes a second of event recordings against an RGB sensor (paper, "Data Rate Experiments").
+
+Three intervals: the whole recording; contact, from the first touch (0.03 N) to its loss; and so many seconds about the
+onset of slip. Contact is known in simulations alone. The onset is the first slice of gross slip in the truth after the
+current begins to fall, and without truth that of the labels beside the recording. Where an interval is unknown, the
+column `not_answered` says why; the whole is known for any recording.
+
+All events count, those in the window too. Every event has the same size, as the paper sends them.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.commands.evaluate import EvaluateDataRate
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.stages.related_files import check_made_from
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.index import scene_words
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
+
+OUTPUT = "report"
+METHOD = 1
+PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: what the paper's figures are about
+INTERVALS = ("whole", "contact", "slip")
+TOUCH_N = 0.03  # normal force that is contact
+SHOWN = 6  # recordings in the picture
+SHOWN_MS = 10  # of which one point in the picture is the mean
+
+
+class Interval(NamedTuple):
+    """Slices [start, stop) of a recording, or why there is no such interval."""
+
+    start: int
+    stop: int
+    missing_because: str = ""
+
+
+def jobs(files: list[Path], params: EvaluateDataRate, out: Path | None) -> list[Job]:
+    """One report over all recordings."""
+    _rgb_bytes_s(params)
+    return report_job(files, "data-rate", out)
+
+
+def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for every recording, one for every interval beside the paper's, and the time course as a picture."""
+    parents: list[Header] = []
+    for path in job.inputs:
+        with open_recording(path) as recording:
+            if len(recording) == 0:
+                raise InputError("the recording has no slices, so no data rate", where=str(path))
+            parents.append(recording.header)
+            labels = None if recording.has("truth") else _labels_beside(recording)
+            parents += [labels.header] if labels else []
+
+    as_papers = all(_as_the_papers(header) for header in parents)
+    parameters = recipe_of(params) | ({} if as_papers else {"beside_the_paper": False})
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows: Rows = []
+        for number, path in enumerate(job.inputs):
+            with open_recording(path) as recording:
+                rows.append(_row(recording, params))
+            progress(number + 1, len(job.inputs))
+        intervals = [_interval_row(interval, rows, as_papers=as_papers) for interval in INTERVALS]
+        shares = {f"share_{row['interval']}": row["share_mean"] for row in intervals}
+        rgb = {"rgb_bytes_s": _rgb_bytes_s(params)}
+        return [*rows, *intervals], {"trajectories": len(rows), **shares, **rgb}
+
+    outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
+    shown = min(len(job.inputs), SHOWN)
+    return picture.beside(
+        outcome, job.output, lambda figure: _draw(figure, job.inputs, params, outcome), (11.0, 1.2 + 2.0 * shown)
+    )
+
+
+def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
+    """All rows, and the mean share of the RGB sensor's bytes in words."""
+    of_intervals = [row for row in rows if "interval" in row]
+    lines = [
+        f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes a second."
+        for row in of_intervals
+        if row["share_mean"] is not None
+    ]
+    if all(row["paper_share_mean"] is None for row in of_intervals):
+        lines.append(f"The paper's figures are about other motions, those of `evetac record --scene {PAPERS_SCENE}`.")
+    return rows, lines
+
+
+def _rgb_bytes_s(params: EvaluateDataRate) -> float:
+    """Bytes a second of the RGB sensor; InputError if `--rgb-frame` is not a size."""
+    if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}x[1-9][0-9]?", params.rgb_frame):
+        raise InputError(
+            "not the size of a frame",
+            where="--rgb-frame",
+            expected="width x height x bytes, as in 540x480x3",
+            found=params.rgb_frame,
+        )
+    width, height, pixel = (int(size) for size in params.rgb_frame.split("x"))
+    return width * height * pixel * params.rgb_hz
+
+
+def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
+    bytes_a_slice = np.diff(recording.starts) * params.event_bytes
+    spans = intervals(recording, params.around_s)
+    row: dict[str, Any] = {
+        "file": recording.path.name,
+        "duration_s": len(recording) / 1000,
+        "events": recording.event_count,
+        "max_bytes_per_slice": int(bytes_a_slice.max()),
+        "contact_from_ms": None if spans["contact"].missing_because else spans["contact"].start,
+        "contact_to_ms": None if spans["contact"].missing_because else spans["contact"].stop,
+        "slip_ms": None if spans["slip"].missing_because else (spans["slip"].start + spans["slip"].stop) // 2,
+    }
+    for name, interval in spans.items():
+        bytes_s = None
+        if not interval.missing_because:
+            bytes_s = 1000 * float(bytes_a_slice[interval.start : interval.stop].mean())
+        row[f"bytes_s_{name}"] = bytes_s
+        row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
+    reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
+    return row | {"not_answered": "; ".join(reasons) or None}
+
+
+def intervals(recording: Recording, around_s: float) -> dict[str, Interval]:
+    """The slices of the whole recording, of contact, and of `around_s` about the onset of slip."""
+    slices = len(recording)
+    contact = Interval(0, 0, "no truth, and contact is known in simulations alone")
+    if recording.has("truth"):
+        force_n = recording.read("truth/normal_force_n")
+        touched, loaded = np.flatnonzero(force_n >= TOUCH_N), np.flatnonzero(force_n > 0)
+        contact = Interval(0, 0, "nothing was touched")
+        if len(touched):
+            contact = Interval(int(touched[0]), int(loaded[-1]) + 1)
+    return {"whole": Interval(0, slices), "contact": contact, "slip": _about_slip(recording, around_s)}
+
+
+def _about_slip(recording: Recording, around_s: float) -> Interval:
+    """As many slices before the onset as from it on; missing unless the recording holds them all."""
+    half = round(500 * around_s)
+    if recording.has("truth"):
+        true = true_onset(recording)
+        if true is None:
+            return Interval(0, 0, "no slip")
+        onset = true
+    else:
+        labels = _labels_beside(recording)
+        if labels is None:
+            return Interval(0, 0, "neither truth nor labels beside the recording")
+        onset = labels.onset
+        if onset < 0:
+            return Interval(0, 0, "no slip in the labels")
+    first, last = onset - half, onset + half
+    if first < 0 or last > len(recording):
+        held_s = (min(last, len(recording)) - max(first, 0)) / 1000
+        return Interval(0, 0, f"{held_s:g} s of {around_s:g} s about the onset at {onset} ms are recorded")
+    return Interval(first, last)
+
+
+class _Labels(NamedTuple):
+    header: Header
+    onset: int
+
+
+def _labels_beside(recording: Recording) -> _Labels | None:
+    """The labels that lie beside a recording, if there are any; InputError if they are another recording's."""
+    path = output_path(recording.path, "labels", None)
+    if not path.exists():
+        return None
+    with StageFile(path, "labels") as labels:
+        check_made_from(labels, recording)
+        return _Labels(labels.header, int(labels.read("onset_slice")))
+
+
+def _as_the_papers(header: Header) -> bool:
+    """Whether a file is no simulation of another scene than the paper's; of a real recording, who made it knows."""
+    recordings = [header, *header["history"].values()]
+    names = [scene_words(one["parameters"], "name") for one in recordings if one["kind"] == "recording"]
+    return all(name == PAPERS_SCENE for name in names if name is not None)
+
+
+def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, Any]:
+    """Mean and sd of the share of the RGB sensor's bytes, over the trajectories that have it.
+
+    The paper's figures stand beside them where the motions are like its own.
+    """
+    shares = [row[f"share_{interval}"] for row in rows if row[f"share_{interval}"] is not None]
+    mean = float(np.mean(shares)) if shares else None
+    paper_mean = paper.value("data rate", interval) if as_papers else None
+    paper_sd = paper.value("data rate, sd", interval) if as_papers else None
+    off = None if mean is None or paper_mean is None or paper_sd is None else (mean - paper_mean) / paper_sd
+    return {
+        "interval": interval,
+        "trajectories": len(shares),
+        "share_mean": mean,
+        "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
+        "paper_share_mean": paper_mean,
+        "paper_share_sd": paper_sd,
+        "deviation_from_paper_sds": off,
+    }
+
+
+def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcome: Outcome) -> None:
+    """Bytes a second over time, one panel a recording, up to SHOWN; the RGB sensor's as a line."""
+    simulated = " (simulated)" if outcome.simulated else ""
+    more = f", the first {SHOWN} of {len(paths)} recordings" if len(paths) > SHOWN else ""
+    figure.suptitle(f"Data rate, means over {SHOWN_MS} ms{more}{simulated}")
+    shown = paths[:SHOWN]
+    panels = picture.panels(figure, len(shown), 1)
+    rgb = f"RGB sensor, {params.rgb_frame} bytes at {params.rgb_hz:g} Hz"
+    shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s about the onset of slip", picture.EARLY))
+    for axes, path in zip(panels, shown, strict=True):
+        with open_recording(path) as recording:
+            bytes_a_slice = np.diff(recording.starts) * params.event_bytes
+            spans = intervals(recording, params.around_s)
+        edges = np.arange(0, len(bytes_a_slice), SHOWN_MS)
+        width = np.diff(np.append(edges, len(bytes_a_slice)))
+        mb_s = np.add.reduceat(bytes_a_slice, edges) / width * 1e-3
+        axes.step(edges / 1000, mb_s, where="post", linewidth=0.8, color=picture.CORRECT, label="events")
+        axes.axhline(_rgb_bytes_s(params) * 1e-6, color="black", linestyle="--", linewidth=1, label=rgb)
+        for name, label, colour in shaded:
+            if not spans[name].missing_because:
+                span = (spans[name].start / 1000, spans[name].stop / 1000)
+                axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=label)
+        axes.set(
+            ylabel="data rate [MB/s]",
+            xlim=(0, len(bytes_a_slice) / 1000),
+            ylim=(0, None),
+            title=picture.plain(path.name),
+        )
+    panels[-1].set_xlabel("time [s]")
+    picture.legend(figure, panels)
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

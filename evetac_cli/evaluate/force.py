@@ -1,0 +1,257 @@
+"""evaluate force: shear force predicted from dots against the true one, beside the paper's table.
+
+Each tracks file is evaluated with the models for its sort of sensor (events, or frames of an RGB sensor). A built
+sensor that the model was not fitted on has a row like any other, without the paper's figures beside it; `gain`, the
+predicted force for each newton of true force, shows the effect of a softer or stiffer gel. Where there are several
+models for a sort of sensor, trained with different seeds, rows have the means, and how much the models differ.
+
+Why so: within a trajectory force is proportional to displacement but for noise; between trajectories the force for a
+displacement differs by up to a tenth (simulated), with the place of contact. So an error shows how far a trajectory's
+place is from those of the few training trajectories, and of a network also its first weights: one of each shows
+little.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.commands.evaluate import EvaluateForce
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import (
+    Rows,
+    gel_force,
+    paper,
+    picture,
+    report,
+    report_job,
+)
+from evetac_cli.evaluate.gel_force import ForceReportJob
+from evetac_cli.jobs import Outcome, Progress, Stage, silent
+from evetac_cli.kernels.force import models as forces
+from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
+from evetac_cli.stages.related_files import named_files, recording_with_truth
+from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
+
+OUTPUT = "report"
+METHOD = 2
+SENSORS = ("events", "frames")  # what dots are tracked in: both are in the paper's table
+STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
+
+Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by sort of sensor
+
+
+class TrialForce(NamedTuple):
+    """The forces that both models predict for the samples of one trajectory."""
+
+    path: Path
+    sensor: str
+    sensor_name: str
+    fitted: bool  # whether the model was fitted on this built sensor
+    samples: Samples
+    predicted_n: dict[str, forces.Floats]  # regression or network -> (models, samples, 2)
+
+
+def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:
+    """One report over all tracks files."""
+    models = named_files(params.model, "force-model", "--model")
+    own = named_files(params.adapt_on, "tracks", "--adapt-on") if params.adapt_on else []
+    (job,) = report_job(files, "force", out, *own, *models)
+    return [ForceReportJob(job.inputs, job.output, len(models), len(own))]
+
+
+def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Rows of both models for every trajectory: mean and sd of the absolute error, for x and y.
+
+    A model for any sensor has rows of its own (gel_force).
+    """
+    files, model_paths = job.inputs[: -job.models], job.inputs[-job.models :]
+    if is_for_any_sensor(model_paths):
+        return gel_force.run(job, params, force=force, progress=progress)
+    for is_given, flag in ((job.own, "--adapt-on"), (params.identified, "--identified")):
+        if is_given:
+            raise InputError(
+                "a model of the paper's method is for the sensor that it was trained on alone",
+                where=flag,
+                expected="a model of train-force --method gel",
+                found=str(model_paths[0]),
+            )
+    models = _models(model_paths)
+    headers = []
+    for path in files:
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
+            headers.append(tracks.header)
+            for model_path, model_header, model in _models_for(tracks, models):
+                check_grid(model, model_path, tracks)
+                check_disjoint([model_header], [tracks.header], "evaluated on", [path])
+    parents = [*headers, *(header for of_sensor in models.values() for _, header, _ in of_sensor)]
+    trials: list[TrialForce] = []
+
+    def predictions() -> list[TrialForce]:
+        if not trials:
+            noise = np.random.default_rng(params.seed)
+            for number, path in enumerate(files):
+                trials.append(_predict(path, models, params, noise))
+                progress(number + 1, len(files))
+        return trials
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows = [_row(one, name) for one in predictions() for name in one.predicted_n]
+        return rows, _summary(predictions(), rows, params)
+
+    outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
+    sensors = len(models)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, predictions()), (13.0, 1.0 + 3.2 * sensors))
+
+
+def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
+    """All rows, and the mean error of shear force of each model, or by what is known of the gel."""
+    by = "stiffness" if "stiffness" in rows[0] else "model"
+    columns = {"mae_n": "", **{f"mae_n_{axis}": f"{axis} " for axis in forces.AXES}}
+    lines = []
+    for name in dict.fromkeys(row[by] for row in rows):
+        of_name = [row for row in rows if row[by] == name]
+        means = {
+            word: np.mean([row[column] for row in of_name if row[column] is not None])
+            for column, word in columns.items()
+            if column in rows[0]
+        }
+        words = ", ".join(f"{word}{mean:.3g} N" for word, mean in means.items())
+        lines.append(f"{by} {name}: mean absolute error of shear force {words}; {len(of_name)} trajectories.")
+    return rows, lines
+
+
+def is_for_any_sensor(paths: tuple[Path, ...]) -> bool:
+    """Whether the model is one for any sensor; InputError where there are several and one of them is."""
+    has_gel = []
+    for path in paths:
+        with StageFile(path, "force-model") as file:
+            has_gel.append(file.has("gel"))
+    if any(has_gel) and len(has_gel) > 1:
+        raise InputError(
+            "a model for any sensor among several",
+            where="--model",
+            expected="that model alone, or models of the paper's method",
+            found=", ".join(map(str, paths)),
+        )
+    return any(has_gel)
+
+
+def _models(paths: tuple[Path, ...]) -> Models:
+    """The models by their sort of sensor; InputError unless those of one sort differ in their seed alone."""
+    by_sensor: Models = {}
+    for path in paths:
+        header, model = read_model(path)
+        same_sensor = by_sensor.setdefault(model.sensor, [])
+        same_sensor.append((path, header, model))
+        first_path, first_header, _ = same_sensor[0]
+        if _without_seed(header) != _without_seed(first_header):
+            raise InputError(
+                f"two models of dots tracked in {model.sensor}, with different parameters or trajectories",
+                where="--model",
+                expected="one for each sensor, or several that differ in the seed",
+                found=f"{first_path}, {path}",
+            )
+    return by_sensor
+
+
+def _without_seed(header: Header) -> tuple[Any, ...]:
+    """Everything that determines a model, but its seed."""
+    return {**header["parameters"], "seed": None}, header["parents"]
+
+
+def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, ForceModel]]:
+    """The models for the sensor of a tracks file; InputError if there are none."""
+    sensor = sensor_sort(tracks.header)
+    if sensor not in models:
+        raise InputError(
+            f"no model of dots tracked in {sensor}",
+            where=str(tracks.path),
+            expected=f"one that was fitted to {sensor}",
+            found=", ".join(str(path) for of_sensor in models.values() for path, _, _ in of_sensor),
+        )
+    return models[sensor]
+
+
+def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> TrialForce:
+    with StageFile(path, "tracks") as tracks:
+        chosen = [model for _, _, model in _models_for(tracks, models)]
+        sensor, sensor_name = sensor_sort(tracks.header), str(tracks.read("sensor/name"))
+    samples = read_samples(path, params, noise)
+    predicted_n = {
+        "regression": np.stack([forces.apply_regression(model.regression, samples.moved_px) for model in chosen]),
+        "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in chosen]),
+    }
+    return TrialForce(path, sensor, sensor_name, sensor_name in chosen[0].sensor_name.split(", "), samples, predicted_n)
+
+
+def _row(trial: TrialForce, name: str) -> dict[str, Any]:
+    measured = trial.samples.force_n
+    errors = [forces.errors(one, measured) for one in trial.predicted_n[name]]
+    mean_n, sd_n = np.mean([one.mean_n for one in errors], axis=0), np.mean([one.sd_n for one in errors], axis=0)
+    spread_n = np.std([one.mean_n for one in errors], axis=0)
+    row: dict[str, Any] = {
+        "file": trial.path.name,
+        "sensor_name": trial.sensor_name,
+        "fitted": trial.fitted,
+        "sensor": trial.sensor,
+        "model": name,
+        "models": len(errors),
+    }
+    for axis, letter in enumerate(forces.AXES):
+        row[f"mae_n_{letter}"] = float(mean_n[axis])
+        row[f"sd_n_{letter}"] = float(sd_n[axis])
+        row[f"sd_over_models_n_{letter}"] = float(spread_n[axis])
+        for quantity in ("mae", "sd"):
+            published = paper.value(quantity, name, trial.sensor, letter) if trial.fitted else None
+            row[f"paper_{quantity}_n_{letter}"] = published
+    row["gain"] = float((trial.predicted_n[name].mean(axis=0) * measured).sum() / (measured**2).sum())
+    return row
+
+
+def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
+    """The range of the true forces, and mean errors over the trajectories of sensors that the models were fitted on."""
+    known = [row for row in rows if row["fitted"]]
+    means = {
+        f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in chosen]))
+        for sensor in SENSORS
+        for model in STYLES
+        for letter in forces.AXES
+        if (chosen := [row for row in known if (row["sensor"], row["model"]) == (sensor, model)])
+    }
+    force = np.concatenate([one.samples.force_n for one in trials])
+    return {
+        "trajectories": len(trials),
+        "samples_per_trajectory": params.samples,
+        "true_force_min_x_n": float(force[:, 0].min()),
+        "true_force_max_x_n": float(force[:, 0].max()),
+        "true_force_min_y_n": float(force[:, 1].min()),
+        "true_force_max_y_n": float(force[:, 1].max()),
+        **means,
+    }
+
+
+def _draw(figure: Any, trials: list[TrialForce]) -> None:
+    """The first trajectory of every sensor, as in the paper's figure: force sensor, regression and network."""
+    shown: dict[str, TrialForce] = {}
+    for one in sorted(trials, key=lambda one: not one.fitted):  # stable: those of fitted sensors first
+        shown.setdefault(one.sensor, one)
+    panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
+    for row, (sensor, one) in zip(panels, shown.items(), strict=True):
+        order = one.samples.slice_ / 1000
+        for axis, axes in enumerate(row):
+            axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
+            for name, (colour, words) in STYLES.items():
+                axes.plot(order, one.predicted_n[name][0][:, axis], color=colour, linewidth=1.0, label=words)
+            axes.set_title(picture.plain(f"dots in {sensor}, sensor {one.sensor_name}"))
+            axes.set_ylabel(f"shear force {forces.AXES[axis]} [N]")
+    for axes in panels[-1]:
+        axes.set_xlabel("time [s]")
+    figure.suptitle("Shear force from dots, an unseen trajectory (simulated)")
+    picture.legend(figure, panels[0])
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -1,0 +1,265 @@
+"""evaluate force with a model for any sensor: errors by what is known of the sensor's gel (simulated recordings).
+
+Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and moduli of the sensor,
+the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--identified`, what `evetac
+identify` told of the sensor; with `--adapt-on`, `adapted` on tracks of the same sensor from nothing known, and the
+others adapted. Truth is compared without the noise of a force sensor, every 40 ms of the contact; readings that a model
+is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one predicted
+standard deviation (68 % if that is right), `contact_right` that of slices in which contact is told rightly, `usable`
+that of slices in contact with enough tracked dots.
+"""
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.commands.evaluate import EvaluateForce
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import ModelsReportJob, Rows, picture, report
+from evetac_cli.jobs import Outcome, Progress
+from evetac_cli.kernels.force.gel_forces import Floats, Forces
+from evetac_cli.kernels.force.models import CONTACT_N
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.stages.force import adapt_gel, gel_model, readings
+from evetac_cli.stages.force.gel_model import Gel, GelModel, KnownGel
+from evetac_cli.stages.force.train_gel import known_sensor
+from evetac_cli.stages.related_files import recording_with_truth
+from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
+
+METHOD = 2
+
+
+@dataclass(frozen=True)
+class ForceReportJob(ModelsReportJob):
+    """A report over files and models; the `own` files before the models are tracks to adapt on."""
+
+    own: int
+
+
+class Trial(NamedTuple):
+    """A trial's truth and what was predicted of it, by what is known of the gel."""
+
+    path: Path
+    sensor_name: str
+    shear_n: Floats
+    normal_n: Floats
+    predicted: dict[str, tuple[Forces, Floats]]  # forces, and probability of contact
+
+
+def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Progress) -> Outcome:
+    """Rows of every file and of what is known."""
+    paths = job.inputs[: -job.models]
+    files, own = paths[: len(paths) - job.own], paths[len(paths) - job.own :]
+    with StageFile(job.inputs[-1], "force-model") as file:
+        model_header, model = file.header, gel_model.read_gel_model(file)
+    if model.adapted is not None:
+        expected = "the model that it was adapted from, with --adapt-on"
+        raise InputError("the model is adapted to one sensor", where="--model", expected=expected)
+    headers, own_headers, by_sensor = _headers(files, own, model_header)
+    identified = _identified(params.identified, files) if params.identified else {}
+    trials: list[Trial] = []
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        gels: dict[str, dict[str, Gel]] = {}
+        for number, path in enumerate(files):
+            trials.append(_predict(path, model, gels, by_sensor, identified, params))
+            progress(number + 1, len(files))
+        range_n = max(float(one.normal_n.max()) for one in trials)
+        if not range_n > 0:
+            expected = "recordings in which the gel is pressed"
+            raise InputError("there is no contact in these recordings", where=str(files[0]), expected=expected)
+        rows = [_row(one, name, range_n) for one in trials for name in one.predicted]
+        return rows, _summary(trials, rows, range_n, params)
+
+    parents = [*headers, *own_headers, model_header]
+    recipe = recipe_of(params) | (
+        {"identified": {name: known.named() for name, known in identified.items()}} if identified else {}
+    )
+    outcome = report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
+    if not trials:
+        return outcome
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, trials[0]), (13.0, 8.0))
+
+
+def _headers(
+    files: tuple[Path, ...], own: tuple[Path, ...], model: Header
+) -> tuple[list[Header], list[Header], dict[str, list[Path]]]:
+    """Headers of the files and of those to adapt on, and the latter by sensor; InputError where they do not fit."""
+    headers, own_headers, names = [], [], []
+    by_sensor: dict[str, list[Path]] = {}
+    true: dict[str, tuple[Path, KnownGel]] = {}
+    for path in files:
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
+            sensor = known_sensor(recording)
+            headers.append(tracks.header)
+            names.append(str(tracks.read("sensor/name")))
+            of_gel = KnownGel(sensor.shear_modulus_pa, sensor.normal_modulus_pa, sensor.mm_per_px)
+            first, other = true.setdefault(names[-1], (path, of_gel))
+            if other != of_gel:
+                raise InputError(
+                    f"two sensors of the name {names[-1]}, with different gels",
+                    where=str(path),
+                    expected=f"{other.named()}, as in {first}",
+                    found=f"{of_gel.named()}",
+                )
+            check_disjoint([model], [tracks.header], "evaluated on", [path])
+    for path in own:
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
+            own_headers.append(tracks.header)
+            by_sensor.setdefault(str(tracks.read("sensor/name")), []).append(path)
+    if own:
+        check_disjoint(own_headers, headers, "evaluated on", list(files))
+        missing = sorted(set(names) - set(by_sensor))
+        if missing:
+            raise InputError(
+                "no tracks to adapt on",
+                where="--adapt-on",
+                expected="some of each sensor that is evaluated",
+                found=f"none of {', '.join(missing[:5])}",
+            )
+    return headers, own_headers, by_sensor
+
+
+def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, KnownGel]:
+    """What a sensor's file in the folder tells of its gel, of each sensor that has one; InputError if none has."""
+    known: dict[str, KnownGel] = {}
+    for path in files:
+        with StageFile(path, "tracks") as tracks:
+            name = str(tracks.read("sensor/name"))
+        file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
+        if file.exists():
+            known[name] = gel_model.known_of(str(file))
+    if not known:
+        expected = "files such as 7.sensor.toml for randomized:7"
+        raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)
+    return known
+
+
+def _gels(
+    name: str,
+    sensor: Sensor,
+    model: GelModel,
+    own: list[Path],
+    identified: KnownGel | None,
+    params: EvaluateForce,
+) -> dict[str, Gel]:
+    """What is taken as known of a sensor's gel -> the model's weights."""
+    rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
+    moduli, noise = rng.spawn(2)
+    shear_off, normal_off = np.exp(params.stiffness_error * moduli.standard_normal(2)).tolist()
+    known = KnownGel(sensor.shear_modulus_pa * shear_off, sensor.normal_modulus_pa * normal_off, sensor.mm_per_px)
+    gels = {
+        "unknown": gel_model.gel_of(model, KnownGel(), params.stiffness_error),
+        "known": gel_model.gel_of(model, known, params.stiffness_error),
+    }
+    if identified is not None:
+        gels["identified"] = gel_model.gel_of(model, identified, params.stiffness_error)
+    if own:
+        for before in list(gels):
+            after = "adapted" if before == "unknown" else f"{before}, adapted"
+            estimated, _ = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
+            gels[after] = adapt_gel.adapted(model, gels[before], estimated, params.noise_n)
+    return gels
+
+
+def _predict(
+    path: Path,
+    model: GelModel,
+    gels: dict[str, dict[str, Gel]],
+    by_sensor: Mapping[str, list[Path]],
+    identified: Mapping[str, KnownGel],
+    params: EvaluateForce,
+) -> Trial:
+    with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
+        name = str(tracks.read("sensor/name"))
+        if name not in gels:
+            sensor, own = known_sensor(recording), by_sensor.get(name, [])
+            gels[name] = _gels(name, sensor, model, own, identified.get(name), params)
+        predicted = {}
+        for known, gel in gels[name].items():
+            estimated = gel_model.predict(model, gel, tracks)
+            at = slice(None, None, readings.EVERY)
+            predicted[known] = (Forces(*(values[at] for values in estimated.forces)), estimated.contact[at])
+        shear_n = recording.read("truth/shear_force_n")[:: readings.EVERY].astype(float)
+        normal_n = recording.read("truth/normal_force_n")[:: readings.EVERY].astype(float)
+        return Trial(path, name, shear_n, normal_n, predicted)
+
+
+def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:
+    forces, contact = trial.predicted[name]
+    pressed = trial.normal_n >= CONTACT_N
+    usable = pressed & np.isfinite(forces.normal_n)
+    off, normal_off = forces.shear_n[usable] - trial.shear_n[usable], forces.normal_n[usable] - trial.normal_n[usable]
+    any_slice = bool(usable.any())
+    mae = np.abs(off).mean(axis=0) if any_slice else np.full(2, np.nan)
+    normal_mae = float(np.abs(normal_off).mean()) if any_slice else np.nan
+    return {
+        "file": trial.path.name,
+        "sensor_name": trial.sensor_name,
+        "stiffness": name,
+        "mae_n_x": float(mae[0]),
+        "mae_n_y": float(mae[1]),
+        "mae_n": float(mae.mean()),
+        "normal_mae_n": normal_mae,
+        "normal_mae_of_range": normal_mae / range_n,
+        "shear_within_sd": float((np.abs(off) <= forces.shear_sd_n[usable]).mean()) if any_slice else np.nan,
+        "normal_within_sd": float((np.abs(normal_off) <= forces.normal_sd_n[usable]).mean()) if any_slice else np.nan,
+        "contact_right": float(((contact >= gel_model.CONTACT) == pressed).mean()),
+        "usable": float(usable.sum() / max(pressed.sum(), 1)),
+    }
+
+
+def _summary(trials: list[Trial], rows: Rows, range_n: float, params: EvaluateForce) -> dict[str, Any]:
+    """Means over files for each state of knowledge, and the range of the true forces."""
+    shear = np.concatenate([one.shear_n for one in trials])
+    summary: dict[str, Any] = {
+        "trajectories": len(trials),
+        "sensors": len({one.sensor_name for one in trials}),
+        "stiffness_error": params.stiffness_error,
+        "true_shear_n_mean": float(np.abs(shear).mean()),
+        "true_shear_n_most": float(np.abs(shear).max()),
+        "normal_range_n": range_n,
+    }
+    for name in dict.fromkeys(name for one in trials for name in one.predicted):
+        chosen = [row for row in rows if row["stiffness"] == name]
+        word = name.replace(", ", "_and_")
+        for key in ("mae_n", "normal_mae_n", "normal_mae_of_range", "shear_within_sd", "normal_within_sd"):
+            summary[f"{word}_{key}"] = float(np.nanmean([row[key] for row in chosen]))
+        by_sensor: dict[str, list[float]] = {}
+        for row in chosen:
+            by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
+        summary[f"{word}_sensors"] = len({row["sensor_name"] for row in chosen})
+        summary[f"{word}_worst_sensor_mae_n"] = float(max(np.nanmean(values) for values in by_sensor.values()))
+    summary["contact_right"] = float(np.mean([row["contact_right"] for row in rows if row["stiffness"] == "unknown"]))
+    return summary
+
+
+def _draw(figure: Any, trial: Trial) -> None:
+    """The first trajectory: forces with one standard deviation about them, for each state of knowledge."""
+    names = list(trial.predicted)
+    panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
+    time_s = np.arange(len(trial.normal_n)) * readings.EVERY / 1000
+    for column, name in enumerate(names):
+        forces, _ = trial.predicted[name]
+        shown = (
+            ("shear force x", trial.shear_n[:, 0], forces.shear_n[:, 0], forces.shear_sd_n[:, 0]),
+            ("shear force y", trial.shear_n[:, 1], forces.shear_n[:, 1], forces.shear_sd_n[:, 1]),
+            ("normal force", trial.normal_n, forces.normal_n, forces.normal_sd_n),
+        )
+        for axes, (what, true, shown_n, sd) in zip(panels[:, column], shown, strict=True):
+            axes.plot(time_s, true, color="black", linewidth=1.5, label="true")
+            axes.plot(time_s, shown_n, color=picture.COLOURS[0], linewidth=1.0, label="predicted")
+            band = {"color": picture.COLOURS[0], "alpha": 0.2, "linewidth": 0}
+            axes.fill_between(time_s, shown_n - sd, shown_n + sd, label="one standard deviation", **band)
+            axes.set_ylabel(f"{what} [N]" if column == 0 else "")
+        panels[0, column].set_title(f"gel {name}")
+        panels[-1, column].set_xlabel("time [s]")
+    figure.suptitle(picture.plain(f"Force from dots, {trial.sensor_name}, an unseen trajectory (simulated)"))
+    picture.legend(figure, panels[0])

@@ -1,0 +1,285 @@
+"""evaluate grasp: the paper's table of grasps, by controller and object, and its robustness tables (section VII).
+
+Grasps by several controllers, in several scenes, on several sensors are evaluated at once: those that differ in object
+and trial alone are one setting. The rows are three tables with different columns: over all objects; by object; by
+trial. Over all objects gains are taken together, as in the paper's figure, where some objects were held with a higher
+one: a column is an object with a gain. The paper's figures stand beside.
+
+Balance counts the trials that lifted, as in the paper; `success` is both phases. How far an object moved, the
+force on it and how far the gripper opened again are means (or medians) over the trials that held it to the end: an
+object that fell has moved by any distance.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.commands.evaluate import EvaluateGrasp
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.evaluate.source import Source
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.setup.plan import Plan, read_plan
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
+
+OUTPUT = "report"
+METHOD = 2
+USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only where they differ
+MEANS = (
+    "opening_after_lift_ticks",
+    "opening_after_balance_ticks",
+    "opening_after_lift_mm",
+    "opening_after_balance_mm",
+    "reopened_share",
+)
+
+Lines = list[tuple[int, dict[str, Any]]]  # of the picture, from the top down: number and row
+
+WIDTH_IN = 13.0
+PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
+MOST_SETTINGS = 8  # marks that can be distinguished
+# Column of the rows by object, that of the trials behind it, if any, and words.
+PANELS = (
+    ("success", "", "share of trials lifted and balanced"),
+    ("opening_after_balance_ticks", "opening_after_balance_ticks", "change of the opening at the end, mean [ticks]"),
+    ("force_end_n", "force_end_n", "grip force at the end, mean [N]"),
+    ("moved_mm_median", "moved_mm", "object moved in the gripper, median [mm]"),
+)
+INTERVAL = "95 % interval by the number of trials (Wilson)"
+MOVED_MM = paper.FIGURES["moved less in most trials",].value
+
+
+def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
+    """One report over all grasps."""
+    return report_job(files, "grasp", out)
+
+
+def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Rows of settings, objects and trials, and a picture of them."""
+    headers = []
+    for path in job.inputs:
+        with StageFile(path, "recording") as recording:
+            for group, reason in (
+                ("control", "the recording is no grasp"),
+                ("truth/table_gap_mm", "only a simulation knows how a grasp ended"),
+            ):
+                if not recording.has(group):
+                    raise InputError(
+                        f"the outcome is unknown: {reason}", where=str(path), expected=f"{group} in the file"
+                    )
+            headers.append(recording.header)
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        trials: Rows = []
+        for number, (path, header) in enumerate(zip(job.inputs, headers, strict=True)):
+            trials.append(trial_row(path, header))
+            progress(number + 1, len(job.inputs))
+        return tables(trials)
+
+    outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
+    source = Source.of(headers)
+    size_in = _size_in(outcome.rows, source)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows, source), size_in)
+
+
+def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
+    """All rows, and of each setting how many trials held their object to the end."""
+    lines = []
+    for row in rows:
+        if "columns" in row:
+            published = row.get("paper_success")
+            beside = "" if published is None else f" (the paper, on its own objects: {published:.2f})"
+            held = round(row["success"] * row["trials"])
+            lines.append(f"{row['setting']}: lifted and held to the end in {held} of {row['trials']}{beside}.")
+    return rows, lines
+
+
+def trial_row(path: Path, header: Header) -> dict[str, Any]:
+    """Setting and outcome of one grasp."""
+    planned = header["parameters"]
+    plan = read_plan(planned, str(path))
+    with StageFile(path, "recording") as recording:
+        rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
+    seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
+    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(1000 * seconds))
+    return {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, **figures}
+
+
+def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
+    """The setting of a grasp in words: its controller, and all that differs from the usual; not object and trial."""
+    words = [planned["controller"]]
+    chosen = {name: planned.get(name, usual) for name, usual in USUAL.items()}
+    if chosen["gain"] != 1.0:
+        words.append(f"gain {chosen['gain']:g}")
+    if plan.scene.name != "lift":
+        words.append(plan.scene.name)
+    if plan.sensor_name != "evetac":
+        words.append(plan.sensor_name)
+    if not plan.scene.gel.cut:
+        words.append("closed gel")
+    if chosen["latency_ms"]:
+        words.append(f"{chosen['latency_ms']} ms late")
+    if chosen["control_hz"] != USUAL["control_hz"]:
+        words.append(f"{chosen['control_hz']:g} Hz")
+    return ", ".join(words)
+
+
+def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
+    """The rows of all three tables, and figures over all trials."""
+    whole: Rows = []
+    objects: Rows = []
+    for name in dict.fromkeys(without_gain(row["setting"]) for row in trials):
+        members = [row for row in trials if without_gain(row["setting"]) == name]
+        columns: dict[tuple[str, int | str], Rows] = {}
+        for row in members:
+            columns.setdefault((row["setting"], row["object"]), []).append(row)
+        rows = [{"setting": setting, "object": number, **figures(cell)} for (setting, number), cell in columns.items()]
+        objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
+        row = {"setting": name, "columns": len(columns), **figures(members)}
+        row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
+        whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
+    shares = {f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")}
+    return [*whole, *objects, *trials], {"grasps": len(trials), **shares}
+
+
+def without_gain(setting: str) -> str:
+    """The name of a setting, without its gain."""
+    return ", ".join(word for word in setting.split(", ") if not word.startswith("gain "))
+
+
+def figures(trials: Rows) -> dict[str, Any]:
+    """Shares of success over trials, and figures over those that held their object to the end."""
+    lifted = [row for row in trials if row["lifted"]]
+    held = [row for row in trials if row["balanced"]]
+    moved = [row["moved_mm"] for row in held]
+    return {
+        "trials": len(trials),
+        "success": len(held) / len(trials),
+        "lifted": len(lifted) / len(trials),
+        "balanced": len(held) / len(lifted) if lifted else None,
+        **{name: _mean([row[name] for row in held]) for name in MEANS},
+        "opening_after_balance_ticks_sd": _sd([row["opening_after_balance_ticks"] for row in held]),
+        "force_end_n": _mean([row["force_end_n"] for row in held]),
+        "moved_lift_mm_median": _quantile([row["moved_lift_mm"] for row in held], 0.5),
+        "moved_mm_median": _quantile(moved, 0.5),
+        "moved_mm_mean": _mean(moved),
+        "moved_mm_p90": _quantile(moved, 0.9),
+        "moved_below_10_mm_share": _mean([value < MOVED_MM for value in moved]),
+        "slip_events_mean": _mean([row["slip_events"] for row in trials]),
+    }
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _sd(values: Sequence[float]) -> float | None:
+    return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+def _quantile(values: Sequence[float], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
+
+
+def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
+    """A row with the paper's figures for its setting, or for its object and the paper's own controller, else None."""
+    return {**row, **{column: paper.value_of(column, row) for column in columns}}
+
+
+def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
+    """Width and height in inches: a line for every setting of every object, and the legend."""
+    lines, shown = _lines(_by_object(rows))
+    styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
+    legend_in = picture.legend_height_in([*shown, INTERVAL, *styles], WIDTH_IN)
+    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + legend_in
+
+
+def _by_object(rows: Rows) -> Rows:
+    return [row for row in rows if "moved_mm_median" in row and "object" in row]
+
+
+def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
+    """The line of each row of an object and setting, one left free between objects; and the settings that are drawn."""
+    shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
+    lines: Lines = []
+    for number in sorted({row["object"] for row in by_object}, key=_figure_place):
+        of_object = {row["setting"]: row for row in by_object if row["object"] == number}
+        start = lines[-1][0] + 2 if lines else 0
+        present = [setting for setting in shown if setting in of_object]
+        lines += [(start + place, of_object[setting]) for place, setting in enumerate(present)]
+    return lines, shown
+
+
+def _draw(figure: Any, rows: Rows, source: Source) -> None:
+    """A line for every setting of every object: share of trials, then figures of the trials that held their object."""
+    by_object = _by_object(rows)
+    lines, shown = _lines(by_object)
+    settings = len({row["setting"] for row in by_object})
+    of_all = "" if settings == len(shown) else f"; the first {MOST_SETTINGS} of {settings} settings"
+    figure.suptitle(f"Grasps (simulated){of_all}")
+    panels = picture.panels(figure, len(PANELS), len(PANELS), sharey=True)
+    for axes, (name, of_trial, title) in zip(panels, PANELS, strict=True):
+        for place, row in lines:
+            number = shown.index(row["setting"])
+            style = {**picture.series(number), "linestyle": "none"}
+            if of_trial:
+                values = [one[of_trial] for one in _held(rows, row)]
+                axes.plot(values, np.full(len(values), place), **{**style, "markersize": 3.5, "alpha": 0.35})
+            else:
+                reach = picture.wilson(row[name], row["trials"])
+                axes.errorbar(row[name], place, xerr=reach, label=INTERVAL, **picture.INTERVAL)
+            if row[name] is not None:
+                axes.plot(row[name], place, label=f"controller {row['setting']}", **{**style, "markersize": 8})
+        for value, middle, style in _papers(lines, name, source):
+            axes.plot(value, middle, **style)
+        if of_trial and all(row[name] is None for _, row in lines):
+            picture.say_instead(axes, "no object was held")
+        axes.set_xlabel(title)
+    picture.share_axis(panels[0].xaxis)
+    middles = _middles(lines)
+    panels[0].set_yticks(list(middles.values()), [f"object {number}" for number in middles])
+    panels[0].set_ylim(lines[-1][0] + 0.8, -0.8)
+    picture.legend(figure, panels)
+
+
+def _held(rows: Rows, of: dict[str, Any]) -> Rows:
+    """The trials of an object and setting that held it to the end."""
+    trials = (row for row in rows if "file" in row and row["balanced"])
+    return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]
+
+
+def _middles(lines: Lines) -> dict[int | str, float]:
+    """The middle of each object's lines."""
+    places: dict[int | str, list[int]] = {}
+    for place, row in lines:
+        places.setdefault(row["object"], []).append(place)
+    return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
+
+
+def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
+    """The paper's figure of every object in a panel, the middle of its lines, and how it is drawn.
+
+    It is the one that stands beside the first of the object's lines that has one.
+    """
+    column = f"paper_{name}"
+    for number, place in _middles(lines).items() if column in paper.SHOWN else ():
+        of_object = (row for _, row in lines if row["object"] == number)
+        beside = next(filter(None, (paper.beside(column, row, source) for row in of_object)), None)
+        if beside is not None:
+            yield beside.value, place, picture.of_paper(beside.mark, "real gripper")
+
+
+def _figure_place(called: int | str) -> tuple[int, str]:
+    """Objects in the order of the paper's figure, the others behind them, and those of one's own at the end."""
+    if isinstance(called, str):
+        return 1000, called
+    return (PAPER_ORDER.index(called) if called in PAPER_ORDER else 100 + called), ""
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -1,0 +1,348 @@
+"""The paper's figures, each once, and how ours compare with them: the only place that tables, report and pictures ask.
+
+A row of a report has the paper's figure in a column of its own, `paper_...`. `beside` says it for a row, with its mark,
+from what the row is and from the headers behind it. Of the marks that apply, the first of these is given:
+
+- fitted: our scene was adjusted until it gave this figure, so that the agreement proves nothing;
+- other method: another tracker, training, detector or law of the grip than the paper's, or other inputs;
+- other scene: objects, motions or surroundings that are not made after the paper's, or of which nothing is known;
+- other size: another number of trials, trajectories, objects, windows or trainings, or another duration;
+- same method: all of these are the paper's, but that ours may be simulated.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from evetac_cli.evaluate.source import Row, Source
+
+SAME, METHOD, SIZE, SCENE, FITTED = "same method", "other method", "other size", "other scene", "fitted"
+MARKS = (FITTED, METHOD, SCENE, SIZE, SAME)  # in the order in which they are looked for
+
+Key = tuple[str | float, ...]  # the quantity, then what it is of
+
+LAWS = ("paper", "paper-reset")  # controllers: two readings of the paper's text
+ROBUSTNESS = ("sideways", "drop-20g", "drop-100g")  # scenes of the paper's tests of robustness
+OTHER_SENSOR = "another sensor"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How a figure came about, the paper's or ours, in evetac's names."""
+
+    method: str  # network with its training, preset of the tracker, law of the grip
+    scene: str
+    size: tuple[float, ...]  # numbers of trials, objects, trainings and the like, and durations in s
+    inputs: str = ""  # what the method was given, as far as it can be another's
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the paper; fitted_in: the scene of ours, if any, that was adjusted until it gave this figure."""
+
+    value: float
+    unit: str
+    where: str  # section or table of the paper
+    conditions: Conditions
+    fitted_in: str = ""
+
+
+# The figures ----------------------------------------------------------------------------------------------------------
+
+TIMING = "Evaluation on Training Objects"
+AHEAD = "Evaluating on unseen Testing Objects & Slip Prediction"
+GRASPS = "Evaluating the Closed-Loop Pickup and Grasp Controller"
+SLIP_INPUTS = "dots by paper, labels by farneback"
+DETECTOR = "dots by paper, fast-slow 10 ms ahead by paper"
+SEEDS, TRAINED_ON, LIFT_S, BALANCE_S = 5, 360, 10.0, 20.0
+HORIZONS_MS = (0, 10, 20)  # for which the paper predicts slip
+COLUMNS = 540  # of the frame that the paper counts, without the window, for its sensor and the RGB sensor
+WINDOWS_S = (10.0, 2.0, 1.0)  # of windows of vibration
+WHOLE_S = 100.0  # of a tone
+
+
+def _slip(value: float, unit: str, where: str, model: str, trajectories: int) -> Figure:
+    inputs = "labels by farneback" if "img" in model else SLIP_INPUTS
+    conditions = Conditions(f"{model} by paper", "slip", (trajectories, SEEDS, TRAINED_ON), inputs)
+    return Figure(value, unit, where, conditions)
+
+
+def _slip_figures() -> Iterator[tuple[Key, Figure]]:
+    known = {  # timing correct, F1
+        "no-hist": (0.87, 0.59), "no-hist-img": (0.93, 0.64), "hist10": (0.895, 0.73), "hist10-img": (0.95, 0.79),
+        "hist20": (0.925, 0.815), "down5": (0.882, None), "fast-slow": (0.926, 0.816),
+    }  # fmt: skip
+    for model, (correct, f1) in known.items():
+        yield ("correct", "known", model, 0), _slip(correct, "share", TIMING, model, 90)
+        if f1 is not None:
+            yield ("f1", "known", model, 0), _slip(f1, "F1", TIMING, model, 90)
+    unseen = {"hist20": (0.86, 0.84, 0.81), "fast-slow": (0.84, 0.88, 0.84), "hist10-img": (0.89, 0.82, 0.80)}
+    for model, shares in unseen.items():
+        for horizon_ms, correct in zip(HORIZONS_MS, shares, strict=True):
+            yield ("correct", "unseen", model, horizon_ms), _slip(correct, "share", AHEAD, model, 80)
+    timing = _slip(0.57, "share", "Evaluating Slip Timing", "fast-slow", 80)
+    yield ("10_to_0_ms_ahead", "unseen", "fast-slow", 10), timing
+    for model, duration_ms in (("fast-slow", 0.1), ("hist20", 0.1), ("hist10-img", 2.6)):
+        yield ("inference", model), _slip(duration_ms, "ms", f"{AHEAD}, on an RTX 3090", model, 80)
+
+
+def _vibration_figures() -> Iterator[tuple[Key, Figure]]:
+    where = "Sensing Vibrations, table of windows"
+    for tone, shares in (
+        ("100", (1.00, 0.98, 0.96)), ("200", (1.00, 0.92, 0.69)), ("300", (1.00, 1.00, 0.99)),
+        ("400", (1.00, 1.00, 0.98)), ("498", (1.00, 1.00, 1.00)), ("all", (1.00, 0.98, 0.924)),
+    ):  # fmt: skip
+        for length_s, share in zip(WINDOWS_S, shares, strict=True):
+            windows = WHOLE_S / length_s * (5 if tone == "all" else 1)
+            conditions = Conditions("paper", "vibration", (windows,))
+            yield ("vibration", tone, length_s), Figure(share, "share", where, conditions, fitted_in="vibration")
+
+
+def _force_figures() -> Iterator[tuple[Key, Figure]]:
+    where = "Dot-based Shear Force Reconstruction, table"
+    for model, sensor, errors in (  # mean absolute error and its sd, of Fx and Fy
+        ("regression", "events", ((0.53, 0.41), (0.41, 0.29))),
+        ("regression", "frames", ((0.53, 0.49), (0.44, 0.29))),
+        ("network", "events", ((0.33, 0.25), (0.22, 0.18))),
+        ("network", "frames", ((0.35, 0.30), (0.37, 0.26))),
+    ):
+        conditions = Conditions(model, "shear", (1, 4), "dots by paper" if sensor == "events" else "frames")
+        for axis, of_axis in zip("xy", errors, strict=True):
+            for quantity, value in zip(("mae", "sd"), of_axis, strict=True):
+                yield (quantity, model, sensor, axis), Figure(value, "N", where, conditions)
+
+
+def _other_figures() -> Iterator[tuple[Key, Figure]]:
+    where = "Data Rate Experiments, table"
+    for interval, mean, sd in (("whole", 0.017, 0.004), ("contact", 0.028, 0.008), ("slip", 0.119, 0.006)):
+        conditions = Conditions("bytes a second", "data-rate", (5,), f"{COLUMNS} columns")
+        yield ("data rate", interval), Figure(mean, "share of the RGB sensor's", where, conditions, "data-rate")
+        yield ("data rate, sd", interval), Figure(sd, "share of the RGB sensor's", where, conditions, "data-rate")
+    where = "Effectiveness of Regularization in Dot Tracking, table"
+    for preset, share, lost in (("unregularised", 0.2, 9.5), ("paper", 0.8, 1.5)):
+        conditions = Conditions(preset, "edge", (10,))
+        yield ("consistent", preset), Figure(share, "share", where, conditions, "edge" if preset == "paper" else "")
+        yield ("dots lost", preset), Figure(lost, "dots", where, conditions)
+
+
+def _grasp_figures() -> Iterator[tuple[Key, Figure]]:
+    every = Conditions("paper", "lift", (12, 120, LIFT_S, BALANCE_S), DETECTOR)
+    yield ("kept",), Figure(0.93, "share", GRASPS, every)
+    yield ("reopened",), Figure(0.43, "share of the closing", GRASPS, every)
+    alone = Conditions("none", "lift", (11, 55))
+    yield ("lifted by contact alone",), Figure(0.0, "share", GRASPS, alone, fitted_in="lift")
+    yield ("moved less in most trials",), Figure(10.0, "mm", GRASPS, every)
+    of_object = replace(every, size=(10, LIFT_S, BALANCE_S))
+    for number, gain, kept in (
+        ("10", "1", 1.0), ("11", "1", 1.0), ("12", "1", 0.9), ("13", "1", 1.0), ("14", "1", 0.6), ("15", "1", 0.9),
+        ("16", "1", 1.0), ("17", "1", 1.0), ("18", "1", 1.0), ("19", "2", 1.0), ("20", "2", 1.0),
+    ):  # fmt: skip
+        yield ("kept", number, gain), Figure(kept, "share", GRASPS, of_object)
+    for number, ticks in (("17", -7.6), ("18", -13.4)):
+        yield ("opening", number, "1"), Figure(ticks, "ticks", GRASPS, of_object, fitted_in="lift")
+    where = "Evaluating Controller Robustness"
+    for scene, kept, size in (
+        *zip(ROBUSTNESS, (1.0, 0.9, 1.0), 3 * ((1, 10),), strict=True),
+        (OTHER_SENSOR, 0.95, (8, 40)),  # objects 16, 17, 19 and 20 with both gels
+    ):
+        conditions = replace(every, scene=scene, size=(*size, LIFT_S, BALANCE_S))
+        yield ("kept", scene), Figure(kept, "share", where, conditions)
+
+
+FIGURES: dict[Key, Figure] = dict(
+    [*_slip_figures(), *_vibration_figures(), *_force_figures(), *_other_figures(), *_grasp_figures()]
+)
+
+
+def value(*key: str | float) -> float | None:
+    """A figure of the paper by its key; None where the paper has none."""
+    figure = FIGURES.get(key)
+    return None if figure is None else figure.value
+
+
+# Which figure stands beside which row ---------------------------------------------------------------------------------
+
+
+def _scenes(source: Source) -> str:
+    return " + ".join(source.scenes)
+
+
+def _several(source: Source) -> str:
+    return f", {source.networks} networks" if source.networks > 1 else ""
+
+
+def _by(what: str, names: Iterable[str]) -> str:
+    return f"{what} by {' + '.join(names)}"
+
+
+def _of_slip(quantity: str) -> Callable[[Row], Key]:
+    def key(row: Row) -> Key:
+        # The paper has F1 for the objects of the training alone, and down5 on these alone. -6x6: images for a CPU.
+        model, horizon_ms = row["model"].removesuffix("-6x6"), row["horizon_ms"]
+        unseen = (quantity, "unseen", model, horizon_ms)
+        return unseen if row.get("paper_f1") is None and unseen in FIGURES else (quantity, "known", model, 0)
+
+    return key
+
+
+def _our_slip(row: Row, source: Source) -> Conditions:
+    several = _several(source) + (f", {row['folds']} folds" if row.get("folds") else "")
+    dots = [] if "img" in row["model"] else [_by("dots", source.trackers)]
+    size = (row["trajectories"], row["seeds"], source.training_recordings)
+    inputs = ", ".join([*dots, _by("labels", source.labels)])
+    return Conditions(f"{row['model']} by {row['preset']}{several}", _scenes(source), size, inputs)
+
+
+def _our_force(row: Row, source: Source) -> Conditions:
+    inputs = "frames" if row["sensor"] == "frames" else _by("dots", source.trackers)
+    return Conditions(row["model"], _scenes(source), (row["trajectories"], source.training_recordings), inputs)
+
+
+def _our_data_rate(row: Row, source: Source) -> Conditions:
+    return Conditions("bytes a second", _scenes(source), (row["trajectories"],), "all columns")
+
+
+class Setting(NamedTuple):
+    """The setting of a grasp, as `evaluate grasp` names it, in parts."""
+
+    law: str
+    scene: str
+    gain: str
+    method: str  # the law with all that is unusual about it but gain and scene
+
+    @classmethod
+    def of(cls, text: str) -> "Setting":
+        """From its words."""
+        law, *words = text.split(", ")
+        gain = next((word.removeprefix("gain ") for word in words if word.startswith("gain ")), "1")
+        unusual = [word for word in words if word.endswith((" late", " Hz"))]
+        places = [word for word in words if word not in unusual and not word.startswith("gain ")]
+        is_other_sensor = "second" in places or "closed gel" in places
+        scene = OTHER_SENSOR if is_other_sensor else ", ".join(places) or "lift"
+        return cls(law, scene, gain, ", ".join(["paper" if law in LAWS else law, *unusual]))
+
+
+def _kept(row: Row) -> Key:
+    setting = Setting.of(row["setting"])
+    if row["setting"] == "none" and "object" not in row:
+        return ("lifted by contact alone",)
+    if setting.law not in LAWS:
+        return ()
+    if "object" in row:
+        usual = setting.scene == "lift" and setting.method == "paper"
+        return ("kept", str(row["object"]), setting.gain) if usual else ()
+    if setting.scene != "lift":
+        return ("kept", setting.scene)
+    return ("kept",) if setting.method == "paper" and row["columns"] > 1 else ()
+
+
+def _reopened(row: Row) -> Key:
+    return ("reopened",) if _kept(row) == ("kept",) else ()
+
+
+def _opening(row: Row) -> Key:
+    kept = _kept(row)
+    return ("opening", *kept[1:]) if len(kept) == 3 else ()
+
+
+def _our_grasp(row: Row, source: Source) -> Conditions:
+    setting = Setting.of(row["setting"])
+    number = (row["trials"],) if "object" in row else (row["columns"], row["trials"])
+    if setting.law == "none" or setting.law.startswith("fixed"):
+        return Conditions(setting.method, setting.scene, number)
+    inputs = f"{_by('dots', source.trackers)}, {' + '.join(source.detectors)}{_several(source)}"
+    return Conditions(setting.method, setting.scene, (*number, *source.grasp_s), inputs)
+
+
+class Column(NamedTuple):
+    """A column `paper_...`: what names a row's figure and says what ours is, and the columns that both read."""
+
+    key: Callable[[Row], Key]
+    ours: Callable[[Row, Source], Conditions]
+    needs: tuple[str, ...]
+    may_need: tuple[str, ...] = ()  # where the row has them
+
+
+def _of_preset(quantity: str) -> Column:
+    return Column(
+        lambda row: (quantity, row["preset"]),
+        lambda row, source: Conditions(row["preset"], _scenes(source), (row["trajectories"],)),
+        ("preset", "trajectories"),
+    )
+
+
+def _of_interval(quantity: str) -> Column:
+    return Column(lambda row: (quantity, row["interval"]), _our_data_rate, ("interval", "trajectories"))
+
+
+def _of_axis(quantity: str, axis: str) -> Column:
+    return Column(
+        lambda row: (quantity, row["model"], row["sensor"], axis), _our_force, ("sensor", "model", "trajectories")
+    )
+
+
+def _of_model(quantity: str) -> Column:
+    needs = ("model", "horizon_ms", "preset", "seeds", "trajectories")
+    return Column(_of_slip(quantity), _our_slip, needs, ("folds", "paper_f1"))
+
+
+def _of_setting(key: Callable[[Row], Key]) -> Column:
+    return Column(key, _our_grasp, ("setting", "trials"), ("object", "columns"))
+
+
+SHOWN: dict[str, Column] = {
+    "paper_slip_correct": _of_model("correct"),
+    "paper_f1": _of_model("f1"),
+    "paper_10_to_0_ms_ahead": _of_model("10_to_0_ms_ahead"),
+    "paper_consistent_share": _of_preset("consistent"),
+    "paper_dots_lost_mean": _of_preset("dots lost"),
+    "paper_success": _of_setting(_kept),
+    "paper_reopened_share": _of_setting(_reopened),
+    "paper_opening_after_balance_ticks": _of_setting(_opening),
+    **{f"paper_{quantity}_n_{axis}": _of_axis(quantity, axis) for quantity in ("mae", "sd") for axis in "xy"},
+    "paper_share": Column(
+        lambda row: ("vibration", f"{row['expected_hz']:g}", row["window_s"]),
+        lambda row, source: Conditions(row["method"], _scenes(source), (row["windows"],)),
+        ("method", "expected_hz", "window_s", "windows"),
+    ),
+    "paper_share_mean": _of_interval("data rate"),
+    "paper_share_sd": _of_interval("data rate, sd"),
+}
+
+
+class Beside(NamedTuple):
+    """What stands beside a figure of ours."""
+
+    value: float
+    mark: str
+
+
+def mark(figure: Figure, ours: Conditions, *, simulated: bool) -> str:
+    """How ours compares with a figure of the paper: one of MARKS, the first that applies."""
+    paper = figure.conditions
+    if simulated and figure.fitted_in and (ours.method, ours.scene) == (paper.method, figure.fitted_in):
+        return FITTED
+    if (ours.method, ours.inputs) != (paper.method, paper.inputs):
+        return METHOD
+    if ours.scene != paper.scene:
+        return SCENE
+    return SAME if ours.size == paper.size else SIZE
+
+
+def value_of(column: str, row: Row) -> float | None:
+    """The paper's figure of a column `paper_...` for a row with our figures; None where the paper has none."""
+    return value(*SHOWN[column].key(row))
+
+
+def beside(column: str, row: Row, source: Source) -> Beside | None:
+    """The paper's figure and its mark for a row of a report.
+
+    None where the evaluation put none beside it, and for a row of an older evaluation that does not tell what it is.
+    """
+    named = SHOWN[column]
+    if row.get(column) is None or any(row.get(name) is None for name in named.needs):
+        return None
+    figure = FIGURES.get(named.key(row))
+    if figure is None:
+        return None
+    return Beside(figure.value, mark(figure, named.ours(row, source), simulated=source.simulated))

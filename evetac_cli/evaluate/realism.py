@@ -1,0 +1,392 @@
+"""evaluate realism: how far a simulated recording is from a real one, beside how far the real one's halves differ.
+
+Two phases, each where both recordings have it: the longest rest, and all slices in which something moves. Distances
+are relative differences, and between distributions the largest difference of their cumulative shares. The halves show
+what to expect of equal cameras; as they are shorter, chance moves them 1.4 times as far. Dot edges are compared where
+both recordings show dots that were stroked from rest.
+
+A classifier says how well half seconds of the two can be told apart: the area under its ROC curve (AUC) on windows that
+it was not fitted on, 0.5 where they cannot be. Beside it stands that of two recordings of the real sensor, or of every
+other second of the real one against the seconds between.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.commands.evaluate import EvaluateRealism
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, picture, report, report_job
+from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.kernels.calibration import rest_image
+from evetac_cli.kernels.identify.rest import check_still, find_hot
+from evetac_cli.kernels.realism import classifier, figures
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.stages.identify import pressed
+from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.read import Recording, open_recording
+
+OUTPUT = "report"
+METHOD = 3
+SHORTEST_MOTION = 300  # slices
+MOST_EVENTS = 5_000_000  # of one phase
+MOST_WINDOWS = 240  # of a recording, for the classifier: two minutes
+NEAR = 0.10  # a distance that the summary counts as near
+EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
+RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
+
+Counts = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The events of one phase, time going on without what lies between, and how many each slice has."""
+
+    events: Events
+    counts: Counts
+
+    @property
+    def duration_us(self) -> int:
+        """How long it lasts."""
+        return len(self.counts) * SLICE_US
+
+    def part(self, first: int, stop: int) -> "Phase":
+        """Some of its slices, time starting at 0."""
+        begin, end = (int(self.counts[:place].sum()) for place in (first, stop))
+        events = self.events.part(begin, end)
+        return Phase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
+
+    def halves(self) -> tuple["Phase", "Phase"]:
+        """Its first and its second half."""
+        middle = len(self.counts) // 2
+        return self.part(0, middle), self.part(middle, 2 * middle)
+
+
+@dataclass(frozen=True)
+class Side:
+    """What is compared of a recording: its phases, None where it has none, and its dots."""
+
+    name: str
+    rest: Phase | None
+    motion: Phase | None
+    press: pressed.Press | None
+
+
+def jobs(files: list[Path], params: EvaluateRealism, out: Path | None) -> list[Job]:
+    """One report over a real and a simulated recording, in this order."""
+    if len(files) != 2:
+        raise InputError("two recordings are compared", expected="the real one, then the simulated one",
+                         found=f"{len(files)} files")  # fmt: skip
+    return report_job(files, "realism", out, *([params.same] if params.same else []))
+
+
+def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for every figure: real, simulated, their distance, and that of the real recording's halves."""
+    headers, frame_px = _headers(job.inputs)
+
+    @functools.cache
+    def sides() -> tuple[Side, Side]:
+        """Both recordings, read once, and only where they are needed."""
+        both = []
+        for number, path in enumerate(job.inputs[:2]):
+            with open_recording(path) as recording:
+                both.append(_side(recording))
+            progress(number + 1, len(job.inputs) + 2)
+        return _as_long(both[0], both[1])
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows = compare(*sides(), frame_px)
+        if not rows:
+            raise InputError(
+                "the recordings have no phase in common",
+                where=f"{job.inputs[0]}, {job.inputs[1]}",
+                expected=f"{SHORTEST_REST} ms at rest, or {SHORTEST_MOTION} ms of motion, in both",
+            )
+        known = [row for row in rows if row["distance"] is not None]
+        as_halves = [row for row in known if row["distance"] <= (row["distance_of_halves"] or 0.0)]
+        apart = _told_apart(job.inputs, progress)
+        beside = "auc_of_halves" if params.same is None else "auc_of_same"
+        of_auc = {"auc": "distance", beside: "distance_of_halves", "windows": "real"}
+        return [*rows, *apart], {
+            "figures": len(known),
+            f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
+            "figures_as_near_as_halves": len(as_halves),
+            **{name: apart[0][key] if apart else None for name, key in of_auc.items()},
+        }
+
+    outcome = report(job, "evaluate realism", METHOD, recipe_of(params), headers, measure, force=force)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, *sides(), frame_px), (11.0, 7.5))
+
+
+def for_people(rows: Rows, params: EvaluateRealism) -> tuple[Rows, list[str]]:
+    """All rows, and how many figures are near, and how well the two recordings can be told apart."""
+    known = [row for row in rows if row["distance"] is not None and row["measure"] != HELD_OUT]
+    near = sum(row["distance"] <= NEAR for row in known)
+    as_halves = sum(row["distance"] <= (row["distance_of_halves"] or 0.0) for row in known)
+    lines = [
+        f"{near} of {len(known)} figures are within {NEAR:.0%} of the real recording's; {as_halves} are as near as its"
+        " own halves are to each other."
+    ]
+    for row in rows:
+        if row["measure"] == HELD_OUT:
+            same = row["distance_of_halves"]
+            beside = "" if same is None else f"; two recordings of the real sensor: {same:.2f}"
+            lines.append(f"Told apart with an AUC of {row['distance']:.2f} (0.5: not at all, 1: always){beside}.")
+    return rows, lines
+
+
+def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
+    """Headers of the recordings and their frame; InputError if frames differ, or a recording is given twice."""
+    headers: list[Header] = []
+    frames: list[tuple[int, int]] = []
+    for path in paths:
+        with open_recording(path) as recording:
+            header, frame_px = recording.header, recording.frame_px
+        if header["id"] in [other["id"] for other in headers]:
+            expected = "different recordings, also of --same"
+            raise InputError("a recording is compared with itself", where=str(path), expected=expected)
+        headers.append(header)
+        frames.append(frame_px)
+        if frame_px != frames[0]:
+            raise InputError(
+                "the recordings have different frames",
+                where=str(path),
+                expected="{} x {} px".format(*frames[0]),
+                found="{} x {} px".format(*frame_px),
+            )
+    return headers, frames[0]
+
+
+def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
+    """A row for the classifier, none where recordings are too short: windows of each, AUC, and that of one sensor."""
+    sides = []
+    for number, path in enumerate(paths):
+        with open_recording(path) as recording:
+            sides.append(window_features(recording))
+        progress(number + 3, len(paths) + 2)
+    real, simulated, *others = sides
+    of_two = auc(real, simulated)
+    if of_two is None:
+        return []
+    of_one = auc(real, others[0]) if others else auc_of_halves(real)
+    counts = float(len(real)), float(len(simulated))
+    unknown = float("nan") if of_one is None else of_one
+    return [_row("windows of 0.5 s", "classifier, windows", *counts, of_two, unknown, HELD_OUT)]
+
+
+def window_features(recording: Recording) -> Floats:
+    """Features (windows, features) of half seconds from the start on, their slices at rest or in motion."""
+    counts = np.diff(recording.starts)
+    at_rest = np.zeros(len(counts), np.bool_)
+    for first, stop in rest_image.quiet_spells(counts):
+        at_rest[first:stop] = True
+    length = classifier.WINDOW_SLICES
+    rows = []
+    for begin in range(0, min(len(counts) - length + 1, MOST_WINDOWS * length), length):
+        starts = recording.starts[begin : begin + length + 1]
+        own, still = recording.between(begin, begin + length), at_rest[begin : begin + length]
+        rows.append(classifier.features(own, starts - starts[0], still, recording.frame_px))
+    return np.array(rows, np.float64).reshape(-1, len(classifier.FEATURES))
+
+
+def auc(first: Floats, second: Floats) -> float | None:
+    """AUC of held-out windows of two recordings; None where they are too short."""
+    try:
+        return classifier.told_apart(first, second)
+    except ValueError:
+        return None
+
+
+def auc_of_halves(of: Floats) -> float | None:
+    """AUC between every other pair of windows and the pairs between them; None where the recording is too short."""
+    other = np.arange(len(of)) // classifier.BLOCK % 2 == 1
+    return auc(of[~other], of[other])
+
+
+def _side(recording: Recording) -> Side:
+    counts = np.diff(recording.starts)
+    spells = rest_image.quiet_spells(counts)
+    first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
+    stop = min(stop, first + LONGEST_REST)
+    rest = _phase(recording, [(first, stop)]) if stop - first >= SHORTEST_REST else None
+    if rest is not None and not _is_still(rest, recording.frame_px):
+        rest, spells = None, []  # the slowest motion of a recording in which something always moves
+    edges = [0, *(edge for spell in spells for edge in spell), len(counts)]
+    moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+    whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
+    motion = _phase(recording, moving) if whole else None
+    log_contrast = one_sensor("evetac").log_contrast
+    noise_hz = 0.0 if rest is None else _at_rest(rest, recording.frame_px)[0]["ordinary_hz"]
+    press = None
+    if motion is not None:
+        with suppress(ValueError):  # no dots were stroked
+            press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0))
+    return Side(recording.path.name, rest, motion, press)
+
+
+def _is_still(phase: Phase, frame_px: tuple[int, int]) -> bool:
+    width, height = frame_px
+    pixel = phase.events.y.astype(np.int64) * width + phase.events.x
+    hot = find_hot(np.bincount(pixel, minlength=width * height), phase.duration_us * 1e-6)
+    try:
+        check_still(hot.reshape(height, width))
+    except ValueError:
+        return False
+    return True
+
+
+def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
+    """Both with rests of one length, because how many pixels are hot, and which intervals are seen, hangs on it."""
+    if real.rest is None or simulated.rest is None:
+        return real, simulated
+    slices = min(len(real.rest.counts), len(simulated.rest.counts))
+    first, second = (replace(side, rest=side.rest.part(0, slices)) for side in (real, simulated) if side.rest)
+    return first, second
+
+
+def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase | None:
+    """Pieces of a recording one after the other, up to MOST_EVENTS; None where the first slice has more."""
+    parts: list[Events] = []
+    counts: list[Counts] = []
+    slices, held = 0, 0
+    for first, end in pieces:
+        room = recording.starts[first] + MOST_EVENTS - held
+        stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
+        if stop <= first:
+            break
+        events = recording.between(first, stop)
+        parts.append(events._replace(t=events.t + (slices - first) * SLICE_US))
+        counts.append(np.diff(recording.starts[first : stop + 1]))
+        slices += stop - first
+        held += events.size
+    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
+
+
+def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
+    """A row for every figure of the phases that both have."""
+    rows: Rows = []
+    if real.rest and simulated.rest:
+        rows += _phase_rows("rest", real.rest, simulated.rest, frame_px, _at_rest)
+    if real.motion and simulated.motion:
+        rows += _phase_rows("motion", real.motion, simulated.motion, frame_px, _in_motion)
+    if real.press and simulated.press:
+        rows += _edge_rows(real.press, simulated.press)
+    return rows
+
+
+def _at_rest(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
+    events = phase.events
+    scalars = figures.at_rest(*events, frame_px, phase.duration_us)
+    hot, ordinary, _ = figures.split_hot(*events, frame_px, phase.duration_us * 1e-6)
+    return scalars, {
+        "events_a_slice, distribution": phase.counts,
+        "hot_interval_us, distribution": figures.times_between(hot)[0],
+        "ordinary_interval_us, distribution": figures.times_between(ordinary)[0],
+    }
+
+
+def _in_motion(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
+    return figures.in_motion(*phase.events, frame_px, phase.counts), {"events_a_slice, distribution": phase.counts}
+
+
+def _phase_rows(
+    name: str,
+    real: Phase,
+    simulated: Phase,
+    frame_px: tuple[int, int],
+    measure: Callable[[Phase, tuple[int, int]], tuple[dict[str, float], dict[str, NDArray]]],
+) -> Rows:
+    halves = [measure(half, frame_px) for half in real.halves()]
+    (scalars, samples), (made, made_samples) = (measure(phase, frame_px) for phase in (real, simulated))
+    rows = [
+        _row(name, figure, scalars[figure], made[figure], _relative(scalars[figure], made[figure]),
+             _relative(halves[0][0][figure], halves[1][0][figure]), RELATIVE)
+        for figure in scalars
+    ]  # fmt: skip
+    for figure, sample in samples.items():
+        ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, made_samples[figure]))
+        of_halves = figures.largest_gap(halves[0][1][figure], halves[1][1][figure])
+        gap = figures.largest_gap(sample, made_samples[figure])
+        rows.append(_row(name, figure, ours, theirs, gap, of_halves, CUMULATIVE))
+    return rows
+
+
+def _edge_rows(real: pressed.Press, simulated: pressed.Press) -> Rows:
+    """Radius and blur of the dots' edges, and events from dot to gel; half of the interval stands for the halves."""
+    rows = []
+    for figure in EDGES:
+        ours, made = (getattr(side.optics, figure) for side in (real, simulated))
+        own = (ours.high - ours.low) / 2 / ours.value
+        rows.append(_row("dot edges", figure, ours.value, made.value, _relative(ours.value, made.value), own, RELATIVE))
+    return rows
+
+
+def _row(
+    phase: str, figure: str, real: float, simulated: float, distance: float, of_halves: float, measure: str
+) -> dict[str, Any]:
+    values = {"real": real, "simulated": simulated, "distance": distance, "distance_of_halves": of_halves}
+    known = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
+    return {"phase": phase, "figure": figure, **known, "measure": measure}
+
+
+def _relative(first: float, second: float) -> float:
+    """How far the second is from the first, in shares of the first; NaN where either is unknown, or the first 0."""
+    return abs(second / first - 1.0) if first and np.isfinite(first) and np.isfinite(second) else float("nan")
+
+
+def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -> None:
+    """Times between events of hot pixels, rates of pixels, spectrum of the event rate, and the dots' edges."""
+    figure.suptitle(f"Real: {real.name}\nSimulated: {simulated.name}")
+    panels = picture.panels(figure, 4, 2)
+    for side, colour, label in ((real, "black", "real"), (simulated, picture.CORRECT, "simulated")):
+        style = {"color": colour, "label": label}
+        if side.rest:
+            seconds = side.rest.duration_us * 1e-6
+            hot, _, _ = figures.split_hot(*side.rest.events, frame_px, seconds)
+            for polarity, line in ((None, "-"), (1, "--"), (0, ":")):
+                named = {**style, "label": f"{label}{'' if polarity is None else (', OFF', ', ON')[polarity]}"}
+                _cumulative(panels[0], figures.times_between(hot, polarity)[0], linestyle=line, **named)
+            pixel = side.rest.events.y.astype(np.int64) * frame_px[0] + side.rest.events.x
+            busiest = np.sort(np.bincount(pixel))[::-1] / seconds
+            if busiest.any():
+                panels[1].plot(1 + np.arange(np.count_nonzero(busiest)), busiest[busiest > 0], **style)
+        phase = side.motion or side.rest
+        if phase:
+            frequency_hz, power = figures.spectrum(phase.counts)
+            if power.any():
+                panels[2].plot(frequency_hz, power, **style)
+        if side.press:
+            rims = side.press.profile
+            panels[3].plot(rims.distance_px, rims.share, **style)
+    panels[0].set(xlabel="time between events of a hot pixel [us]", ylabel="share of the times up to this")
+    panels[1].set(xlabel="rank of the pixel, the busiest is 1", ylabel="rate of the pixel [events/s]")
+    panels[2].set(xlabel="frequency [Hz]", ylabel="power of the events a slice [events\u00b2/Hz]")
+    panels[3].set(xlabel="distance from the dot's edge [px]", ylabel="share of darkening events", xlim=(-8, 8))
+    missing = ("no hot pixel at rest", "no rest", "nothing moves", "no dots were stroked")
+    for axes, words, logarithmic in zip(panels, missing, ("x", "xy", "xy", ""), strict=True):
+        if not axes.lines:
+            picture.say_instead(axes, words)
+            continue
+        for letter in logarithmic:
+            picture.log_axis(getattr(axes, f"{letter}axis"))
+    picture.legend(figure, panels)
+
+
+def _cumulative(axes: Any, values: NDArray, **style: Any) -> None:
+    """The cumulative share of values, in a thousand steps at most."""
+    if len(values):
+        shares = np.linspace(0.0, 1.0, min(1000, len(values)))
+        axes.plot(np.quantile(values, shares), shares, **style)
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -1,0 +1,298 @@
+"""evaluate slip: slip timing and F1 of models on trajectories they never saw (paper, "Evaluation Procedure & Metrics").
+
+Several models are evaluated at once. Those that differ in their seed alone are one setting, and a setting's figures are
+means over objects and seeds, as in the paper's bars: every object counts the same in every seed. Each model is
+evaluated at its own threshold, which `train` chose on validation trajectories; slip that is predicted ahead of time is
+counted against shifted labels in F1 and against the unshifted onset in the timing.
+
+The rows are five tables with different columns: the figures of a setting beside the paper's; how long before or after
+the labels' onset it first detected slip; the figures by object; by model; by trajectory.
+"""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.commands.evaluate import EvaluateSlip
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError, made_by
+from evetac_cli.evaluate import (
+    ModelsReportJob,
+    Rows,
+    paper,
+    picture,
+    report,
+    report_job,
+)
+from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
+from evetac_cli.evaluate.slip_tables import tables
+from evetac_cli.evaluate.source import Source
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.resources import with_shipped
+from evetac_cli.stages.related_files import named_files
+from evetac_cli.stages.slip_detectors import why_useless
+from evetac_cli.store.files import StageFile
+
+OUTPUT = "report"
+METHOD = 5
+
+SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
+PANELS = 4  # distributions side by side
+TITLE_WIDTH = 38  # characters above one
+
+# On a terminal: a table of trajectories up to so many rows, and the columns that it shows, by their short names.
+FEW_TRAJECTORIES = 10
+MOST_VERDICTS = 8
+OF_TRAJECTORIES = {
+    "file": "file",
+    "setting": "model",
+    "t_c_ms": "t_c_ms",
+    "t_m_ms": "t_m_ms",
+    "t_m_minus_t_c_ms": "late_by_ms",
+    "timing": "timing",
+}
+OF_SETTINGS = {
+    "setting": "setting",
+    "seeds": "seeds",
+    "trajectories": "trajectories",
+    "slip_early": "early",
+    "slip_correct": "correct",
+    "slip_late": "late",
+    "f1": "f1",
+    "paper_slip_correct": "paper_correct",
+    "paper_f1": "paper_f1",
+}
+
+
+def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:
+    """One report over all features files and models."""
+    features, models = split_models(files, params.model)
+    if not features:
+        raise InputError(
+            "no features files are given",
+            expected="labelled features that the models were not trained on",
+            hint=made_by("features"),
+        )
+    (job,) = report_job(features, "slip", out, *models)
+    return [ModelsReportJob(job.inputs, job.output, len(models))]
+
+
+@dataclass(frozen=True)
+class JudgingJob(ModelsReportJob):
+    """A few trajectories of a report, to be judged by all its models before it is made."""
+
+
+def cautions(jobs: Sequence[ModelsReportJob], params: EvaluateSlip) -> list[str]:
+    """Which models detect nothing at their own thresholds."""
+    said = []
+    for path in jobs[0].inputs[len(jobs[0].inputs) - jobs[0].models :] if params.threshold is None else ():
+        with StageFile(path, "model") as file:
+            said += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
+    return said
+
+
+def parts(job: ModelsReportJob, params: EvaluateSlip) -> list[JudgingJob]:
+    """What can be judged at the same time, and is then found by the report."""
+    split = len(job.inputs) - job.models
+    paths, models = job.inputs[:split], job.inputs[split:]
+    return [
+        JudgingJob((*paths[begin : begin + AT_ONCE], *models), _kept(job) / f"{begin}", job.models)
+        for begin in range(0, split, AT_ONCE)
+    ]
+
+
+def _kept(job: Job) -> Path:
+    """The folder of what the models judged."""
+    return job.output.with_name(job.output.name.removesuffix(".h5").removesuffix(".report") + ".judged")
+
+
+def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
+    """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among these.
+
+    `given` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
+    counts once. InputError without a model.
+    """
+    named = named_files(given, "model", "--model") if given is not None else []
+    models: dict[str, Path] = {}
+    others: list[Path] = []
+    for path, kind in [*((path, "model") for path in named), *((path, None) for path in with_shipped(files))]:
+        with StageFile(path, kind) as file:
+            if file.kind == "model":
+                models.setdefault(file.header["id"], path)
+            else:
+                others.append(path)
+    if not models:
+        raise InputError(
+            "no model file is named", where="--model", expected="model files, or their folder", hint=made_by("model")
+        )
+    return others, list(models.values())
+
+
+def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Rows of settings, timing, objects, models and trajectories, and a picture of them."""
+    split = len(job.inputs) - job.models
+    paths = job.inputs[:split]
+    models = [Model.read(path) for path in job.inputs[split:]]
+    headers = check(models, paths)
+    if isinstance(job, JudgingJob):
+        predict_all(models, paths, headers, progress, job.output.parent)
+        return Outcome([], simulated=False)
+    thresholds = [model.threshold if params.threshold is None else params.threshold for model in models]
+    parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds}
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        predictions = predict_all(models, paths, headers, progress, _kept(job))
+        return tables(models, thresholds, predictions, paths)
+
+    parents = [*(model.header for model in models), *headers]
+    outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
+    size_in = _size_in(outcome.rows)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome, Source.of(parents)), size_in)
+
+
+def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
+    """What a terminal shows: every trajectory of a model that judged few, else a row a setting; and the verdict."""
+    settings = _settings(rows)
+    trajectories = [row for row in rows if "t_c_ms" in row]
+    verdict = [_verdict(row) for row in settings[:MOST_VERDICTS]]
+    verdict.append(
+        f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
+        " as in the paper; earlier is early, later or never is late."
+    )
+    if params.all_tables:
+        return rows, verdict
+    verdict.append("--all prints every table, --json every row.")
+    few = len(trajectories) <= FEW_TRAJECTORIES
+    shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
+    known = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
+    return [{names[name]: row[name] for name in known} for row in shown], verdict
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    """What a setting came to, in a sentence."""
+    count = f"{row['trajectories']} trajectories" + (f", {row['seeds']} models" if row["seeds"] > 1 else "")
+    if row["slip_correct"] is None:
+        return f"{row['setting']}: no trajectory slips ({count}), so there is no timing."
+    f1 = "" if row["f1"] is None else f", F1 {row['f1']:.2f}"
+    shares = ", ".join(f"{name} {row[f'slip_{name}']:.0%}" for name in ("early", "late") if row[f"slip_{name}"])
+    timing = f"slip timing correct {row['slip_correct']:.0%}" + (f" ({shares})" if shares else "")
+    return f"{row['setting']}: {timing}{f1}; {count}."
+
+
+def _size_in(rows: Rows) -> tuple[float, float]:
+    """Width and height in inches: room for every setting's bars and panel."""
+    return 12.0, sum(_heights_in(len(_settings(rows))))
+
+
+def _heights_in(settings: int) -> tuple[float, float]:
+    """Of the bars, and of the panels below them."""
+    return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS)
+
+
+def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
+    """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected."""
+    settings = _settings(outcome.rows)
+    trajectories = [row for row in outcome.rows if "t_c_ms" in row]
+    above, below = figure.subfigures(2, 1, height_ratios=_heights_in(len(settings)))
+    timing, f1 = above.subplots(1, 2, sharey=True, width_ratios=[3, 2])
+    above.suptitle("Timing and F1 of slip detectors" + (" (simulated)" if outcome.simulated else ""))
+    names = []
+    for place, row in enumerate(settings):
+        slips = sum(one["t_c_ms"] is not None for one in trajectories if one["setting"] == row["setting"])
+        slips //= row["seeds"]
+        names.append(f"{picture.plain(_wrapped(row['setting']))}\nslips: {slips}, seeds: {row['seeds']}")
+        _draw_timing(timing, place, row, slips)
+        _draw_f1(f1, place, row, [one for one in outcome.rows if "object" in one and "trajectories" in one])
+    for axes, key in ((timing, "paper_slip_correct"), (f1, "paper_f1")):
+        for place, row in enumerate(settings):
+            if beside := paper.beside(key, row, source):
+                axes.plot(beside.value, place - 0.14, **picture.of_paper(beside.mark))
+        picture.share_axis(axes.xaxis)
+    timing.set(xlabel="share of slips, by the time of their first detection", ylim=(len(settings) - 0.4, -0.6))
+    timing.set_yticks(range(len(settings)), names)
+    f1.set_xlabel("F1 over slices")
+    picture.legend(above, (timing, f1))
+    panels = picture.panels(below, len(settings), PANELS, sharex=True, sharey=True)
+    for axes, row in zip(panels, settings, strict=True):
+        _draw_onsets(axes, [one for one in trajectories if one["setting"] == row["setting"]], row["setting"])
+    picture.label_x(panels, "onset by the model minus\nonset in the labels [ms]")
+    below.supylabel("share of slips detected by then", fontsize=9)
+    picture.legend(below, panels)
+
+
+def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None:
+    """A bar of shares that make up 1, and the interval of the first: as many slips, whatever the number of seeds."""
+    bars = (
+        ("slip_correct", "correct", picture.CORRECT),
+        ("slip_early", "early", picture.EARLY),
+        ("slip_late", "late or never", picture.LATE),
+    )
+    left = 0.0
+    for key, label, colour in bars:
+        axes.barh(place, row[key] or 0.0, 0.62, left=left, color=colour, label=label)
+        left += row[key] or 0.0
+    if slips and row["slip_correct"] is not None:
+        reach = picture.wilson(row["slip_correct"], slips)
+        label = "95 % interval of correct, by the number of slips (Wilson)"
+        axes.errorbar(row["slip_correct"], place + 0.14, xerr=reach, label=label, **picture.INTERVAL)
+
+
+def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:
+    """A mark for every object, and a larger one for their mean."""
+    of_setting = [one["f1"] for one in objects if one["setting"] == row["setting"] and one["f1"] is not None]
+    if len(of_setting) > 1:
+        style = {"color": picture.COLOURS[4], "marker": "o", "markersize": 4, "linestyle": "none", "alpha": 0.7}
+        axes.plot(of_setting, np.full(len(of_setting), place + 0.14), label="F1 of an object", **style)
+    if row["f1"] is not None:
+        axes.plot(row["f1"], place, "o", color=picture.CORRECT, markersize=8, label="F1, mean over objects and seeds")
+
+
+def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
+    """Shares that were detected by then: a thin line for every object, a thick one for all, a mark for each detection.
+
+    Why so: the plain share of trajectories, where the paper smooths with a Gaussian kernel. Detections that are far too
+    early, which all models have, would make the kernel as wide as the range that is shown.
+    """
+    slips = [row for row in trajectories if row["t_c_ms"] is not None]
+    steps = np.arange(SHOWN_MS[0], SHOWN_MS[1] + 1)
+    groups = [[one for one in slips if one["object"] == name] for name in dict.fromkeys(row["object"] for row in slips)]
+    for rows in groups if len(groups) > 1 else []:
+        axes.step(steps, _share_by(rows, steps), where="post", color="0.7", linewidth=0.8, label="slips of an object")
+    late_by = [row["t_m_minus_t_c_ms"] for row in slips if row["t_m_minus_t_c_ms"] is not None]
+    axes.step(steps, _share_by(slips, steps), where="post", color="black", linewidth=2, label="all slips")
+    shown = [value for value in late_by if SHOWN_MS[0] <= value <= SHOWN_MS[1]]
+    style = {"color": "black", "markersize": 6, "alpha": max(0.15, min(1.0, 10 / max(len(shown), 1)))}
+    axes.plot(shown, np.full(len(shown), -0.05), "|", **style)
+    label = f"timing correct: {metrics.EARLIEST_MS} to {metrics.LATEST_MS} ms"
+    axes.axvspan(metrics.EARLIEST_MS, metrics.LATEST_MS, color=picture.CORRECT, alpha=0.1, linewidth=0, label=label)
+    axes.axvline(0, color="0.5", linewidth=0.8)
+    axes.set(xlim=SHOWN_MS, ylim=(-0.1, 1.03), yticks=(0, 0.2, 0.4, 0.6, 0.8, 1.0))
+    before = sum(value < SHOWN_MS[0] for value in late_by)
+    after = len(slips) - before - len(shown)
+    beyond = f"{before} before this range, {after} after it or never, of {len(slips)}"
+    axes.set_title(f"{picture.plain(_wrapped(setting))}\n{beyond}", fontsize=8.5)
+
+
+def _share_by(slips: Rows, steps: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The share of slips that were detected by each step."""
+    late_by = np.array([row["t_m_minus_t_c_ms"] for row in slips if row["t_m_minus_t_c_ms"] is not None])
+    shares: NDArray[np.float64] = (late_by[:, None] <= steps).sum(axis=0) / max(len(slips), 1)
+    return shares
+
+
+def _wrapped(setting: str) -> str:
+    return textwrap.fill(setting, TITLE_WIDTH, break_on_hyphens=False)
+
+
+def _settings(rows: Rows) -> Rows:
+    return [row for row in rows if "seeds" in row]
+
+
+STAGE = Stage(jobs, run, cautions=cautions, parts=parts, for_people=for_people)

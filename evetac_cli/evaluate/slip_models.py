@@ -1,0 +1,261 @@
+"""The models of a report on slip: read from their files, checked against the features, and run on them.
+
+What they judged is kept in a folder beside the report, `NAME.judged`: for each trajectory a zip archive, named by its
+recipe id, with the probabilities of each model as float32. So a report on more models or trajectories judges only what
+is new, and one that was broken off goes on. The folder can be removed at any time.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import MAKE_MODEL, InputError
+from evetac_cli.jobs import Progress
+from evetac_cli.kernels.slip.architectures import Architecture
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.labels import shift_labels
+from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.stages.slip_detectors import (
+    first_labelled,
+    first_needed,
+    load_detector,
+    probabilities,
+    read_horizon_ms,
+    read_series,
+)
+from evetac_cli.stages.splits import check_disjoint, object_name
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.layout.provenance import Header
+
+AT_ONCE = 8  # trajectories of one task of several
+MOST_SLICES = 1 << 17  # that are in memory together: of a trajectory of hours a piece
+JUDGING = 1  # raised when the same model gives the same features other probabilities
+NOT_WEIGHTS = ("input_scale", "input_offset")  # fixed, not trained
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained detector: what the report needs of its model file."""
+
+    path: Path
+    header: Header
+    architecture: Architecture
+    graph_bytes: int
+    key: str  # of what it judged: another for another graph, also of the same recipe on another computer
+    horizon_ms: int
+    threshold: float
+    dot_shape: tuple[int, int]
+    parameters: int  # number of trained weights and biases
+    over_dots: Detector | None  # None for networks on images
+
+    @classmethod
+    def read(cls, path: Path) -> "Model":
+        """Read a model file; InputError if it is another kind of file, or damaged."""
+        with StageFile(path, "model") as file:
+            rows, columns = (int(size) for size in file.read("dot_shape"))
+            detector = load_detector(file)
+            shapes = {name: shape for name, (_, shape) in file.contents().items() if name.startswith("weights/")}
+            return cls(
+                path,
+                file.header,
+                detector.architecture,
+                file.length("onnx"),
+                hashlib.sha256(f"{JUDGING} {file.header['id']} ".encode() + file.read("onnx").tobytes()).hexdigest(),
+                read_horizon_ms(file),
+                float(file.read("threshold")),
+                (rows, columns),
+                sum(int(np.prod(shape)) for name, shape in shapes.items() if not name.endswith(NOT_WEIGHTS)),
+                None if detector.networks is None else detector,
+            )
+
+    def detector(self) -> Detector:
+        """The network, ready to run.
+
+        Why so: those on images are made when they are needed, because onnxruntime, which runs them, keeps the memory of
+        its largest batch for each network: a gigabyte.
+        """
+        if self.over_dots is not None:
+            return self.over_dots
+        with StageFile(self.path, "model") as file:
+            return load_detector(file)
+
+    @property
+    def labels(self) -> str:
+        """The methods that labelled its training trajectories, `truth` included."""
+        labels = (header for header in self._training_ancestors() if header["kind"] == "labels")
+        return ", ".join(sorted({labelled_by(header) for header in labels})) or "none"
+
+    @property
+    def scenes(self) -> str:
+        """The scenes of its training trajectories; `unknown` for imported ones."""
+        recordings = (header for header in self._training_ancestors() if header["kind"] == "recording")
+        return " + ".join(
+            sorted({header["parameters"].get("scene", {}).get("name", "unknown") for header in recordings})
+        )
+
+    def _training_ancestors(self) -> Iterator[Header]:
+        """Headers of the files that its training features were made from."""
+        history, chosen = self.header["history"], self.header["parameters"]
+        for one in self.header["parents"][: chosen.get("trained_on")]:
+            yield from (history[parent] for parent in history[one]["parents"])
+
+    @property
+    def objects(self) -> set[str]:
+        """The objects of the trajectories that it was trained and validated on."""
+        return {object_name({**ancestor, "history": {}}) for ancestor in self.header["history"].values()} - {"unknown"}
+
+    @property
+    def setting(self) -> str:
+        """A text that is equal for two models that differ in their seed alone."""
+        chosen = {key: value for key, value in self.header["parameters"].items() if key != "seed"}
+        return json.dumps([chosen, self.header["parents"]], sort_keys=True)
+
+
+def labelled_by(header: Header) -> str:
+    """The method of a labels header."""
+    return str(header["parameters"].get("method", "farneback"))
+
+
+def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
+    """Headers of features that these models can be evaluated on.
+
+    InputError for features without labels, of another dot grid, or of a recording that a model has seen.
+    """
+    headers = []
+    for path in paths:
+        with StageFile(path, "features") as file:
+            if not file.has("label"):
+                raise InputError("the features have no labels", where=str(path), hint="evetac label, then featurize")
+            shape = tuple(file.read("dot_shape").tolist())
+            for model in models:
+                if shape != model.dot_shape:
+                    raise InputError(
+                        f"the features have another dot grid than {model.path}",
+                        where=str(path),
+                        expected=str(list(model.dot_shape)),
+                        found=str(list(shape)),
+                        hint=MAKE_MODEL,
+                    )
+            headers.append(file.header)
+    for model in models:
+        check_disjoint([model.header], headers, f"evaluated on, with {model.path}", paths)
+    return headers
+
+
+def predict_all(
+    models: Sequence[Model],
+    paths: Sequence[Path],
+    headers: Sequence[Header],
+    progress: Progress,
+    folder: Path | None = None,
+) -> list[list[Prediction]]:
+    """The predictions of each model for all trajectories; those that are kept in `folder` are not made again."""
+    by_model: list[list[Prediction]] = [[] for _ in models]
+    for begin in range(0, len(paths), AT_ONCE):
+        chunk = slice(begin, begin + AT_ONCE)
+        with ExitStack() as stack:
+            files = [stack.enter_context(StageFile(path, "features")) for path in paths[chunk]]
+            probabilities = _judge(models, files, headers[chunk], folder)
+            for file, header, of_models in zip(files, headers[chunk], probabilities, strict=True):
+                label, onset = file.read("label"), int(file.read("onset_slice"))
+                for model, predictions, probability in zip(models, by_model, of_models, strict=True):
+                    shifted = shift_labels(label, model.horizon_ms)
+                    predictions.append(Prediction(probability, shifted, onset, object_name(header)))
+        progress(min(begin + AT_ONCE, len(paths)), len(paths))
+    return by_model
+
+
+def _judge(
+    models: Sequence[Model], files: Sequence[StageFile], headers: Sequence[Header], folder: Path | None
+) -> list[list[NDArray[np.float32]]]:
+    """The probabilities of each model for a few trajectories, by trajectory; kept in `folder`, if there is one.
+
+    A trajectory is read once for each architecture that has not judged it.
+    """
+    places = [None if folder is None else folder / f"{header['id']}.zip" for header in headers]
+    known = [{} if place is None else _read_kept(place) for place in places]
+    spans: list[tuple[int, int]] = []
+    by_path: list[list[NDArray[np.float32]]] = []
+    missing: list[set[int]] = []
+    for file, kept in zip(files, known, strict=True):
+        label = file.read("label")
+        kept_values = [_probabilities(kept.get(model.key), len(label)) for model in models]
+        missing.append({index for index, one in enumerate(kept_values) if one is None})
+        spans.append((first_labelled(label), len(label)))
+        by_path.append([np.full(len(label), np.nan, np.float32) if one is None else one for one in kept_values])
+    for architecture in dict.fromkeys(model.architecture for model in models):
+        members = [index for index, model in enumerate(models) if model.architecture == architecture]
+        new = {number: spans[number] for number, gaps in enumerate(missing) if gaps.intersection(members)}
+        for pieces in _pieces(new):
+            series = [
+                read_series(files[number], architecture, first_needed(architecture, first), stop)
+                for number, first, stop in pieces
+            ]
+            for index in members:
+                waiting = [(*one, part) for one, part in zip(pieces, series, strict=True) if index in missing[one[0]]]
+                if waiting:
+                    detector = models[index].detector()
+                for number, first, stop, part in waiting:
+                    by_path[number][index][first:stop] = probabilities(detector, part, first)
+    for place, kept, of_path, gaps in zip(places, known, by_path, missing, strict=True):
+        if place is not None and gaps:
+            kept |= {models[index].key: of_path[index].tobytes() for index in sorted(gaps)}
+            with taking_the_place_of(place) as temporary, ZipFile(temporary, "w") as archive:
+                for key, values in kept.items():
+                    archive.writestr(key, values)
+    return by_path
+
+
+class _Piece(NamedTuple):
+    """The slices [first, stop) of the trajectory with this number."""
+
+    number: int
+    first: int
+    stop: int
+
+
+def _pieces(spans: Mapping[int, tuple[int, int]]) -> Iterator[list[_Piece]]:
+    """Slices [begin, end) of trajectories in pieces; those that are yielded together are in memory together."""
+    together: list[_Piece] = []
+    room = MOST_SLICES
+    for number, (begin, end) in spans.items():
+        done = begin
+        while done < end:
+            piece = _Piece(number, done, min(end, done + room))
+            together.append(piece)
+            room -= piece.stop - done
+            done = piece.stop
+            if room == 0:
+                yield together
+                together, room = [], MOST_SLICES
+    if together:
+        yield together
+
+
+def _read_kept(path: Path) -> dict[str, bytes]:
+    """What is kept of a trajectory, by the models' keys; nothing where it is missing or damaged: it is judged again."""
+    try:
+        with ZipFile(path) as archive:
+            plain = [item for item in archive.infolist() if item.compress_type == ZIP_STORED]
+            if sum(item.file_size for item in plain) > path.stat().st_size:
+                return {}
+            return {item.filename: archive.read(item) for item in plain}
+    except (OSError, EOFError, BadZipFile, RuntimeError, ValueError):  # RuntimeError: encrypted, or of another version
+        return {}
+
+
+def _probabilities(kept: bytes | None, slices: int) -> NDArray[np.float32] | None:
+    """Kept probabilities of so many slices, NaN where there is none; None if they are anything else."""
+    if kept is None or len(kept) != 4 * slices:
+        return None
+    values = np.frombuffer(kept, np.float32)
+    return values if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))) else None

@@ -1,0 +1,226 @@
+"""The tables of a report on slip: timing and F1 by setting, object, model and trajectory."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.evaluate import Rows, paper
+from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip.metrics import Prediction
+
+# Names and bounds of t_m - t_c in ms, both included: the intervals of the paper's "Evaluating Slip Timing".
+TIMING_BINS = (
+    ("over_50_ms_ahead", -np.inf, metrics.EARLIEST_MS - 1),
+    ("50_to_31_ms_ahead", metrics.EARLIEST_MS, -31),
+    ("30_to_11_ms_ahead", -30, -11),
+    ("10_to_0_ms_ahead", -10, 0),
+    ("1_to_20_ms_after", 1, metrics.LATEST_MS),
+    ("over_20_ms_after", metrics.LATEST_MS + 1, np.inf),
+)
+
+
+def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
+    """Name of each setting -> indices of its models; a name says in what its setting differs from the others."""
+    groups: dict[str, list[int]] = {}
+    for index, model in enumerate(models):
+        groups.setdefault(model.setting, []).append(index)
+    traits = [_traits(models[members[0]]) for members in groups.values()]
+    varying = [key for key in traits[0] if len({trait[key] for trait in traits}) > 1]
+    named: dict[str, list[int]] = {}
+    for trait, members in zip(traits, groups.values(), strict=True):
+        name = ", ".join(trait[key] for key in trait if (key in varying or key == "model") and trait[key])
+        while name in named:
+            name += "'"  # alike in all but the files that it was trained on
+        named[name] = members
+    return named
+
+
+def _traits(model: Model) -> dict[str, str]:
+    chosen = model.header["parameters"]
+    return {
+        "model": model.architecture.name,
+        "horizon": f"{model.horizon_ms} ms ahead" if model.horizon_ms else "",
+        "preset": str(chosen.get("preset", "")),
+        "labels": f"labels {model.labels}",
+        "steps": f"up to {chosen.get('max_steps')} steps",
+        "epochs": f"{chosen.get('epochs')} epochs",
+        "trained_on": f"{chosen.get('trained_on')} trajectories",
+        "scenes": f"scenes {model.scenes}",
+        "folds": f"{chosen['folds']} folds" if chosen.get("folds") else "",
+    }
+
+
+def tables(
+    models: Sequence[Model], thresholds: Sequence[float], predictions: Sequence[list[Prediction]], paths: Sequence[Path]
+) -> tuple[Rows, dict[str, Any]]:
+    """All rows, and a summary; `predictions`: those of each model, one for each path."""
+    scores = [metrics.score(of_model, at) for of_model, at in zip(predictions, thresholds, strict=True)]
+    settings: Rows = []
+    timing_bins: Rows = []
+    objects: Rows = []
+    for setting, members in group_by_setting(models).items():
+        first = models[members[0]]
+        cells = [by_object(predictions[index], thresholds[index]) for index in members]
+        late_by = [
+            _late_by(prediction, thresholds[index])
+            for index in members
+            for prediction in predictions[index]
+            if prediction.onset >= 0
+        ]
+        settings.append(setting_row(setting, first, cells))
+        timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
+        for name in cells[0]:
+            of_object = [cell[name] for cell in cells]
+            correct, f1 = _values(of_object, "slip_correct"), _values(of_object, "f1")
+            objects.append(
+                {
+                    "setting": setting,
+                    "object": name,
+                    "trajectories": of_object[0]["trajectories"],
+                    "slip_early": _mean(_values(of_object, "slip_early")),
+                    "slip_correct": _mean(correct),
+                    "slip_correct_sd_seeds": _sd(correct),
+                    "slip_late": _mean(_values(of_object, "slip_late")),
+                    "f1": _mean(f1),
+                    "f1_sd_seeds": _sd(f1),
+                }
+            )
+    by_model = [
+        {"setting": setting, "file": models[index].path.name, "seed": _seed(models[index]), **scores[index]}
+        for setting, members in group_by_setting(models).items()
+        for index in members
+    ]
+    trajectories = [
+        _trajectory_row(setting, models[index], thresholds[index], prediction, path)
+        for setting, members in group_by_setting(models).items()
+        for index in members
+        for prediction, path in zip(predictions[index], paths, strict=True)
+    ]
+    return [*settings, *timing_bins, *objects, *by_model, *trajectories], _summary(scores, settings)
+
+
+def _seed(model: Model) -> int | None:
+    seed: int | None = model.header["parameters"].get("seed")
+    return seed
+
+
+def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, dict[str, Any]]:
+    """The score of one model on each object's trajectories."""
+    groups: dict[str, list[Prediction]] = {}
+    for prediction in predictions:
+        groups.setdefault(prediction.object, []).append(prediction)
+    return {name: metrics.score(members, threshold) for name, members in groups.items()}
+
+
+def _late_by(prediction: Prediction, threshold: float) -> int | None:
+    """t_m - t_c in ms; None where nothing was detected."""
+    first = metrics.onset(prediction.detected(threshold))
+    return first - prediction.onset if first >= 0 else None
+
+
+def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict[str, Any]:
+    """A setting's figures: means over objects and seeds, beside the paper's.
+
+    `cells`: for every seed, the score of every object. *_sd is over objects and seeds, *_sd_seeds over the seeds'
+    means over objects.
+    """
+    every = [score for cell in cells for score in cell.values()]
+    chosen = model.header["parameters"]
+    row: dict[str, Any] = {
+        "setting": setting,
+        "model": model.architecture.name,
+        "horizon_ms": model.horizon_ms,
+        "preset": chosen.get("preset"),
+        "labels": model.labels,
+        "scenes": model.scenes,
+        "max_steps": chosen.get("max_steps"),
+        "folds": chosen.get("folds", 0),
+        "seeds": len(cells),
+        "trajectories": sum(score["trajectories"] for score in cells[0].values()),
+        "slip_early": _mean(_values(every, "slip_early")),
+        "slip_late": _mean(_values(every, "slip_late")),
+    }
+    for figure in ("slip_correct", "f1"):
+        of_seeds = [_mean(_values(list(cell.values()), figure)) for cell in cells]
+        row[figure] = _mean(_values(every, figure))
+        row[f"{figure}_sd"] = _sd(_values(every, figure))
+        row[f"{figure}_sd_seeds"] = _sd([value for value in of_seeds if value is not None])
+    return row | _paper(model, set(cells[0]))
+
+
+def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
+    """The paper's figures for the same model, on objects that were or were not trained on; None where it has none.
+
+    The 6 x 6 images of a CPU stand beside the paper's full images.
+    """
+    name = model.architecture.name.removesuffix("-6x6")
+    figures: dict[str, Any] = {"paper_slip_correct": None, "paper_f1": None}
+    if "unknown" in objects:
+        return figures
+    if objects <= model.objects:
+        known = ("known", name, model.horizon_ms)
+        figures = {"paper_slip_correct": paper.value("correct", *known), "paper_f1": paper.value("f1", *known)}
+    elif not objects & model.objects:
+        figures["paper_slip_correct"] = paper.value("correct", "unseen", name, model.horizon_ms)
+    return figures
+
+
+def _timing_bins(late_by: Sequence[int | None]) -> dict[str, Any]:
+    """Shares of the trajectories with an onset, by where t_m - t_c is; the median of those with a detection."""
+    detected = [value for value in late_by if value is not None]
+    shares = {name: sum(low <= value <= high for value in detected) for name, low, high in TIMING_BINS}
+    return {
+        "t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None,
+        **{name: count / len(late_by) if late_by else None for name, count in shares.items()},
+        "never_detected": (len(late_by) - len(detected)) / len(late_by) if late_by else None,
+    }
+
+
+def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
+    unseen = not objects & (model.objects | {"unknown"})
+    share = paper.value("10_to_0_ms_ahead", "unseen", model.architecture.name, model.horizon_ms)
+    return {"paper_10_to_0_ms_ahead": share if unseen else None}
+
+
+def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:
+    first = metrics.onset(prediction.detected(threshold))
+    labelled = prediction.onset >= 0
+    return {
+        "setting": setting,
+        "model_file": model.path.name,
+        "file": path.name,
+        "object": prediction.object,
+        "t_c_ms": prediction.onset if labelled else None,
+        "t_m_ms": first if first >= 0 else None,
+        "t_m_minus_t_c_ms": first - prediction.onset if labelled and first >= 0 else None,
+        "timing": metrics.timing(first, prediction.onset) if labelled else None,
+        "f1": prediction.counts(threshold).f1,
+    }
+
+
+def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
+    """The score of a single model; of several, which setting is the best."""
+    if len(scores) == 1:
+        return scores[0]
+    best: dict[str, Any] = {}
+    for figure in ("slip_correct", "f1"):
+        known = [row for row in settings if row[figure] is not None]
+        top = max(known, key=lambda row: row[figure], default=None)
+        best |= {f"best_{figure}_setting": top and top["setting"], f"best_{figure}": top and top[figure]}
+    return {"models": len(scores), "settings": len(settings), "trajectories": scores[0]["trajectories"], **best}
+
+
+def _values(scores: Iterable[dict[str, Any]], key: str) -> list[float]:
+    """One figure of several scores, without those that lack it: an object that never slips has no timing."""
+    return [float(score[key]) for score in scores if score[key] is not None]
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+def _sd(values: Sequence[float]) -> float | None:
+    return float(np.std(values, ddof=1)) if len(values) > 1 else None

@@ -1,0 +1,1 @@
+"""evaluate stability: stiff, extreme and senseless cases, part by part."""

@@ -1,0 +1,74 @@
+"""A pad, an object and the load on them, for the cases of `evaluate stability sim`: how one begins, and its steps."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.evaluate.cost.gel_trial import GRAVITY_M_S2
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.contact import pad_nodes
+
+Floats = NDArray[np.float64]
+
+X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)
+AREA_M2 = 300e-6
+COULOMB = gel.Friction(0.8, 0.8)
+
+
+@dataclass(frozen=True)
+class GelCase:
+    """A pad, an object, and the load on them; by default 100 g, held with 2 N a finger.
+
+    load: normal force in N over time in s. force: on the object, x, y in N and moment in N m, over time; None is its
+    weight. shares: of the load on each node; None is even. becomes: the friction from a time in s on.
+    """
+
+    name: str
+    columns: int = 24
+    rows: int = 18
+    material: gel.GelMaterial = gel.GelMaterial()
+    mass_kg: float = 0.1
+    inertia_kg_m2: float = 4e-5
+    centre_m: tuple[float, float] = (0.0, 0.0)
+    friction: gel.Friction = COULOMB
+    becomes: tuple[float, gel.Friction] | None = None
+    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    load: Callable[[float], float] = lambda _: 2.0
+    force: Callable[[float], Sequence[float] | Floats] | None = None
+    shares: Callable[[Floats], Floats] | None = None
+    dt_s: float = 1e-3
+
+    def start(self) -> tuple[gel.GelState, Floats]:
+        """The state before the first step, and the share of the load on each node."""
+        nodes = pad_nodes(self.columns, self.rows, X_RANGE_M, Y_RANGE_M)
+        area_m2 = AREA_M2 / self.columns / self.rows
+        at_m = self.centre_m
+        state = gel.start(nodes, self.material, self.mass_kg, self.inertia_kg_m2, body_xy_m=at_m, cell_area_m2=area_m2)
+        state.twist[:] = self.twist
+        shares = np.full(state.stuck.shape, 1 / state.stuck.size) if self.shares is None else self.shares(nodes)
+        return state, shares
+
+    def force_at(self, time_s: float) -> Sequence[float] | Floats:
+        """The force on the object, x, y in N and moment in N m."""
+        return (self.mass_kg * GRAVITY_M_S2, 0.0, 0.0) if self.force is None else self.force(time_s)
+
+    def friction_at(self, time_s: float) -> gel.Friction:
+        """The friction at a time."""
+        return self.friction if self.becomes is None or time_s < self.becomes[0] else self.becomes[1]
+
+    def step(
+        self, state: gel.GelState, shares: Floats, number: int, dt_s: float, theta: float
+    ) -> tuple[gel.StepInfo, float]:
+        """Make the step of this number, and return what it did, and the work of the force on the object in J."""
+        time_s = (number + theta) * dt_s
+        force, friction = self.force_at(time_s), self.friction_at(time_s)
+        before = state.pose.copy()
+        info = gel.step(state, self.load(time_s) * shares, force, friction, dt_s, theta=theta)
+        return info, float(np.dot(force, state.pose - before))
+
+
+def stiff(factor: float) -> gel.GelMaterial:
+    """The usual gel, so many times as stiff."""
+    return gel.GelMaterial(shear_modulus_pa=factor * gel.GelMaterial().shear_modulus_pa)

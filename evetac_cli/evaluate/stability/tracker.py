@@ -1,0 +1,264 @@
+"""The dot tracker under too many events, none, extreme constants, unpleasant scenes and nonsense.
+
+Every case is run with every preset, and its rows are how far the worst dot, and all but a hundredth, were from where
+they truly are, over all slices. A dot that the tracker flags as lost in a slice does not count there: whoever reads the
+tracks knows not to trust it. Nonsense has to be refused.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.evaluate import Rows
+from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
+from evetac_cli.evaluate.rows import Extent
+from evetac_cli.evaluate.stability.bounds import (
+    P99_DOT,
+    SAME_DOTS,
+    WORST_DOT,
+    case_rows,
+    refusal,
+    run_case,
+)
+from evetac_cli.evaluate.stability.extreme_scenes import SLIP_SOON, SLIPS, merge
+from evetac_cli.events import FRAME_PX, Events, Slicer
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
+from evetac_cli.sim.setup.plan import first_plan
+from evetac_cli.trials.record.simulated import play
+from evetac_cli.trials.trial import SimulatedTrial
+
+Floats = NDArray[np.float64]
+Columns = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+
+GAINS = (0.003, 0.03, 0.3, 1.0, 10.0, 1e3)
+WEIGHTS = (0.0, 1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
+EVENTS_PER_PX = 300.0  # of a dot that moves by a pixel, as simulated
+DOT_RADIUS_PX = 15.0
+SLICES = Extent(quick=200, full=1000)
+OBJECT = 11  # of the paper, in slips
+
+
+@dataclass(frozen=True)
+class Case:
+    """Events slice by slice, before dots whose shift from rest in px is `shift(k)` at the end of slice k.
+
+    A dot's rim makes events while it moves; `more` adds others. `changes` are constants other than the preset's.
+    """
+
+    name: str
+    shift: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
+    more: Callable[[int, np.random.Generator], Columns | None] = lambda *_: None
+    changes: dict[str, Any] = field(default_factory=dict)
+    polarity: int | None = None  # all events have this one
+
+
+def extreme_cases() -> list[Case]:
+    """The extremes, by name."""
+    usual = partial(_circle, 3.0, 200.0)
+    return [
+        Case("no events"),
+        Case("one event a slice", more=lambda k, rng: _anywhere(rng, 1)),
+        Case("dots on a circle of 3 px", shift=usual),
+        Case("all events brighter", shift=usual, polarity=1),
+        Case("all events darker", shift=usual, polarity=0),
+        Case("1e6 events a slice, for 3 slices", shift=usual, more=_burst),
+        Case(
+            "1e4 events a dot and slice", more=lambda k, rng: rim_events(rng, 10_000 * len(DOTS_PX)) if k < 5 else None
+        ),
+        Case("1e4 events on one side of one dot", more=_one_sided),
+        Case("dots leave the frame at 5 px/ms", shift=lambda k: (-5.0 * k, 0.0)),
+        Case("a hand passes over, 5,000 events a slice", shift=usual, more=partial(_bar, 5_000)),
+        Case("a hand passes over, 20,000 events a slice", shift=usual, more=partial(_bar, 20_000)),
+        Case("vibration of 1 px at 498 Hz", shift=lambda k: (math.sin(2 * math.pi * 0.498 * (k + 1)), 0.0)),
+        *(Case(f"step size {gain:g}", shift=usual, changes={"step_size": gain}) for gain in GAINS),
+        *(Case(f"regulariser {weight:g}", shift=usual, changes={"regulariser_weight": weight}) for weight in WEIGHTS),
+    ]
+
+
+def _circle(radius_px: float, slices: float, k: int) -> tuple[float, float]:
+    turn = 2.0 * math.pi * (k + 1) / slices
+    return radius_px * math.sin(turn), radius_px * (1.0 - math.cos(turn))
+
+
+def _anywhere(rng: np.random.Generator, count: int) -> Columns:
+    x, y = (rng.integers(0, size, count, dtype=np.uint16) for size in FRAME_PX)
+    return x, y, rng.integers(0, 2, count, dtype=np.uint8)
+
+
+def _burst(k: int, rng: np.random.Generator) -> Columns | None:
+    return _anywhere(rng, 1_000_000) if 10 <= k < 13 else None
+
+
+def _one_sided(k: int, rng: np.random.Generator) -> Columns | None:
+    if k >= 20:
+        return None
+    place = DOTS_PX[0] + (16.0, 0.0) + rng.uniform(-1, 1, (10_000, 2))
+    x, y = np.round(place).astype(np.uint16).T.copy()
+    return x, y, np.zeros(len(x), np.uint8)
+
+
+def _bar(count: int, k: int, rng: np.random.Generator) -> Columns | None:
+    """Both rims of a bar that crosses the frame at 5 px/ms."""
+    x = np.round(5.0 * k - 20.0 + 2.0 * rng.standard_normal(count) - 60.0 * rng.integers(0, 2, count))
+    inside = (x >= 0) & (x < FRAME_PX[0])
+    _, y, p = _anywhere(rng, int(inside.sum()))
+    return x[inside].astype(np.uint16), y, p
+
+
+def _moving_rims(before: NDArray[np.float64], after: NDArray[np.float64], rng: np.random.Generator) -> Columns:
+    """Events of dots (n, 2) that moved within a slice: in proportion to the distance, darker ahead, brighter behind."""
+    shift = after - before
+    length = np.linalg.norm(shift, axis=1)
+    dot = np.repeat(np.arange(len(before)), rng.poisson(np.minimum(EVENTS_PER_PX * length, 2_000.0)))
+    side = rng.choice([-1.0, 1.0], len(dot))
+    sine = rng.uniform(-1.0, 1.0, len(dot))  # density as |cos| about the direction of motion
+    front = shift[dot] / np.maximum(length[dot], 1e-12)[:, None]
+    across = np.stack([-front[:, 1], front[:, 0]], axis=1)
+    normal = (side * np.sqrt(1.0 - sine**2))[:, None] * front + sine[:, None] * across
+    radius_px = DOT_RADIUS_PX + 0.7 * rng.standard_normal(len(dot))
+    place = before[dot] + rng.random(len(dot))[:, None] * shift[dot] + radius_px[:, None] * normal
+    pixel = np.round(place)
+    inside = ((pixel >= 0) & (pixel < np.array(FRAME_PX))).all(axis=1)
+    x, y = pixel[inside].astype(np.uint16).T.copy()
+    return x, y, (side[inside] < 0).astype(np.uint8)
+
+
+def track_rows(case: Case, preset: str, slices: int, seed: int = 0) -> Rows:
+    """Track the events of a case with a preset, for some slices."""
+
+    def run() -> Rows:
+        rng = np.random.default_rng(seed)
+        constants = replace(PRESETS[preset], **case.changes)
+        return _followed(case.name, preset, constants, DOTS_PX, _played(case, slices, rng))
+
+    return run_case(case.name, run, preset=preset)
+
+
+def _played(case: Case, slices: int, rng: np.random.Generator) -> Iterator[tuple[Columns, Floats]]:
+    """The events of every slice, and where the dots are at its end."""
+    dots_px = DOTS_PX.copy()
+    for k in range(slices):
+        target = DOTS_PX + case.shift(k)
+        parts = [_moving_rims(dots_px, target, rng)]
+        more = case.more(k, rng)
+        parts += [more] if more is not None else []
+        x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
+        if case.polarity is not None:
+            p = np.full_like(p, case.polarity)
+        dots_px = target
+        yield (x, y, p), dots_px
+
+
+def scene_rows(name: str, preset: str, seed: int) -> Rows:
+    """Track a simulated slip with a preset; what is simulated is kept for the next preset."""
+
+    def run() -> Rows:
+        dots_px, radius_px, slices = _simulated(name, seed)
+        return _followed(f"slip, {name}", preset, PRESETS[preset].for_dots(radius_px), dots_px, slices)
+
+    return run_case(f"slip, {name}", run, preset=preset)
+
+
+@lru_cache(maxsize=1)
+def _simulated(name: str, seed: int) -> tuple[Floats, float, list[tuple[Columns, Floats]]]:
+    """The dots that the tracker is told of, their radius in px, and the slices of a slip with this extreme part."""
+    plan = merge(first_plan("slip", str(OBJECT)), SLIP_SOON, SLIPS[name])
+    trial = SimulatedTrial((), Path("slip.recording.h5"), 0, seed, plan)
+    devices, slices = play(trial)
+    try:
+        sensor = devices.camera.sensor
+        played = [((events.x, events.y, events.p), rows["truth/dot_xy_px"]) for events, rows in slices]
+    finally:
+        devices.close()
+    return sensor["sensor/dot_xy_px"].reshape(-1, 2), float(sensor["sensor/dot_radius_px"]), played
+
+
+def _followed(
+    case: str,
+    preset: str,
+    constants: TrackerConstants,
+    dots_px: Floats,
+    slices: Iterable[tuple[Columns, Floats]],
+) -> Rows:
+    """How far the tracker is from the true dots, over all slices and all dots that it does not flag as lost."""
+    state = tracker.start(dots_px, constants)
+    reported, events_max = [], 0
+    off_px = np.zeros(len(dots_px))
+    for (x, y, p), true_px in slices:
+        tracker.step(state, x, y, p)
+        off_px = np.linalg.norm(state.dot_xy_px - true_px, axis=1)
+        reported.append(off_px[~state.lost])
+        events_max = max(events_max, len(x))
+    distances_px = np.concatenate(reported) if any(map(len, reported)) else np.zeros(1)
+    silent = int((off_px[~state.lost] > WORST_DOT.most).sum())
+    outcome = f"{int(state.lost.sum())} of {len(dots_px)} dots flagged lost, {silent} others off by more than"
+    outcome += f" {WORST_DOT.most:g} px at the end; up to {events_max:,} events a slice"
+    measured = [(WORST_DOT, float(distances_px.max())), (P99_DOT, float(np.percentile(distances_px, 99)))]
+    return case_rows(case, outcome, measured, preset=preset)
+
+
+def nonsense() -> list[tuple[str, Callable[[], object]]]:
+    """Calls with values that make no sense, by name; every one has to be refused."""
+    none = np.empty(0, np.uint16)
+    state = tracker.start(DOTS_PX, PRESETS["stable"])
+    pixel, dark = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
+    early, late = (Events(np.array([t_us]), pixel, pixel, dark) for t_us in (1_000, 5_000))
+
+    def backward() -> None:
+        slicer = Slicer()
+        slicer.push(late)
+        slicer.push(early)
+
+    calls: list[tuple[str, Callable[[], object]]] = [
+        ("events at NaN", partial(tracker.step, state, np.full(3, np.nan), np.full(3, np.nan), np.zeros(3, np.uint8))),
+        ("coordinates of unequal length", partial(tracker.step, state, np.zeros(3, np.uint16), none)),
+        ("polarity missing", partial(tracker.step, state, none, none)),
+        ("time goes backward", backward),
+        ("a dot at infinity", partial(tracker.start, np.array([[10.0, math.inf]]), PRESETS["stable"])),
+        ("a dot outside the frame", partial(tracker.start, np.array([[10.0, 480.0]]), PRESETS["stable"])),
+        ("all dots missing", partial(tracker.start, np.full((3, 2), np.nan), PRESETS["stable"])),
+    ]
+    names = ("step_size", "regulariser_weight", "trust_px", "rim_lag_px", "event_px", "most_events")
+    bad = (math.nan, math.inf, -1.0)
+    return calls + [(f"{name} {value:g}", partial(_change_constant, name, value)) for name in names for value in bad]
+
+
+def _change_constant(name: str, value: float) -> object:
+    changed: dict[str, Any] = {name: value}
+    return replace(PRESETS["stable"], **changed)
+
+
+def duplicated_rows(preset: str, slices: int = 50, seed: int = 0) -> Rows:
+    """Track a slice's events given once and given twice, in another order, before dots that do not move."""
+    case = "every event twice"
+
+    def run() -> Rows:
+        rng = np.random.default_rng(seed)
+        states = [tracker.start(DOTS_PX, PRESETS[preset]) for _ in range(2)]
+        for _ in range(slices):
+            x, y, p = (np.tile(column, 2) for column in rim_events(rng, 500))
+            for state, order in zip(states, (np.arange(len(x)), rng.permutation(len(x))), strict=True):
+                tracker.step(state, x[order], y[order], p[order])
+        moved = (states[0].dot_xy_px != states[1].dot_xy_px).any(axis=1)
+        off_px = np.linalg.norm(states[0].dot_xy_px - DOTS_PX, axis=1)
+        measured = [(SAME_DOTS, float(moved.sum())), (WORST_DOT, float(off_px.max()))]
+        return case_rows(case, f"{int(states[0].lost.sum())} dots flagged lost", measured, preset=preset)
+
+    return run_case(case, run, preset=preset)
+
+
+def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
+    """All cases with all presets; `full` runs those without a scene five times as long."""
+    runs: list[Callable[[], Rows]] = []
+    for preset in PRESETS:
+        runs += [partial(track_rows, case, preset, SLICES.pick(full), seed) for case in extreme_cases()]
+        runs.append(partial(duplicated_rows, preset, seed=seed))
+    runs += [partial(scene_rows, name, preset, seed) for name in SLIPS for preset in PRESETS]
+    return runs + [partial(refusal, name, call, preset="any") for name, call in nonsense()]

@@ -1,0 +1,294 @@
+"""evaluate tracking: does every dot end where it began, and how far from truth was it (paper, section V-C).
+
+A trajectory that begins and ends with nothing on the gel is tracked with success when all dots end within 20 px of
+where they began: the paper's end-point consistency, which needs no truth. Where a simulation knows the dots, their
+distance from truth is reported too, over time in the picture, and a trajectory that ends with the gel still sheared has
+no consistency. Tracks of the same recordings by several presets are compared row by row.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.commands.evaluate import EvaluateTracking
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.evaluate.source import Source
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.stages import row_blocks
+from evetac_cli.stages.related_files import check_made_from
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.recordings.read import Recording, open_recording
+
+OUTPUT = "report"
+METHOD = 5
+DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
+CONSISTENT_PX = 20.0  # the paper's
+BIN_MS = 20  # of the picture's time axis
+LEAST_PX = 1e-3  # that the picture shows
+
+Floats = NDArray[np.float64]
+
+
+def jobs(files: list[Path], params: EvaluateTracking, out: Path | None) -> list[Job]:
+    """One report over all tracks files."""
+    return report_job(files, "tracking", out)
+
+
+def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """A row for every preset, then one for every trajectory; lengths in px over all dots and slices.
+
+    dots_lost: dots that end farther than 20 px from where they began; of a preset their mean over the trajectories
+    that have any, as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a
+    tracker that never moves a dot, for comparison.
+    """
+    headers = []
+    known = 0
+    for path in job.inputs:
+        with StageFile(path, "tracks") as tracks:
+            if not tracks.length(DOTS):
+                raise InputError("the tracks have no slices", where=str(path))
+            _check_preset(path, tracks.header["parameters"])
+            with _truth(tracks, params.recordings) as truth:
+                known += truth is not None
+            headers.append(tracks.header)
+    names = _preset_names([header["parameters"] for header in headers])
+    over_time: dict[str, list[Floats]] = {}
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        rows: Rows = []
+        for number, (path, name) in enumerate(zip(job.inputs, names, strict=True)):
+            with StageFile(path, "tracks") as tracks, _truth(tracks, params.recordings) as truth:
+                row, squares = _trajectory(tracks, truth)
+            rows.append({"file": path.name, "preset": name, **row})
+            over_time.setdefault(name, []).extend([squares] if squares is not None else [])
+            progress(number + 1, len(job.inputs))
+        presets = [_preset(name, [row for row in rows if row["preset"] == name]) for name in dict.fromkeys(names)]
+        summary = {
+            "trajectories": len(rows),
+            "with_truth": known,
+            **_lengths(rows),
+            "dots_lost": sum(row["dots_lost"] or 0 for row in rows),
+        }
+        return [*presets, *rows], summary
+
+    # A report with the truth of more or fewer recordings is another report.
+    parameters = {**recipe_of(params), "with_truth": known}
+    outcome = report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
+    if not outcome.made:  # errors over time are not in the rows: they are drawn when they are measured
+        return outcome
+
+    def draw(figure: Any) -> None:
+        _draw(figure, outcome.rows, over_time, Source.of(headers))
+
+    return picture.beside(outcome, job.output, draw, (6.2 * sum(_panels(outcome.rows, over_time)), 4.2))
+
+
+def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
+    """All rows, and of each preset how often every dot ended where it began."""
+    lines = []
+    for row in rows:
+        if "file" not in row and row["consistent"] is not None:
+            known = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
+            decided = sum(one["consistent"] is not None for one in known)
+            published = row["paper_consistent_share"]
+            beside = "" if published is None else f" (the paper, on its own recordings: {published:.0%})"
+            lines.append(
+                f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of where they began in"
+                f" {row['consistent']} of {decided}{beside}."
+            )
+    return rows, lines
+
+
+@contextmanager
+def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]:
+    """The recording beside the tracks, or in a folder, that knows the true dots; None without truth.
+
+    InputError if the recording is another one, or if it is missing in the folder that is named.
+    """
+    path = output_path(tracks.path, "recording", folder)
+    if not path.exists():
+        if folder is None:
+            yield None
+            return
+        raise InputError(
+            "no such recording", where=str(path), hint="name the folder of the recordings with --recordings"
+        )
+    with open_recording(path) as recording:
+        check_made_from(tracks, recording)
+        if not recording.has("truth"):
+            yield None
+            return
+        true, dots = (file.contents()[name][1][1] for file, name in ((recording, TRUE_DOTS), (tracks, DOTS)))
+        if true != dots:
+            raise InputError(
+                "the tracks follow another number of dots than the truth has",
+                where=str(tracks.path),
+                expected=f"{true} dots, as {path}",
+                found=f"{dots} dots",
+            )
+        yield recording
+
+
+def _check_preset(path: Path, parameters: dict[str, Any]) -> None:
+    """InputError unless the parameters of tracks name the preset that they are compared by."""
+    if not isinstance(parameters.get("preset"), str) or ("constants" not in parameters and "camera" not in parameters):
+        raise InputError(
+            "the header of the tracks names no preset with its constants",
+            where=str(path),
+            expected="parameters as `evetac track` writes them",
+            found=", ".join(str(key)[:40] for key in list(parameters)[:8]) or "none",
+        )
+
+
+def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
+    """The preset of every file; constants changed by hand are numbered where there are several sets of them."""
+    variants: dict[str, list[str]] = {}
+    names = []
+    for entry in parameters:
+        same = variants.setdefault(entry["preset"], [])
+        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # of the tracker, or of track-rgb
+        constants = json.dumps(made_by, sort_keys=True)
+        if constants not in same:
+            same.append(constants)
+        number = same.index(constants) + 1
+        names.append(entry["preset"] if number == 1 else f"{entry['preset']}, {number}")
+    return names
+
+
+def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, Any], Floats | None]:
+    """The row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
+    rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    present = np.isfinite(rest).all(axis=1)
+    rest, slices = rest[present], tracks.length(DOTS)
+    end_px = np.linalg.norm(tracks.read(DOTS, slices - 1)[0, present] - rest, axis=1)
+    row: dict[str, Any] = {
+        "consistent": bool((end_px <= CONSISTENT_PX).all()),
+        "dots_lost": int((end_px > CONSISTENT_PX).sum()),
+        "dots_flagged_lost": int(tracks.read("lost", slices - 1).sum()),
+        "end_distance_px_worst": float(end_px.max()),
+        "events_per_dot": _mean_events(tracks, present),
+        "error_px_rms": None,
+        "error_px_worst": None,
+        "still_px_rms": None,
+    }
+    if truth is None:
+        return row, None
+    still_px = np.linalg.norm(rest - truth.read(TRUE_DOTS, slices - 1)[0, present], axis=1)
+    if (still_px > CONSISTENT_PX).any():
+        row |= {"consistent": None, "dots_lost": None}
+    squares, still_squares, worst_px = np.empty(slices), np.empty(slices), 0.0
+    for first, stop in row_blocks(slices):
+        true = truth.read(TRUE_DOTS, first, stop)[:, present]
+        error = np.linalg.norm(tracks.read(DOTS, first, stop)[:, present] - true, axis=2).astype(np.float64)
+        still = np.linalg.norm(rest - true, axis=2).astype(np.float64)
+        squares[first:stop] = np.mean(error**2, axis=1)
+        still_squares[first:stop] = np.mean(still**2, axis=1)
+        worst_px = max(worst_px, float(error.max()))
+    row |= {
+        "error_px_rms": float(np.sqrt(squares.mean())),
+        "error_px_worst": worst_px,
+        "still_px_rms": float(np.sqrt(still_squares.mean())),
+    }
+    edges = np.arange(0, slices, BIN_MS)
+    return row, np.add.reduceat(squares, edges) / np.diff(np.append(edges, slices))
+
+
+def _mean_events(tracks: StageFile, present: NDArray[np.bool_]) -> float:
+    """Events a dot and slice, over the dots that are there."""
+    slices = tracks.length(DOTS)
+    blocks = (tracks.read("events_per_dot", first, stop) for first, stop in row_blocks(slices))
+    return float(sum(int(block[:, present].sum(dtype=np.int64)) for block in blocks) / (slices * present.sum()))
+
+
+def _lengths(rows: Rows) -> dict[str, Any]:
+    """Errors over trajectories, each of which counts the same; None without truth."""
+    known = [row for row in rows if row["error_px_rms"] is not None]
+    if not known:
+        return dict.fromkeys(("error_px_rms", "error_px_worst", "still_px_rms"))
+    return {
+        "error_px_rms": float(np.sqrt(np.mean([row["error_px_rms"] ** 2 for row in known]))),
+        "error_px_worst": max(row["error_px_worst"] for row in known),
+        "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in known]))),
+    }
+
+
+def _preset(name: str, rows: Rows) -> dict[str, Any]:
+    """The row of a preset, the paper's figures beside it where it has them."""
+    decided = [row for row in rows if row["consistent"] is not None]
+    failed = [row["dots_lost"] for row in decided if not row["consistent"]]
+    return {
+        "preset": name,
+        "trajectories": len(rows),
+        "consistent": len(decided) - len(failed) if decided else None,
+        "consistent_share": (len(decided) - len(failed)) / len(decided) if decided else None,
+        "paper_consistent_share": paper.value("consistent", name),
+        "dots_lost_mean": float(np.mean(failed)) if failed else None,
+        "paper_dots_lost_mean": paper.value("dots lost", name),
+        "events_per_dot": float(np.mean([row["events_per_dot"] for row in rows])),
+        **_lengths(rows),
+    }
+
+
+def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: Source) -> None:
+    """Error over time by preset, where truth is known; how many trajectories end where they began, where it is."""
+    with_truth, decided = _panels(rows, over_time)
+    figure.suptitle("Dots tracked" + (" (simulated)" if source.simulated else ""))
+    panels = list(figure.subplots(1, with_truth + decided, squeeze=False)[0])
+    if with_truth:
+        for number, (name, errors) in enumerate(over_time.items()):
+            if errors:
+                _draw_errors(panels[0], errors, name, picture.COLOURS[number % len(picture.COLOURS)])
+        panels[0].set(xlabel="time [s]", ylabel="distance from the true dots, rms [px]")
+        picture.log_axis(panels[0].yaxis)
+    if decided:
+        _draw_consistent(panels[-1], rows, source)
+    picture.legend(figure, panels)
+
+
+def _panels(rows: Rows, over_time: dict[str, list[Floats]]) -> tuple[bool, bool]:
+    """Which there are: errors over time, shares that end where they began."""
+    return any(over_time.values()), any(row.get("consistent_share") is not None for row in rows)
+
+
+def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> None:
+    """The error over all trajectories, each as long as it is, and the range of most of them."""
+    padded = np.full((len(errors), max(map(len, errors))), np.nan)
+    for line, squares in zip(padded, errors, strict=True):
+        line[: len(squares)] = squares
+    seconds = (np.arange(padded.shape[1]) + 0.5) * BIN_MS * 1e-3
+    lowest = LEAST_PX**2  # an error of 0 has no place on a logarithmic axis
+    axes.plot(seconds, np.sqrt(np.maximum(np.nanmean(padded, axis=0), lowest)), color=colour, label=name)
+    if len(errors) > 1:
+        low, high = np.sqrt(np.maximum(np.nanpercentile(padded, (10, 90), axis=0), lowest))
+        axes.fill_between(seconds, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.set_title("bands: 10 to 90 % of the trajectories")
+
+
+def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
+    """The share of each preset with its interval, by the number of trajectories, and the paper's where it has one."""
+    presets = [row for row in rows if "file" not in row]
+    for place, row in enumerate(presets):
+        of_preset = [one for one in rows if "file" in one and one["preset"] == row["preset"]]
+        count = sum(one["consistent"] is not None for one in of_preset)
+        if count:
+            share, colour = row["consistent_share"], picture.COLOURS[place % len(picture.COLOURS)]
+            label = "95 % interval by the number of trajectories (Wilson)"
+            axes.errorbar(share, place, xerr=picture.wilson(share, count), label=label, **picture.INTERVAL)
+            axes.plot(share, place, "o", color=colour, markersize=8)
+        if beside := paper.beside("paper_consistent_share", row, source):
+            axes.plot(beside.value, place - 0.2, **picture.of_paper(beside.mark))
+    picture.share_axis(axes.xaxis)
+    axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))
+    axes.set_yticks(
+        range(len(presets)), [f"{picture.plain(row['preset'])}\ntrajectories: {row['trajectories']}" for row in presets]
+    )
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

@@ -1,0 +1,362 @@
+"""doctor: faults of cameras, grippers and this installation, and for each the command that mends it.
+
+It only reads: it writes no register, no setting and no file. A gripper's rate or an adapter's timer changes when the
+user runs the command that is printed.
+"""
+
+import errno
+import itertools
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.commands.doctor import Doctor
+from evetac_cli.console import print_text
+from evetac_cli.devices.dvxplorer import protocol
+from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
+from evetac_cli.devices.grippers import BAUD, ID, Serial, parse_port
+from evetac_cli.devices.probe import FTDI, Host, SerialPort
+from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
+from evetac_cli.devices.rh_p12_rn.measurements import BEYOND_TICKS
+from evetac_cli.errors import EXTRAS, DeviceError, install_hint, pip
+from evetac_cli.events import FRAME_PX
+from evetac_cli.jobs import Outcome
+
+RULES = "/etc/udev/rules.d/60-evetac.rules"
+RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
+MAY_USE = 'GROUP="dialout", MODE="0660", TAG+="uaccess"'
+JOIN = "sudo usermod -aG dialout $USER, and log in again"
+INSTALL_RULES = f"evetac doctor --print-udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
+OLDEST_FIRMWARE = 8
+LEAST_BAUD = 1_000_000  # a cycle of 2 ms needs it
+LATENCY_MS = 1
+FREE_BYTES = 1 << 30  # some 5 min of a million events a second, at 3.5 bytes each on disk
+SPEEDS = {
+    1: "USB 1, 1.5 Mbit/s",
+    2: "USB 1, 12 Mbit/s",
+    3: "USB 2, 480 Mbit/s",
+    4: "USB 3, 5 Gbit/s",
+    5: "USB 3, 10 Gbit/s",
+}
+OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
+
+# What is missing without the extra of that name.
+SERVES = {
+    "camera": "--camera dv",
+    "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
+    "plot": "pictures beside reports, pages, films",
+    "view": "view --rrd",
+    "cluster": "--engine dask",
+    "log": "train --log tensorboard",
+    "robot": "evetac_cli.gym, examples",
+}
+
+NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
+NOT_ASKED = "not asked: no FTDI adapter"
+WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
+
+Row = dict[str, Any]
+
+
+def udev_rules() -> str:
+    """Rules that let some use the camera and the gripper's adapter, and make the adapter answer at once.
+
+    Those are whoever sits at the computer and the group dialout: who can write to the adapter can move the gripper.
+    """
+    return "\n".join(
+        (
+            f"# For {RULES}. Install with:",
+            f"#   evetac doctor --print-udev | sudo tee {RULES}",
+            f"#   {RELOAD}",
+            "# and plug the devices in again. Then whoever sits at the computer may use them, and the group dialout:",
+            f"#   {JOIN}",
+            "# Cameras of iniVation, the DVXplorer Mini (152a:8419) among them.",
+            'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", ATTR{idProduct}=="84[0-1]?", ' + MAY_USE,
+            "# Serial adapters of FTDI, ROBOTIS' U2D2 among them: an answer is passed on after 1 ms, not after 16.",
+            'SUBSYSTEM=="tty", KERNEL=="ttyUSB*", DRIVERS=="ftdi_sio", ATTR{device/latency_timer}="1", ' + MAY_USE,
+        )
+    )
+
+
+def run(params: Doctor, host: Host | None = None) -> Outcome:
+    """A row for every check of the installation, the disk, and every camera and gripper."""
+    host = host or Host()
+    rows = [*_software(host), _disk(host, Path.cwd())]
+    cameras = host.cameras() if host.has_libusb() else []
+    for camera in cameras:
+        rows += _camera(host, camera)
+    kind = (params.gripper or "").partition(":")[0]
+    if kind in NO_PORTS:
+        reason = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
+        rows.append(check(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
+    grippers = 0
+    for port, named in _ports(host, params):
+        if named is None and port.vendor != FTDI:
+            rows.append(
+                check(f"port {port.path}", "gripper", None, NOT_ASKED, "", f"evetac doctor --gripper {port.path}")
+            )
+            continue
+        port_rows, count = _port(host, port.path, named)
+        rows += port_rows
+        grippers += count
+    wrong = sum(row["ok"] is False for row in rows)
+    return Outcome(rows, False, {"cameras": len(cameras), "grippers": grippers, "wrong": wrong})
+
+
+def show(result: Outcome) -> None:
+    """Print a block for each device: what is right, what is wrong, and how to mend it."""
+    counts = result.summary
+    for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
+        print_text(device)
+        for row in group:
+            sign = {True: "ok", False: "WRONG", None: "-"}[row["ok"]]
+            expected = f"  (expected: {row['expected']})" if row["ok"] is not True and row["expected"] else ""
+            print_text(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
+            if row["fix"]:
+                print_text(f"        {'':<16}try: {row['fix']}")
+    if counts.get("cameras") == 0:
+        print_text(
+            "no camera found on USB. One that is plugged in: another port, another cable (some only carry power);"
+        )
+        print_text("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
+    if counts.get("grippers") == 0:
+        print_text(
+            "no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT."
+        )
+    print_text(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
+
+
+def check(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
+    """The row of a check. ok: None where it is neither right nor wrong; fix: also a change that one may want."""
+    return {
+        "device": device,
+        "check": check,
+        "ok": ok,
+        "found": result,
+        "expected": expected or None,
+        "fix": fix or None,
+    }
+
+
+def _software(host: Host) -> Iterator[Row]:
+    loads = host.has_libusb()
+    fix = "" if loads else f"{pip('install')} --force-reinstall libusb-package"
+    yield check("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
+    missing = host.missing_libraries()
+    state = f"without {', '.join(missing)}" if missing else "installed"
+    yield check("software", "libraries", not missing, state, "", install_hint() if missing else "")
+    for extra, packages in EXTRAS.items():
+        lacking = [name for name in packages if not host.has_package(name)]
+        state = f"without {', '.join(lacking)}: no {SERVES[extra]}" if lacking else "installed"
+        fix = install_hint(extra) if lacking else ""
+        yield check("software", f"extra {extra}", None if lacking else True, state, "", fix)
+    installed = host.distributions(OPENCV)
+    yield check(
+        "software",
+        "opencv",
+        len(installed) == 1,
+        ", ".join(installed) or "none",
+        "one alone: they overwrite each other",
+        ""
+        if len(installed) == 1
+        else f"{pip('uninstall')} {' '.join(name.split()[0] for name in installed)}; {pip('install')} {OPENCV[-1]}",
+    )
+
+
+def _disk(host: Host, folder: Path) -> Row:
+    free = host.free_bytes(folder)
+    enough = free >= FREE_BYTES
+    minutes = free / 3.5e6 / 60
+    room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
+    return check(
+        "disk", "free space", enough, room, f"{FREE_BYTES / 1e9:.1f} GB", "" if enough else "record elsewhere: -o"
+    )
+
+
+def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
+    name = f"camera {camera.serial or 'at ' + camera.where}"
+    mini = camera.board == protocol.MINI_BOARD
+    fix = "" if mini else "record it with DV, and import: evetac record --from FILE.aedat4"
+    yield check(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
+    if mini:
+        known = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
+        old = camera.firmware < OLDEST_FIRMWARE
+        yield check(
+            name,
+            "firmware",
+            known,
+            str(camera.firmware),
+            f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}",
+            "" if known else "update it with the maker's DV" if old else "try a newer evetac; this one may work too",
+        )
+    if camera.speed is not None:
+        fast = camera.speed >= SUPER_SPEED
+        fix = "" if fast else "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
+        yield check(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
+    answer = host.ask_camera(camera)
+    yield check(name, *_opened(host, camera, answer.errno, answer.message))
+    if answer.frame_px is not None and mini:
+        right = answer.frame_px == FRAME_PX
+        fix = "" if right else "this sensor is not that of a DVXplorer Mini: is it the right camera?"
+        yield check(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
+
+
+def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
+    """The check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
+    if number == 0:
+        return "access", True, "opens and answers", "", ""
+    node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
+    if number == errno.EACCES:
+        return (
+            "permission",
+            False,
+            f"none, for you ({message})",
+            "a udev rule",
+            f"{INSTALL_RULES}; over ssh, also {JOIN}",
+        )
+    if number == errno.EBUSY:
+        users = host.programs_using(node)
+        by = f"used by {', '.join(users)}" if users else "used by another program"
+        fix = (
+            f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
+            if users
+            else f"sudo fuser {node}"
+        )
+        return "busy", False, by, "free", fix
+    if number in (errno.ENODEV, errno.ENOENT):
+        return (
+            "access",
+            False,
+            f"it disappeared from the bus while it was read ({message})",
+            "",
+            "a firm cable, another port",
+        )
+    if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
+        return "answers", False, f"no ({message})", "the size of its sensor", "unplug it and plug it in again"
+    return "access", False, message, "", "unplug it and plug it in again, without a hub"
+
+
+def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
+    """The serial ports that there are, or that the user named, with the gripper that was named there."""
+    given = params.gripper or ""
+    named = parse_port(given) if given and given.partition(":")[0] not in NO_PORTS else None
+    for port in host.serial_ports():
+        if named is None or port.path.resolve() != Path(named.port).resolve():
+            yield port, None
+    if named is not None:
+        yield SerialPort(Path(named.port), "", ""), named
+
+
+def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]:
+    """Rows of one port and of the grippers on it, and the number of these."""
+    name = f"port {path}"
+    if not path.exists():
+        return [check(name, "exists", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
+    if not _is_serial(path):
+        fix = f"name the adapter's port; {WHICH_PORTS}"
+        return [check(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
+    rows: list[Row] = []
+    if not os.access(path, os.R_OK | os.W_OK):
+        fix = f"{JOIN}; or {INSTALL_RULES}"
+        return [check(name, "permission", False, "none, for you", "", fix)], 0
+    latency_ms = host.latency_ms(path)
+    if latency_ms is not None:
+        fine = latency_ms <= LATENCY_MS
+        timer = f"/sys/bus/usb-serial/devices/{path.name}/latency_timer"
+        fix = "" if fine else f"echo 1 | sudo tee {timer}; for good: {INSTALL_RULES}"
+        rows.append(
+            check(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
+        )
+    users = host.programs_using(path)
+    if users:
+        fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
+        return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
+    try:
+        grippers = host.scan(path, ID if named is None else named.id)
+    except DeviceError as error:
+        return [*rows, check(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
+    if not grippers:
+        rates = f"{host.rates[0]} to {host.rates[-1]} baud"
+        fix = "switch on its 24 V, check the cable between adapter and gripper"
+        # an adapter that the user did not name may well serve another device
+        return [
+            *rows,
+            check(name, "gripper", None if named is None else False, "none answers", f"an answer at {rates}", fix),
+        ], 0
+    if named is not None and named.id != ID and named.id not in [each.id for each in grippers]:
+        answers = " and ".join(f"gripper {each.id}" for each in grippers)
+        fix = " or ".join(_flag(path, each) for each in grippers)
+        answering = f"{answers} answer{'s' if len(grippers) == 1 else ''}"
+        rows.append(check(name, "id", False, answering, f"gripper {named.id}, as it was named", f"name it: {fix}"))
+    for gripper in grippers:
+        try:
+            rows += _gripper(host, path, gripper)
+        except DeviceError as error:
+            fault = " ".join(str(error).split())
+            rows.append(check(f"gripper {gripper.id} at {path}", "answers", False, fault, "", "check cable and 24 V"))
+    return rows, len(grippers)
+
+
+def _is_serial(path: Path) -> bool:
+    """Whether a path is a terminal; one that cannot be opened counts as one, and a later check says why."""
+    if not stat.S_ISCHR(path.stat().st_mode):
+        return False
+    try:
+        port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return True
+    try:
+        return os.isatty(port)
+    finally:
+        os.close(port)
+
+
+def _flag(path: Path, gripper: BusDevice) -> str:
+    """The flag by which commands reach a gripper, as short as can be."""
+    return f"--gripper {Serial(str(path), gripper.baud, gripper.id).shortest}"
+
+
+def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
+    name = f"gripper {gripper.id} at {path}"
+    right = gripper.model == MODEL_NUMBER
+    older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""
+    fix = "" if right else "this driver serves the RH-P12-RN(A) only"
+    yield check(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
+    fast = gripper.baud >= LEAST_BAUD
+    change = f"change_baud('{path}', {gripper.baud}, {BAUD}, id_={gripper.id})"
+    slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (torque goes off)'
+    expected = f"{LEAST_BAUD} at least, for 500 commands a second"
+    yield check(name, "baud", fast, str(gripper.baud), expected, "" if fast else slow_fix)
+    if not right:
+        return
+    yield check(name, "flag", True, _flag(path, gripper))
+    registers = host.registers(path, gripper)
+    delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
+    fix = "" if delay_us == 0 else f"evetac record {_flag(path, gripper)} sets it when it opens the gripper"
+    yield check(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
+    errors = hardware_errors(registers["Hardware Error Status"])
+    fix = "remove the cause, then switch its 24 V off and on" if errors else ""
+    yield check(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
+    volts = [registers[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
+    present = registers["Present Input Voltage"] / 10
+    within = volts[0] <= present <= volts[1]
+    fix = "" if within else "check its 24 V supply"
+    yield check(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
+    cool = registers["Present Temperature"] < registers["Temperature Limit"]
+    limit = f"below {registers['Temperature Limit']} C"
+    yield check(
+        name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "" if cool else "let it cool down"
+    )
+    ticks, low, high = (registers[which] for which in ("Present Position", "Min Position Limit", "Max Position Limit"))
+    in_range = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
+    fix = "" if in_range else "switch its 24 V off and on; if it happens again, the gripper is damaged"
+    yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or a little beyond", fix)
+    off = registers["Torque Enable"] == 0
+    fix = "" if off else "another program may drive it, or have left it so"
+    yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)
+    yield check(
+        name, "firmware", True, f"{registers['Firmware Version']}; current limit {registers['Current Limit']} mA"
+    )

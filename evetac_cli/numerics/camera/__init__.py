@@ -1,1 +1,0 @@
-"""The simulated cameras: error against run time, extreme cases."""

@@ -1,1 +1,0 @@
-"""Short simulated grasps: what delays and other detectors cost, extreme cases."""

@@ -1,1 +1,0 @@
-"""The dot tracker: error against run time, extreme cases."""

@@ -1,0 +1,1 @@
+"""Pages for people: of a trial (view/) and of a whole study (report/)."""

@@ -1,0 +1,60 @@
+"""report: show a whole data set or study on one page that needs no network, or two of them beside each other."""
+
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.commands.report import Report
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.pages import shared
+from evetac_cli.pages.report.figures import TIMING_MS
+from evetac_cli.pages.report.page import render
+from evetac_cli.pages.report.study import read_study, remark
+
+
+def run(
+    folders: list[Path], params: Report, out: Path | None, *, force: bool = False, progress: Progress = silent
+) -> Outcome:
+    """Write the page of one folder, or of two with `compare`; InputError if it exists, unless `force`."""
+    shared.check_libraries(("bokeh", "PIL"))
+    _check(folders, params)
+    if params.compare:
+        place, name = Path(), f"{'-'.join(folder.resolve().name for folder in folders)}.report.html"
+    else:
+        place, name = folders[0], "report.html"
+    target = shared.page_path(place, name, out)
+    shared.check_free(target, force)
+    studies = [read_study(folder, progress) for folder in folders]
+    if len({study.name for study in studies}) < len(studies):
+        for study in studies:
+            study.name = str(study.folder)
+    content = render(studies, target)
+    shared.write_page(target, content)
+    row: dict[str, Any] = {
+        "page": str(target),
+        "size_bytes": len(content),
+        "trials": sum(len(study.trials) for study in studies),
+        "outliers": sum(remark(trial, TIMING_MS)[0] > 0 for study in studies for trial in study.trials),
+        "reports": sum(len(study.evaluations) for study in studies),
+        "unreadable": sum(len(study.unreadable) for study in studies),
+    }
+    return Outcome([row], any(study.simulated for study in studies))
+
+
+def _check(folders: list[Path], params: Report) -> None:
+    """InputError unless these are as many folders as are wanted."""
+    for folder in folders:
+        if not folder.exists():
+            raise InputError("no such folder", where=str(folder), expected="a folder of stage files")
+        if not folder.is_dir():
+            hint = f"evetac view {folder} shows one trial" if folder.suffix == ".h5" else ""
+            raise InputError("not a folder", where=str(folder), expected="a folder of stage files", hint=hint)
+    wanted = 2 if params.compare else 1
+    if len(folders) != wanted:
+        raise InputError(
+            "another number of folders is wanted",
+            where="evetac report --compare" if params.compare else "evetac report",
+            expected="two folders" if params.compare else "one folder",
+            found=str(len(folders)),
+            hint="--compare sets two folders side by side" if len(folders) == 2 else "",
+        )

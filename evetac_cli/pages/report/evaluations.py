@@ -1,0 +1,358 @@
+"""What the report shows of each evaluation: which of its rows and columns, beside which figure of the paper."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from evetac_cli.evaluate import paper
+from evetac_cli.pages.report.study import Found, Rows
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its heading, the figure of ours, and the name by which paper.SHOWN knows the paper's."""
+
+    heading: str
+    key: str
+    paper: str = ""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A table of a section: the rows it takes of a report, and its columns; none: all that the rows have."""
+
+    command: str
+    section: str
+    title: str
+    rows: Callable[[Found], Rows]
+    columns: tuple[Column, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: its name, as in `evetac evaluate NAME`, and what it answers."""
+
+    name: str
+    title: str
+    says: str
+
+
+SECTIONS = (
+    Section(
+        "slip",
+        "Slip detection, models side by side",
+        "A first detection is correct from 50 ms before to 20 ms after the onset in the labels; earlier is early, later"
+        " or never is late. Means over objects and trainings, as in the paper.",
+    ),
+    Section("labels", "Labels against the truth", "t_c - t_s, in simulations alone."),
+    Section(
+        "tracking",
+        "Dot tracking",
+        "Whether every dot ends where it began, and how far from the truth it was.",
+    ),
+    Section("grasp", "Grasps", "Lifted and kept by feel, by controller and object."),
+    Section(
+        "force",
+        "Forces from dots",
+        "Mean absolute error over trajectories that the model never saw.",
+    ),
+    Section(
+        "vibration",
+        "Vibration",
+        "Windows in which the frequency of the tone is found.",
+    ),
+    Section(
+        "data-rate",
+        "Data rate",
+        "Bytes per second as a share of an RGB sensor's. All columns are counted, the window's too; the paper has"
+        f" {paper.COLUMNS}.",
+    ),
+    Section(
+        "realism",
+        "Simulated against real",
+        "How far figures of a simulated recording are from a real one's.",
+    ),
+    Section(
+        "cost",
+        "Error against run time",
+        "Run times are of the computer and the moment at which they were measured.",
+    ),
+    Section(
+        "stability",
+        "Stiff and extreme cases",
+        "Each case stays within a stated bound, or is refused with a reason; those that do neither come first.",
+    ),
+)
+
+
+def having(*keys: str) -> Callable[[Found], Rows]:
+    """Rows that have these columns: each table of a report has its own."""
+    return lambda evaluation: [row for row in evaluation.rows if all(key in row for key in keys)]
+
+
+# Rows that are put together -------------------------------------------------------------------------------------------
+
+
+def _grouped(rows: Iterable[Row], keys: tuple[str, ...]) -> list[Rows]:
+    groups: dict[tuple[Any, ...], Rows] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return list(groups.values())
+
+
+def _mean(rows: Rows, key: str) -> float | None:
+    known = [row[key] for row in rows if row.get(key) is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _timing(evaluation: Found) -> Rows:
+    """When each setting detects slip first, with what the setting is."""
+    settings = {row["setting"]: row for row in having("setting", "seeds")(evaluation)}
+    return [{**settings.get(row["setting"], {}), **row} for row in having("setting", "over_50_ms_ahead")(evaluation)]
+
+
+def _forces(evaluation: Found) -> Rows:
+    """Means over trajectories of each sensor and model of the paper's method."""
+    groups = _grouped(having("model", "sensor", "mae_n_x")(evaluation), ("sensor", "model", "sensor_name"))
+    keys = ("mae_n_x", "mae_n_y", "paper_mae_n_x", "paper_mae_n_y")
+    return [
+        {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
+    ]
+
+
+def _gel_forces(evaluation: Found) -> Rows:
+    """Means over trajectories, by what is known of the gel."""
+    keys = ("mae_n", "normal_mae_n", "shear_within_sd", "normal_within_sd", "contact_right")
+    groups = _grouped(having("stiffness", "mae_n")(evaluation), ("stiffness",))
+    return [
+        {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
+    ]
+
+
+def _windows(evaluation: Found) -> Rows:
+    """Shares over all recordings of a tone."""
+    rows = []
+    for members in _grouped(
+        having("window_s", "correct", "expected_hz")(evaluation), ("method", "expected_hz", "window_s")
+    ):
+        correct, windows = (sum(row[key] for row in members) for key in ("correct", "windows"))
+        rows.append({**members[0], "correct": correct, "windows": windows, "share": correct / windows})
+    return rows
+
+
+def _cases(evaluation: Found) -> Rows:
+    """A row a case: the quantity that is nearest to its bound, or farthest beyond it; cases that are not ok first."""
+    part = next(
+        (key for key in ("part", "preset", "controller") if evaluation.rows and key in evaluation.rows[0]), "case"
+    )
+    worst = []
+    for members in _grouped(evaluation.rows, (part, "case")):
+        row = min(members, key=lambda row: (row["ok"], -(row["value"] or 0.0) / (row["bound"] or 1.0)))
+        worst.append({**row, "part": row[part]})
+    return sorted(worst, key=lambda row: bool(row["ok"]))
+
+
+def slips_of(row: Row, evaluation: Found) -> int:
+    """How many slips the timing of a setting is of, whatever the number of seeds."""
+    own = [one for one in evaluation.rows if "t_c_ms" in one and one["setting"] == row["setting"]]
+    return int(sum(one["t_c_ms"] is not None for one in own) // max(row["seeds"], 1))
+
+
+def _summary(evaluation: Found) -> Rows:
+    return [evaluation.summary]
+
+
+SUBJECTS = (
+    Subject(
+        "evaluate slip",
+        "slip",
+        "Models",
+        having("setting", "seeds"),
+        (
+            Column("model", "setting"),
+            Column("seeds", "seeds"),
+            Column("trajectories", "trajectories"),
+            Column("timing correct", "slip_correct", "paper_slip_correct"),
+            Column("sd", "slip_correct_sd"),
+            Column("early", "slip_early"),
+            Column("late", "slip_late"),
+            Column("F1", "f1", "paper_f1"),
+            Column("sd of F1", "f1_sd"),
+        ),
+    ),
+    Subject(
+        "evaluate slip",
+        "slip",
+        "First detection against the labels' onset, shares of trajectories",
+        _timing,
+        (
+            Column("model", "setting"),
+            Column("median [ms]", "t_m_minus_t_c_ms_median"),
+            Column("over 50 ms ahead", "over_50_ms_ahead"),
+            Column("50 to 31", "50_to_31_ms_ahead"),
+            Column("30 to 11", "30_to_11_ms_ahead"),
+            Column("10 to 0 ms ahead", "10_to_0_ms_ahead", "paper_10_to_0_ms_ahead"),
+            Column("1 to 20 ms after", "1_to_20_ms_after"),
+            Column("over 20 ms after", "over_20_ms_after"),
+            Column("never", "never_detected"),
+        ),
+    ),
+    Subject(
+        "evaluate labels",
+        "labels",
+        "Onset by the labels against gross slip",
+        _summary,
+        (
+            Column("method", "method"),
+            Column("trajectories", "trajectories"),
+            Column("onsets found", "onsets_found"),
+            Column("median error [ms]", "onset_error_ms_median"),
+            Column("worst [ms]", "onset_error_ms_worst"),
+            Column("share in -4..+3 ms", "within_minus4_plus3_ms"),
+            Column("over 4 ms before gross slip", "earlier_than_4_ms_before_gross_slip"),
+        ),
+    ),
+    Subject(
+        "evaluate tracking",
+        "tracking",
+        "Presets",
+        having("preset", "consistent_share"),
+        (
+            Column("preset", "preset"),
+            Column("trajectories", "trajectories"),
+            Column("all dots end where they began", "consistent_share", "paper_consistent_share"),
+            Column("dots lost where not", "dots_lost_mean", "paper_dots_lost_mean"),
+            Column("error, rms [px]", "error_px_rms"),
+            Column("worst dot [px]", "error_px_worst"),
+            Column("standing still [px]", "still_px_rms"),
+        ),
+    ),
+    Subject(
+        "evaluate grasp",
+        "grasp",
+        "Controllers and settings",
+        having("setting", "columns"),
+        (
+            Column("setting", "setting"),
+            Column("trials", "trials"),
+            Column("lifted and kept", "success", "paper_success"),
+            Column("lifted", "lifted"),
+            Column("kept of those lifted", "balanced"),
+            Column("grip at the end [N]", "force_end_n"),
+            Column("moved, median [mm]", "moved_mm_median"),
+            Column("moved, mean [mm]", "moved_mm_mean"),
+            Column("opened again in balance", "reopened_share", "paper_reopened_share"),
+        ),
+    ),
+    Subject(
+        "evaluate grasp",
+        "grasp",
+        "By object",
+        having("setting", "object", "trials"),
+        (
+            Column("setting", "setting"),
+            Column("object", "object"),
+            Column("trials", "trials"),
+            Column("lifted and kept", "success", "paper_success"),
+            Column("opening at the end [ticks]", "opening_after_balance_ticks", "paper_opening_after_balance_ticks"),
+            Column("grip at the end [N]", "force_end_n"),
+            Column("moved, median [mm]", "moved_mm_median"),
+        ),
+    ),
+    Subject(
+        "evaluate force",
+        "force",
+        "Shear force, models for one sensor",
+        _forces,
+        (
+            Column("dots from", "sensor"),
+            Column("model", "model"),
+            Column("sensor", "sensor_name"),
+            Column("trajectories", "trajectories"),
+            Column("error of Fx [N]", "mae_n_x", "paper_mae_n_x"),
+            Column("error of Fy [N]", "mae_n_y", "paper_mae_n_y"),
+        ),
+    ),
+    Subject(
+        "evaluate force",
+        "force",
+        "Forces, a model for any sensor",
+        _gel_forces,
+        (
+            Column("stiffness of the gel", "stiffness"),
+            Column("trajectories", "trajectories"),
+            Column("shear error [N]", "mae_n"),
+            Column("normal error [N]", "normal_mae_n"),
+            Column("shear within its sd", "shear_within_sd"),
+            Column("normal within its sd", "normal_within_sd"),
+            Column("contact right", "contact_right"),
+        ),
+    ),
+    Subject(
+        "evaluate vibration",
+        "vibration",
+        "Windows whose tone is right",
+        _windows,
+        (
+            Column("method", "method"),
+            Column("tone [Hz]", "expected_hz"),
+            Column("window [s]", "window_s"),
+            Column("windows", "windows"),
+            Column("share right", "share", "paper_share"),
+        ),
+    ),
+    Subject(
+        "evaluate vibration",
+        "vibration",
+        "Recordings",
+        having("file", "method", "seconds"),
+        (
+            Column("recording", "file"),
+            Column("method", "method"),
+            Column("duration [s]", "seconds"),
+            Column("frequency [Hz]", "frequency_hz"),
+            Column("uncertainty [Hz]", "uncertainty_hz"),
+            Column("tone [Hz]", "expected_hz"),
+        ),
+    ),
+    Subject(
+        "evaluate data-rate",
+        "data-rate",
+        "Share of an RGB sensor's bytes",
+        having("interval", "share_mean"),
+        (
+            Column("interval", "interval"),
+            Column("trajectories", "trajectories"),
+            Column("share", "share_mean", "paper_share_mean"),
+            Column("sd", "share_sd", "paper_share_sd"),
+        ),
+    ),
+    Subject("evaluate realism", "realism", "Figures", having("figure", "distance")),
+    Subject("evaluate cost", "cost", "Settings", having("setting")),
+    Subject(
+        "evaluate stability",
+        "stability",
+        "Cases, of each what is nearest to its bound",
+        _cases,
+        (
+            Column("part", "part"),
+            Column("case", "case"),
+            Column("ok", "ok"),
+            Column("quantity", "quantity"),
+            Column("value", "value"),
+            Column("bound", "bound"),
+            Column("unit", "unit"),
+            Column("outcome", "outcome"),
+            Column("reason for the bound", "reason"),
+        ),
+    ),
+)
+
+
+def columns_of(subject: Subject, rows: Rows) -> tuple[Column, ...]:
+    """The columns that hold anything."""
+    every = dict.fromkeys(key for row in rows for key in row)
+    named = subject.columns or tuple(Column(key.replace("_", " "), key) for key in every)
+    return tuple(column for column in named if any(row.get(column.key) is not None for row in rows))

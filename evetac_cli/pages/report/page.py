@@ -1,0 +1,215 @@
+"""The page that report writes: trials, onsets and evaluations of one study, or of two beside each other."""
+
+import html
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.evaluate import paper
+from evetac_cli.pages import shared
+from evetac_cli.pages.report import charts, evaluations, figures
+from evetac_cli.pages.report.charts import Chart
+from evetac_cli.pages.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
+from evetac_cli.pages.report.figures import TIMING_MS, Figure
+from evetac_cli.pages.report.missing import Lack, missing
+from evetac_cli.pages.report.study import Found, Study
+from evetac_cli.pages.report.tables import cell, figure_text, table
+from evetac_cli.pages.report.trial_table import onset_charts, trial_table, trials_of_both
+from evetac_cli.resources import PACKAGE
+
+MOST_ROWS = 300  # of any other table
+
+
+class Drawn:
+    """The charts of a page, in the order in which they stand in it; Bokeh embeds them all at once."""
+
+    def __init__(self) -> None:
+        self._figures: list[Any] = []
+
+    def place(self, drawn: Iterable[Chart | None], study: str = "") -> str:
+        """HTML of these charts, with a mark where each figure goes."""
+        texts = []
+        for chart in drawn:
+            if chart is None:
+                continue
+            keys = "".join(
+                f"<span class='key' style='--colour:{colour}'>{shared.short(words)}</span>"
+                for words, colour in chart.keys.items()
+            )
+            title = " &middot; ".join(shared.short(part) for part in (study, chart.title) if part)
+            said = f"<p class='hint'>{shared.short(chart.says)}</p>" if chart.says else ""
+            head = f"<h3>{title}<span class='keys'>{keys}</span></h3>"
+            texts.append(f"<figure class='chart'>{head}{said}\0{len(self._figures)}\0</figure>")
+            self._figures.append(chart.figure)
+        return f"<div class='charts'>{''.join(texts)}</div>" if texts else ""
+
+    def embed(self, text: str) -> tuple[str, str, str]:
+        """Bokeh's script, its library, and the text with the figures in their places."""
+        script, library, places = shared.embed(self._figures)
+        for number, place in enumerate(places):
+            text = text.replace(f"\0{number}\0", place, 1)
+        return script, library, text
+
+
+def render(studies: Sequence[Study], page: Path) -> bytes:
+    """The whole page; EvetacError where it would be larger than 20 MB."""
+    drawn = Drawn()
+    title = " against ".join(study.name for study in studies)
+    simulated = any(study.simulated for study in studies)
+    sections = [("overview", "Overview", _overview(studies))]
+    if len(studies) > 1:
+        sections.append(("both", "Trials that both have", trials_of_both(studies)))
+    onsets = "".join(drawn.place(shown, study) for study, shown in onset_charts(studies))
+    sections.append(("trials", "Trials", onsets + trial_table(studies, page)))
+    for section in SECTIONS:
+        text = _section(section, studies, drawn)
+        if text:
+            sections.append((section.name, section.title, text))
+    sections.append(("missing", "What is missing", _missing(studies)))
+    body = "".join(
+        f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
+    )
+    script, library, body = drawn.embed(body)
+    nav = "".join(f"<a href='#{name}'>{head}</a>" for name, head, _ in sections)
+    lead = "".join(
+        f"<p class='id'>{html.escape(str(study.folder.resolve()))}: "
+        + ", ".join(f"{kind} {count:,}" for kind, count in sorted(study.files.items()))
+        + "</p>"
+        for study in studies
+    )
+    parts = {
+        "TITLE": html.escape(title),
+        "HEADING": f"<h1>{html.escape(title)}</h1><div>{shared.badges((), simulated=simulated)}</div>{lead}",
+        "NAV": nav,
+        "BODY": body,
+        "LIBRARY": library,
+        "SCRIPT": script,
+    }
+    return shared.fill(PACKAGE / "pages" / "report" / "page.html", parts, studies[0].folder, "a report on a part of it")
+
+
+def _overview(studies: Sequence[Study]) -> str:
+    if len(studies) == 1:
+        tiles = "".join(
+            f"<div><dt>{html.escape(one.name)}</dt><dd>{figures.in_words(one.value, one.kind)}{_over(one)}</dd></div>"
+            for one in figures.headline(studies[0])
+        )
+        return f"<dl class='tiles'>{tiles}</dl>"
+    by_study = [{one.name: one for one in figures.headline(study)} for study in studies]
+    rows = []
+    for name in dict.fromkeys(name for of_study in by_study for name in of_study):
+        one, other = (of_study.get(name) for of_study in by_study)
+        both = [
+            cell(None)
+            if figure is None
+            else cell(figure.value, _over(figure), figures.in_words(figure.value, figure.kind))
+            for figure in (one, other)
+        ]
+        cells = [cell(name), *both, cell(None)]
+        if one is not None and other is not None:
+            difference = other.value - one.value
+            cells[-1] = cell(difference, text=figures.in_words(difference, one.kind))
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    names = [html.escape(study.name) for study in studies]
+    return table(["figure", *names, f"{names[1]} minus {names[0]}"], rows)
+
+
+def _over(figure: Figure) -> str:
+    return f" <small>over {html.escape(figure.over)}</small>" if figure.over else ""
+
+
+def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
+    """Charts and tables of the reports of a section; empty where there are none."""
+    several = len(studies) > 1
+    text = ""
+    for study in studies:
+        for evaluation in study.evaluations:
+            text += drawn.place(_charts_of(section.name, evaluation), study.name if several else "")
+    for subject in SUBJECTS:
+        if subject.section != section.name:
+            continue
+        of_reports = [(study, evaluation) for study in studies for evaluation in study.reports(subject.command)]
+        # Without columns of its own a subject shows all that a report has, which differs from report to report.
+        for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
+            text += _subject(subject, some, several)
+    return f"<p class='hint'>{html.escape(section.says)}</p>{text}" if text else ""
+
+
+def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
+    """The table of a subject; empty where no report has such rows."""
+    entries = [
+        (study, evaluation, row)
+        for study, evaluation in of_reports
+        for row in enumerate(subject.rows(evaluation), start=1)
+    ]
+    if not entries:
+        return ""
+    columns = columns_of(subject, [row for *_, (_, row) in entries])
+    with_report, numbered = len(of_reports) > 1, subject.section == "cost"
+    heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
+    heads += [html.escape(column.heading) for column in columns]
+    rows = []
+    for study, evaluation, (number, row) in entries[:MOST_ROWS]:
+        cells = [cell(study.name)] * several + [cell(evaluation.path)] * with_report + [cell(number)] * numbered
+        cells += [_with_paper(column, row, evaluation) for column in columns]
+        bad = " class='bad'" if row.get("ok") is False else ""
+        rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
+    simulated = all(evaluation.simulated for _, evaluation in of_reports)
+    badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
+    more = f" <small>the first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
+    title = subject.title if subject.columns else f"{subject.title}, {of_reports[0][1].path}"
+    return f"<h3>{shared.short(title)}{badge}{more}</h3>" + table(heads, rows)
+
+
+def _with_paper(column: evaluations.Column, row: dict[str, Any], evaluation: Found) -> str:
+    """A cell with the paper's figure and its mark beside ours."""
+    beside = paper.beside(column.paper, row, evaluation.source) if column.paper else None
+    words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""
+    return cell(row.get(column.key), words)
+
+
+def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
+    if (section, evaluation.command) == ("slip", "evaluate slip"):
+        parts = {
+            "slip_correct": ("correct", charts.RIGHT),
+            "slip_early": ("early", charts.EARLY),
+            "slip_late": ("late or never", charts.LATE),
+        }
+        rows = evaluations.having("setting", "seeds")(evaluation)
+        return [
+            charts.share_chart(
+                rows,
+                "setting",
+                parts,
+                [paper.beside("paper_slip_correct", row, evaluation.source) for row in rows],
+                f"Timing, {evaluation.path}",
+                [evaluations.slips_of(row, evaluation) for row in rows],
+            ),
+            *charts.detection_charts(evaluation, TIMING_MS),
+        ]
+    if (section, evaluation.command) == ("grasp", "evaluate grasp"):
+        rows = evaluations.having("setting", "columns")(evaluation)
+        kept = {"success": ("lifted and kept", charts.RIGHT)}
+        trials = [row.get("trials", 0) for row in rows]
+        papers = [paper.beside("paper_success", row, evaluation.source) for row in rows]
+        return [charts.share_chart(rows, "setting", kept, papers, f"Grasps, {evaluation.path}", trials)]
+    if (section, evaluation.command) == ("cost", "evaluate cost"):
+        return [*charts.cost_charts(evaluation)]
+    return []
+
+
+def _missing(studies: Sequence[Study]) -> str:
+    """What each study lacks, with commands that a click selects as a whole."""
+    lines = []
+    for study in studies:
+        which = f"{study.name}: " if len(studies) > 1 else ""
+        lacks = [*missing(study), *map(Lack, study.notes)]
+        for lack in lacks:
+            command = f" <code class='command'>{html.escape(lack.command)}</code>" if lack.command else ""
+            lines.append(f"<li>{html.escape(which + lack.says)}{command}</li>")
+    if not lines:
+        return "<p class='hint'>Nothing.</p>"
+    relative = any(not study.folder.is_absolute() for study in studies)
+    where = f"; run it in {html.escape(str(Path.cwd()))}" if relative else ""
+    hint = f"A click selects a command{where}."
+    return f"<p class='hint'>{hint}</p><ul>{''.join(lines)}</ul>"

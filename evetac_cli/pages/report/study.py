@@ -1,0 +1,301 @@
+"""What a folder holds: its trials with their onsets, as far as files tell them, and the reports of `evaluate` in it."""
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.console import say
+from evetac_cli.errors import InputError, UnavailableError
+from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.evaluate.source import Source
+from evetac_cli.jobs import Progress
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.pages.view.event_images import picture
+from evetac_cli.store.files import StageFile, stem
+from evetac_cli.store.index import Row, foreign_note, open_index, recording_of
+from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
+from evetac_cli.text_files import open_regular
+
+Rows = list[dict[str, Any]]
+
+OF_TRIAL = ("recording", "labels", "tracks", "features", "forces")
+SHOWN_MS = 5  # of events in a thumbnail
+THUMBNAIL_PX = 160
+THUMBNAIL_BYTES = 8_000_000  # of PNG in a page; a third more as text
+VIEW_MARK = b"- evetac view</title>"
+
+
+@dataclass
+class Found:
+    """A report of `evaluate` that was found."""
+
+    path: str  # from the folder on
+    command: str
+    header: dict[str, Any]
+    rows: Rows
+    summary: dict[str, Any]
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any of it comes from a simulation."""
+        return bool(self.header["simulated"])
+
+    @cached_property
+    def source(self) -> Source:
+        """What its rows come from."""
+        return Source.of([self.header])
+
+    def recordings(self, kind: str) -> list[str | None]:
+        """The ids of the recordings of the files of a kind that it was made from, in the order of its rows."""
+        history = self.header["history"]
+        parents = [history[parent] for parent in self.header["parents"] if parent in history]
+        made_from = [recording_of(parent, history) for parent in parents if parent["kind"] == kind]
+        return [None if recording is None else recording["id"] for recording in made_from]
+
+
+@dataclass
+class StudyTrial:
+    """One trial of a data set, and what its files and the reports say of it; None where they do not."""
+
+    recording_id: str
+    row: Row  # of its recording in the index, else of another of its files
+    files: dict[str, str]  # kind -> path from the folder on
+    events: int | None = None
+    has_truth: bool = False
+    has_dots: bool = False  # a grid of dots to follow
+    has_window: bool = False
+    frame_px: tuple[int, int] | None = None
+    t_s: int | None = None  # ms; truth
+    t_c: int | None = None  # ms; labels
+    labelled_by: str | None = None
+    late_by: list[int | None] = field(default_factory=list)  # t_m - t_c in ms by each model; None: never detected
+    tracking_px: float | None = None
+    grasp: dict[str, Any] | None = None
+    thumbnail: bytes | None = None
+    page: Path | None = None  # of `view`
+    broken: str = ""  # why its recording cannot be read
+
+    @property
+    def name(self) -> str:
+        """Its name, with the folder in which it lies."""
+        path = Path(self.row.path)
+        return str(path.with_name(stem(path)))
+
+    @property
+    def label_error_ms(self) -> int | None:
+        """t_c - t_s."""
+        return None if self.t_c is None or self.t_s is None else self.t_c - self.t_s
+
+    @property
+    def model_error_ms(self) -> float | None:
+        """t_m - t_c, median over the models; infinite where most of them never detect the slip."""
+        if not self.late_by:
+            return None
+        return float(np.quantile([np.inf if ms is None else ms for ms in self.late_by], 0.5, method="higher"))
+
+
+@dataclass
+class Study:
+    """A folder: trials, reports, and what else is in it."""
+
+    folder: Path
+    name: str
+    trials: list[StudyTrial]
+    evaluations: list[Found]
+    files: Counter[str]  # by kind
+    unreadable: list[tuple[str, str]]  # path, reason
+    simulated: bool
+    notes: list[str]
+    models_at: list[Path] = field(default_factory=list)  # of slip detectors
+
+    def reports(self, command: str) -> list[Found]:
+        """The reports of an evaluation."""
+        return [one for one in self.evaluations if one.command == command]
+
+    @property
+    def models(self) -> int:
+        """How many models judged the trial that most of them judged."""
+        return max((len(trial.late_by) for trial in self.trials), default=0)
+
+
+def read_study(folder: Path, progress: Progress) -> Study:
+    """Look through a folder; InputError where it is none, or holds no file of evetac's."""
+    if next(folder.rglob("*.h5"), None) is None:  # seen first: an index has no place in a folder of other things
+        others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
+        raise _nothing(folder, f"{others} other files and folders" if others else "an empty folder")
+    with open_index(folder, progress) as index:
+        if index.note:
+            say(f"{folder}: {index.note}")
+        rows, passed_over = index.rows(), foreign_note(index)
+    files = Counter(row.kind for row in rows if row.kind is not None)
+    unreadable = [(row.path, row.error) for row in rows if row.error is not None]
+    if not files:
+        raise _nothing(folder, "; ".join([*(f"{path}: {reason}" for path, reason in unreadable[:3]), passed_over]))
+    study = Study(
+        folder, folder.resolve().name or str(folder), [], [], files, unreadable, any(row.simulated for row in rows), []
+    )
+    if passed_over:
+        study.notes.append(f"{passed_over[0].upper()}{passed_over[1:]}.")
+    for row in rows:
+        if row.kind == "report":
+            _read_report(study, row.path)
+        if row.kind == "model":
+            study.models_at.append(folder / row.path)
+    groups: dict[str, dict[str, Row]] = {}
+    several: Counter[str] = Counter()
+    for row in rows:
+        if row.recording is None or row.kind is None or row.kind not in OF_TRIAL:
+            continue
+        group = groups.setdefault(row.recording, {})
+        several[row.kind] += row.kind in group
+        group.setdefault(row.kind, row)
+    for kind, count in several.items():
+        if count:
+            study.notes.append(f"Of {count} trials there are several {kind}: the first by name are shown.")
+    room = THUMBNAIL_BYTES
+    for number, (id_, group) in enumerate(groups.items()):
+        progress(number, len(groups))
+        first = next(group[kind] for kind in OF_TRIAL if kind in group)
+        outcome = next((row.outcome for row in group.values() if row.outcome is not None), None)
+        first = first._replace(outcome=outcome)  # a real recording's is known from its labels
+        trial = StudyTrial(id_, first, {kind: row.path for kind, row in group.items()})
+        _read_trial(folder, trial, draw=room > 0)
+        room -= len(trial.thumbnail or b"")
+        study.trials.append(trial)
+    if room <= 0:
+        study.notes.append("Thumbnails: of the first trials only, so that the page stays small.")
+    _judge(study)
+    return study
+
+
+def _nothing(folder: Path, holds: str) -> InputError:
+    return InputError(
+        "no evetac files there",
+        where=str(folder),
+        expected="stage files, as a.recording.h5, in it or in folders below",
+        found=holds,
+        hint=f"evetac record --out {folder} makes some",
+    )
+
+
+def _read_report(study: Study, path: str) -> None:
+    try:
+        with StageFile(study.folder / path, "report") as file:
+            command = str(file.read("command"))
+            texts = [json.loads(file.read(name)) for name in ("rows", "summary")]
+            study.evaluations.append(Found(path, command, file.header, *texts))
+    except (InputError, UnavailableError) as error:
+        study.unreadable.append((path, error.message))
+
+
+def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
+    """Read onsets, events and a thumbnail of one trial; what cannot be read is said and left out."""
+    page = (folder / trial.row.path).with_name(f"{stem(Path(trial.row.path))}.html")
+    trial.page = page if _is_view(page) else None
+    try:
+        if "labels" in trial.files:
+            with StageFile(folder / trial.files["labels"], "labels") as labels:
+                onset = int(labels.read("onset_slice"))
+                trial.t_c = onset if onset >= 0 else None
+                trial.labelled_by = str(labels.header["parameters"].get("method", "farneback"))
+        if "recording" in trial.files:
+            with open_recording(folder / trial.files["recording"]) as recording:
+                trial.events = recording.event_count
+                if recording.has("control/outcome"):
+                    trial.grasp = json.loads(recording.read("control/outcome"))
+                trial.has_truth = recording.has("truth")
+                trial.has_dots = recording.dot_xy_px is not None
+                trial.has_window = recording.window_px is not None
+                trial.frame_px = recording.frame_px
+                trial.t_s = true_onset(recording) if trial.has_truth else None
+                if draw and len(recording):
+                    trial.thumbnail = _thumbnail(trial, recording)
+    except (InputError, UnavailableError) as error:
+        trial.broken = error.message
+
+
+def _is_view(path: Path) -> bool:
+    """Whether a file is a page of `view`."""
+    try:
+        with open_regular(path) as file:
+            return VIEW_MARK in file.read(2000)
+    except (InputError, UnavailableError):
+        return False
+
+
+def _thumbnail(trial: StudyTrial, recording: Recording) -> bytes:
+    """The event image at the onset, by truth, labels or the grasp's detector; else the busiest."""
+    for at in (trial.t_s, trial.t_c, *_detected_while_grasping(recording)):
+        if at is not None and at < len(recording):
+            image, events = picture(recording, at, SHOWN_MS, THUMBNAIL_PX)
+            if events:
+                return image
+    starts = recording.starts
+    width = min(SHOWN_MS, len(recording))
+    busiest = int(np.argmax(starts[width:] - starts[:-width]))
+    return picture(recording, busiest, SHOWN_MS, THUMBNAIL_PX)[0]
+
+
+def _detected_while_grasping(recording: Recording) -> Iterator[int]:
+    """The first slice, if any, in which a grasp's detector said slip after the light contact."""
+    if recording.has("control"):
+        slip = (recording.read("control/slip") > 0) & (recording.read("control/phase") > Phase.CONTACT)
+        yield from (int(recording.read("control/t_us")[at] // 1000) for at in np.flatnonzero(slip)[:1])
+
+
+def _judge(study: Study) -> None:
+    """Give the trials what reports say of each: detections of every model, distance of the dots from truth."""
+    trials = {trial.recording_id: trial for trial in study.trials}
+    late_by: dict[str, dict[tuple[str, str], int | None]] = {}
+    for report in study.reports("evaluate slip"):
+        rows = [row for row in report.rows if "t_m_minus_t_c_ms" in row and "t_c_ms" in row]
+        recordings = report.recordings("features")
+        for row, id_ in zip(rows, recordings * (len(rows) // max(len(recordings), 1)), strict=False):
+            if id_ in trials and row["t_c_ms"] is not None:
+                model = (str(row["setting"]), str(row["model_file"]))
+                late_by.setdefault(id_, {})[model] = row["t_m_minus_t_c_ms"]
+    for id_, by_model in late_by.items():
+        trials[id_].late_by = list(by_model.values())
+    for report in study.reports("evaluate tracking"):
+        rows = [row for row in report.rows if "file" in row]
+        for row, id_ in zip(rows, report.recordings("tracks"), strict=False):
+            if id_ in trials:
+                trials[id_].tracking_px = row["error_px_rms"]
+
+
+# Outliers -------------------------------------------------------------------------------------------------------------
+
+LOST, NEVER = 1e6, 1e5  # before every error in ms
+
+
+def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
+    """How much a trial stands out, 0 where it does not, and by what; timing_ms: where a first detection is correct."""
+    reasons: list[tuple[float, str]] = []
+    if trial.broken:
+        reasons.append((10 * LOST, trial.broken))
+    if trial.grasp is not None and not trial.grasp.get("balanced"):
+        reasons.append((LOST, "lost in balance" if trial.grasp.get("lifted") else "not lifted"))
+    if trial.events == 0:
+        reasons.append((LOST, "no events"))
+    if trial.t_s is not None and trial.labelled_by is not None and trial.t_c is None:
+        reasons.append((NEVER, "slips, and the labels find no onset"))
+    if trial.has_truth and trial.t_s is None and trial.t_c is not None:
+        reasons.append((NEVER, "does not slip, and the labels find an onset"))
+    for source, error, (low, high) in (
+        ("labels", trial.label_error_ms, (EARLIEST_MS, LATEST_MS)),
+        ("model" if len(trial.late_by) == 1 else "models", trial.model_error_ms, timing_ms),
+    ):
+        if error == np.inf:
+            reasons.append((NEVER, f"slip not found by the {source}"))
+        elif error is not None and not low <= error <= high:
+            beyond = max(low - error, error - high)
+            reasons.append((beyond, f"{source} {abs(error):,g} ms {'early' if error < low else 'late'}"))
+    return max((score for score, _ in reasons), default=0.0), "; ".join(
+        text for _, text in sorted(reasons, reverse=True)
+    )

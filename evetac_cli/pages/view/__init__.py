@@ -1,0 +1,156 @@
+"""view: show a recording and what was computed from it, on one page that needs no network, as animation, in rerun."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.commands.view import View
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.pages import shared
+from evetac_cli.pages.view import gripper, rerun_file, streams
+from evetac_cli.pages.view.event_images import (
+    choose_frame_times,
+    draw_pictures,
+    frame_size_px,
+    place_dots,
+    telling_frame,
+    window_px,
+)
+from evetac_cli.pages.view.page import render_page
+from evetac_cli.pages.view.time_series import model_output, series_panels, slip_lanes, slip_onsets
+from evetac_cli.pages.view.trial_files import Trial, open_trial
+from evetac_cli.pages.view.view_data import ViewData
+from evetac_cli.resources import with_shipped
+from evetac_cli.store.files import stem
+from evetac_cli.store.hdf5.disk import taking_the_place_of
+
+
+def run(
+    files: list[Path], params: View, out: Path | None, *, force: bool = False, progress: Progress = silent
+) -> Outcome:
+    """Write the page of one trial, or the file for rerun, and the animation if asked.
+
+    InputError if one of them exists, unless `force`.
+    """
+    if params.rrd:
+        rerun_file.load_rerun()
+    else:
+        shared.check_libraries(("bokeh", "PIL"))
+    files = with_shipped(files)
+    folders = [path for path in files if path.is_dir()]
+    if folders:
+        raise InputError(
+            "a page shows one trial",
+            where=str(folders[0]),
+            expected="stage files of one trial",
+            found="a folder",
+            hint=f"evetac report {folders[0]} shows all its trials on one page",
+        )
+    ending = ".rrd" if params.rrd else ".html"
+    target = shared.page_path(files[0].parent, stem(files[0]) + ending, out)
+    outputs = [target] if params.film is None else [target, shared.with_suffix(params.film, ".gif", "--film")]
+    for path in outputs:
+        shared.check_free(path, force)
+    with open_trial(files) as trial:
+        view = collect_view(trial, params, progress)
+        written = {} if params.rrd else {target: render_page(trial, view)}
+        if params.film is not None:
+            written[params.film] = _film(trial, view)
+        if params.rrd:
+            with taking_the_place_of(target, ending) as temporary:
+                rerun_file.write_rrd(trial, view, temporary, progress)
+    for path, content in written.items():
+        shared.write_page(path, content)
+    row: dict[str, Any] = {
+        "output" if params.rrd else "page": str(target),
+        "size_bytes": target.stat().st_size,
+        "film": None if params.film is None else str(params.film),
+        "film_bytes": None if params.film is None else len(written[params.film]),
+        "frame_times": len(view.frame_times),
+        "images": len(view.pictures),
+        "series": sum(len(panel.lines) for panel in view.panels),
+        "shown_ms": view.span[1] - view.span[0],
+        "files": " ".join(file.path.name for file in trial.files),
+    }
+    return Outcome([row], view.simulated, {"notes": " ".join(view.notes) or None})
+
+
+def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
+    """Gather what is drawn of a trial; no larger for an hour than for a second."""
+    span = _span(trial, params)
+    empty = span[0] == span[1]
+    probability = model_output(trial, span)
+    panels = [] if empty else series_panels(trial, span, probability)
+    notes = _label_notes(trial) + trial.notes
+    others = [] if empty else streams.stream_panels(trial, span, notes)
+    view = ViewData(
+        slices=trial.slices,
+        span=span,
+        shown_ms=params.shown_ms,
+        simulated=any(file.header["simulated"] for file in trial.files),
+        frame_px=frame_size_px(trial),
+        window_px=window_px(trial),
+        onsets={} if empty else slip_onsets(trial, span, probability),
+        confidence=_confidence(trial),
+        # the gripper's below the events, which come first where there is a recording
+        panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:], *others],
+        lanes=[] if empty else slip_lanes(trial, span, probability),
+        phases=[] if empty else gripper.phase_lanes(trial, span),
+        notes=notes,
+        frame_times=np.empty(0, np.int64),
+        dense={},
+        contact_times={} if empty else gripper.contact_times(trial, span),
+        pictures=[],
+        events=[],
+        rest_xy_px=None,
+        dot_xy_px=None,
+        lost=None,
+        true_xy_px=None,
+        side=None,
+    )
+    if not empty and (trial.recording is not None or trial.tracks is not None):
+        choose_frame_times(view, trial, params.images)
+        draw_pictures(view, trial, progress)
+        place_dots(view, trial)
+        streams.draw_cameras(view, trial)
+        view.side = gripper.side_view(trial, np.minimum(view.frame_times + view.shown_ms, span[1]) - 1)
+        view.opens_at = telling_frame(view)
+    return view
+
+
+def _label_notes(trial: Trial) -> list[str]:
+    """A note on labels that no sensor could have given."""
+    copied = trial.labels is not None and trial.labels.header["parameters"].get("method") == "truth"
+    return ["The labels were copied from the truth (simulated)."] if copied else []
+
+
+def _confidence(trial: Trial) -> float | None:
+    """How sure labels are of their onset, 0 to 1; None where there is none."""
+    confidence = float("nan") if trial.labels is None else float(trial.labels.read("confidence"))
+    return confidence if math.isfinite(confidence) else None
+
+
+def _film(trial: Trial, view: ViewData) -> bytes:
+    if not view.pictures:
+        raise InputError("there is nothing to animate: no event images", where=str(trial.files[0].path))
+    from evetac_cli.pages.view.film import render_film
+
+    return render_film(view, trial.files[0].path.name)
+
+
+def _span(trial: Trial, params: View) -> tuple[int, int]:
+    """First and last (excluded) slice to show; InputError where none is left."""
+    slices = trial.slices
+    start = round(params.start_s * 1000)
+    stop = slices if params.stop_s is None else min(slices, round(params.stop_s * 1000))
+    if start < stop or (slices == 0 and start == 0):
+        return start, stop
+    raise InputError(
+        "no time is left to show",
+        where="--start-s, --stop-s",
+        expected=f"0 <= start < stop, within {slices / 1000:.3f} s",
+        found=f"{params.start_s:g} to {stop / 1000:g}",
+    )

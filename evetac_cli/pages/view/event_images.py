@@ -1,0 +1,165 @@
+"""The event images that view shows of a trial, and the places of the dots in them.
+
+Their number is bounded; some are dense around onsets of slip and the busiest slice.
+"""
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.jobs import Progress
+from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.view_data import ViewData
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.read import Recording
+
+IMAGE_BYTES = 9_000_000  # of PNG in a page; a third more as text
+DOT_PLACES = 150_000  # dots times images
+LARGEST_IMAGE_PX = 1280
+MOST_EVENTS = 4_000_000  # drawn in one image: the last ones
+DENSE_MS = 2  # step between images near an onset or the busiest slice
+DENSE_SHARE = 0.4  # of all images
+GREYS = (0, 128, 255)  # darker, nothing, brighter
+
+
+def frame_size_px(trial: Trial) -> tuple[int, int]:
+    """Width and height of the sensor in px; 0 where no file has them."""
+    if trial.recording is not None:
+        return trial.recording.frame_px
+    width, height = trial.tracks.read("sensor/frame_px").tolist() if trial.tracks is not None else (0, 0)
+    return width, height
+
+
+def window_px(trial: Trial) -> tuple[int, int, int, int] | None:
+    """Corners x0, y0, x1, y1 of the window in px, if there was one."""
+    for file in (trial.recording, trial.tracks):
+        if file is not None and file.has("sensor/window_px"):
+            x0, y0, x1, y1 = file.read("sensor/window_px").tolist()
+            return x0, y0, x1, y1
+    return None
+
+
+def choose_frame_times(view: ViewData, trial: Trial, most: int) -> None:
+    """Choose the times of at most so many images: even over the span, and dense around onsets and the busiest slice."""
+    start, stop = view.span
+    last = max(start, stop - view.shown_ms)
+    if trial.tracks is not None:  # places of dots are in the page too
+        dots = int(np.prod(trial.tracks.read("sensor/dot_xy_px").shape[:2]))
+        most = max(1, min(most, DOT_PLACES // max(dots, 1)))
+    if last - start < most:
+        view.frame_times = np.arange(start, last + 1)
+        return
+    view.dense = {f"onset, {source}": slice_ for source, slice_ in view.onsets.items() if slice_ is not None}
+    view.dense |= view.contact_times
+    if trial.recording is not None:
+        per_slice = np.diff(trial.recording.starts[start : stop + 1])
+        view.dense["busiest"] = start + int(np.argmax(per_slice))
+    places = list(dict.fromkeys(view.dense.values()))
+    each = int(most * DENSE_SHARE / max(len(places), 1))
+    uniform = np.linspace(start, last, most - each * len(places)).astype(np.int64)
+    near = [place - view.shown_ms + DENSE_MS * (np.arange(each) - each // 2) for place in places]
+    view.frame_times = np.unique(np.clip(np.concatenate((uniform, *near)), start, last))
+
+
+def draw_pictures(view: ViewData, trial: Trial, progress: Progress) -> None:
+    """Draw a PNG at each time; where they would make the page too large, every other one is left out, repeatedly."""
+    recording = trial.recording
+    if recording is None:
+        return
+    pictures: dict[int, tuple[bytes, int]] = {}
+    step = 1
+    size = 0
+    times = view.frame_times
+    for number, start in enumerate(times.tolist()):
+        progress(number, len(times))
+        if number % step:
+            continue
+        pictures[number] = picture(recording, start, view.shown_ms)
+        size += len(pictures[number][0])
+        while size > IMAGE_BYTES and len(pictures) > 1:
+            step *= 2
+            pictures = {number: pair for number, pair in pictures.items() if number % step == 0}
+            size = sum(len(png) for png, _ in pictures.values())
+    if step > 1:
+        view.notes.append(
+            f"Full images: only every {step}th of {len(times)} is kept, so that the page stays small; "
+            "--start-s and --stop-s show a part more finely."
+        )
+    view.frame_times = times[list(pictures)]
+    view.pictures = [png for png, _ in pictures.values()]
+    view.events = [events for _, events in pictures.values()]
+
+
+def picture(recording: Recording, start: int, shown_ms: int, largest_px: int = LARGEST_IMAGE_PX) -> tuple[bytes, int]:
+    """Events of a few ms as the paper draws them (white brighter, black darker, grey none) as PNG, and their number."""
+    from PIL import Image
+
+    from evetac_cli.kernels.slip.features import event_image
+
+    first, last = (int(recording.starts[at]) for at in (start, min(start + shown_ms, len(recording))))
+    events = recording.events(max(first, last - MOST_EVENTS), last)
+    width, height = recording.frame_px
+    coarse = -(-max(width, height) // largest_px)
+    if coarse > 1:
+        events = Events(events.t, events.x // np.uint16(coarse), events.y // np.uint16(coarse), events.p)
+    drawn = event_image(events.x, events.y, events.p, (-(-width // coarse), -(-height // coarse)))
+    image = Image.fromarray((drawn + 1).astype(np.uint8))
+    image.putpalette(bytes(level for level in GREYS for _ in range(3)))
+    written = io.BytesIO()
+    image.save(written, "PNG", bits=2, compress_level=9)
+    return written.getvalue(), last - first
+
+
+def telling_frame(view: ViewData) -> int:
+    """The image to begin with: slip's onset, the grip, the first touch, whichever comes first in this list and shows
+    an event; else the busiest.
+    """
+    for at in (*view.onsets.values(), *view.contact_times.values()):
+        if at is None:
+            continue
+        frame = int(np.argmin(np.abs(view.frame_times - at)))
+        if not view.events or view.events[frame]:
+            return frame
+    return int(np.argmax(view.events)) if view.events else 0
+
+
+def place_dots(view: ViewData, trial: Trial) -> None:
+    """Places of the dots at the end of each image, tracked and true; NaN after the end of the tracks."""
+    ends = np.minimum(view.frame_times + view.shown_ms, view.span[1]) - 1
+    if trial.tracks is not None:
+        view.rest_xy_px = trial.tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+        tracked = trial.tracks.length("dot_xy_px")
+        if tracked < view.slices:
+            view.notes.append(
+                f"The tracks end at {tracked / 1000:.3f} s, {view.slices - tracked} ms before the recording does."
+            )
+        view.dot_xy_px = read_rows(trial.tracks, "dot_xy_px", ends, np.nan).astype(np.float32)
+        view.lost = read_rows(trial.tracks, "lost", ends, 0).astype(np.uint8)
+    recording = trial.recording
+    if recording is None:
+        return
+    if view.rest_xy_px is None and recording.dot_xy_px is not None:
+        view.rest_xy_px = recording.dot_xy_px.reshape(-1, 2)
+    if recording.has("truth/dot_xy_px"):
+        dots = recording.read("truth/dot_xy_px", 0, 1).shape[1]
+        if dots * len(ends) <= DOT_PLACES:
+            view.true_xy_px = read_rows(recording, "truth/dot_xy_px", ends, np.nan).astype(np.float32)
+
+
+def read_rows(file: StageFile, path: str, rows: NDArray[np.int64], absent: float) -> NDArray[Any]:
+    """Some rows of a dataset, in blocks; `absent` where it has already ended."""
+    length = file.length(path)
+    shape = file.contents()[path][1]
+    values = np.full((len(rows), *shape[1:]), absent)
+    block, first = None, 0
+    for at, row in enumerate(rows.tolist()):
+        if row >= length:
+            continue
+        if block is None or not first <= row < first + len(block):
+            first = row - row % 512
+            block = file.read(path, first, first + 512)
+        values[at] = block[row - first]
+    return values

@@ -1,0 +1,148 @@
+"""What view shows of a trial with a gripper: its motion, and of a grasp its phases, its outcome and its side view."""
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
+from evetac_cli.pages.view.event_images import read_rows
+from evetac_cli.pages.view.time_series import decimated, first_row, own_clock, rows_of, timed
+from evetac_cli.pages.view.trial_files import Trial, inner
+from evetac_cli.pages.view.view_data import Lane, Line, Panel, SideView
+from evetac_cli.sim.gripper import gap_m
+from evetac_cli.store.recordings.read import Recording
+
+TOUCH_N = 0.03  # normal force that is contact, as in `evaluate data-rate`
+PHASES = (("contact", Phase.CONTACT, INK), ("lift", Phase.LIFT, BLUE), ("balance", Phase.BALANCE, GREEN))
+
+
+def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
+    """Current and width; of a grasp goal and position instead of the width, height and distance moved."""
+    recording = trial.recording
+    if recording is None or not recording.has("gripper"):
+        return []
+    simulated = bool(recording.header["simulated"])
+    t_s, first, _ = timed(recording, "gripper/t_us", span)
+    position = own_clock(t_s, {"position": BLUE}, rows_of(recording, "gripper/position_ticks", first))
+
+    def currents(start: int, stop: int) -> NDArray[Any]:
+        names = ("current_ma", "current_target_ma")
+        return np.stack([recording.read(f"gripper/{name}", first + start, first + stop) for name in names], axis=1)
+
+    measured = own_clock(t_s, {"measured": ORANGE, "target": INK}, currents)
+    current = Panel("Gripper, current", "mA", measured, {}, simulated)
+    if not recording.has("control"):
+        width = [
+            Line("width", line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
+            for line in position
+        ]
+        return [current, Panel("Gripper, width between the fingers", "mm", width, {}, simulated)]
+    control_s, first_step, _ = timed(recording, "control/t_us", span)
+    goal = own_clock(control_s, {"goal": INK}, rows_of(recording, "control/goal_ticks", first_step))
+    panels = [Panel("Gripper, goal and position (up closes)", "ticks", [*goal, *position], {}, simulated), current]
+    start, stop = span
+    if recording.has("truth/table_gap_mm"):
+        heights = decimated({"height": GREEN}, start, stop - start, rows_of(recording, "truth/table_gap_mm", start))
+        panels.append(Panel("Object, height above the table, truth", "mm", heights, {}, simulated=True))
+    scale, touched = _mm_per_px(trial), _gripped_at(recording)
+    if scale is not None and touched is not None and recording.has("truth"):
+        origin = recording.read("truth/object_xy_px", touched, touched + 1)
+
+        def moved(begin: int, end: int) -> NDArray[Any]:
+            away = np.hypot(*(recording.read("truth/object_xy_px", start + begin, start + end) - origin).T) * scale
+            away[np.arange(start + begin, start + end) < touched] = np.nan
+            return np.asarray(away[:, None])
+
+        lines = decimated({"moved": PINK}, start, stop - start, moved)
+        panels.append(Panel("Object, moved in the gripper since the grip, truth", "mm", lines, {}, simulated=True))
+    return panels
+
+
+def _mm_per_px(trial: Trial) -> float | None:
+    scale = inner(trial.recording_parameters, "sensor_row", "mm_per_px")
+    return float(scale) if isinstance(scale, (int, float)) else None
+
+
+def _gripped_at(recording: Recording) -> int | None:
+    """The last slice of light contact in a grasp; None where it never ends."""
+    phase = recording.read("control/phase")
+    light = np.flatnonzero(phase == Phase.CONTACT)
+    if not len(light) or light[-1] + 1 == len(phase):
+        return None
+    return min(int(recording.read("control/t_us")[light[-1]] // 1000), len(recording) - 1)
+
+
+def phase_lanes(trial: Trial, span: tuple[int, int]) -> list[Lane]:
+    """When a grasp was in which of its phases."""
+    recording = trial.recording
+    if recording is None or not recording.has("control"):
+        return []
+    t_s, first, last = timed(recording, "control/t_us", span)
+    phase, ends = recording.read("control/phase", first, last), np.append(t_s, span[1] / 1000)
+    borders = np.flatnonzero(np.diff(phase, prepend=255, append=255))
+    stretches = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
+    return [
+        Lane(name, colour, [(float(ends[a]), float(ends[b])) for a, b in stretches if phase[a] == number], [])
+        for name, number, colour in PHASES
+        if (phase == number).any()
+    ]
+
+
+def contact_times(trial: Trial, span: tuple[int, int]) -> dict[str, int]:
+    """When the object was gripped, or first touched: where a page opens if nothing slips."""
+    recording = trial.recording
+    times: dict[str, int | None] = {}
+    if recording is None:
+        return {}
+    if recording.has("control"):
+        times["gripped"] = _gripped_at(recording)
+    if recording.has("truth"):
+        force = rows_of(recording, "truth/normal_force_n", span[0])
+        touched = first_row(span[1] - span[0], force, lambda force_n: force_n >= TOUCH_N)
+        times["first touch"] = span[0] + touched if touched else None  # where touch is how it begins, it is no moment
+    return {name: at for name, at in times.items() if at is not None and span[0] <= at < span[1]}
+
+
+def outcome_badges(trial: Trial) -> list[tuple[str, str]]:
+    """What became of a grasp, as its recording says; nothing where it does not."""
+    recording = trial.recording
+    if recording is None or not recording.has("control/outcome"):
+        return []
+    try:
+        outcome = json.loads(recording.read("control/outcome"))
+    except InputError:
+        return []
+    lifted, balanced = (bool(outcome.get(name)) for name in ("lifted", "balanced"))
+    shown = [("grasp", "held to the end" if balanced else "lost in balance" if lifted else "not lifted")]
+    for name, key, unit in (("moved", "moved_mm", "mm"), ("grip at the end", "force_end_n", "N")):
+        if balanced and isinstance(outcome.get(key), (int, float)):
+            shown.append((name, f"{outcome[key]:.2g} {unit}"))
+    return shown
+
+
+def side_view(trial: Trial, ends: NDArray[np.int64]) -> SideView | None:
+    """The grasp from the side at the end of each image; None unless truth tells all, and the grasp is from the top."""
+    recording, made, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
+    if recording is None or scale is None or not recording.has("truth/table_gap_mm"):
+        return None
+    row = inner(made, "object_row") or {}
+    width, height = row.get("grasped_width_mm", row.get("width_mm")), row.get("height_mm")
+    if not (isinstance(width, (int, float)) and isinstance(height, (int, float))):
+        return None
+    if inner(made, "scene", "gel", "sideways"):
+        return None
+    heights, forces, moved = (
+        read_rows(recording, f"truth/{name}", ends, np.nan)
+        for name in ("table_gap_mm", "normal_force_n", "object_xy_px")
+    )
+    return SideView(
+        (float(width), float(height)),
+        max(float(np.nanmax(forces, initial=0.0)), 1e-9),
+        heights.astype(np.float32),
+        (moved[:, 0] * scale).astype(np.float32),
+        forces.astype(np.float32),
+    )

@@ -1,0 +1,300 @@
+"""The page that view writes: one HTML file that needs no network.
+
+Time series are drawn by Bokeh, whose script is put into the page (1.3 MB); the event images, and the dots over them, by
+the small script in page.html. Text from files is escaped and placed by this module: Bokeh gets numbers only.
+"""
+
+import html
+from base64 import b64encode
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.pages import shared
+from evetac_cli.pages.shared import INK, NEUTRAL, UNKNOWN, shown_colour
+from evetac_cli.pages.view.gripper import outcome_badges
+from evetac_cli.pages.view.trial_files import Trial, inner
+from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
+from evetac_cli.resources import PACKAGE
+
+LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they are few
+AXIS_PX = 24  # times below it
+
+
+def render_page(trial: Trial, view: ViewData) -> bytes:
+    """The whole page; EvetacError where it would be larger than 20 MB."""
+    script, library, charts = _charts(view)
+    title = trial.files[0].path.name
+    width, height = view.frame_px
+    parts = {
+        "TITLE": html.escape(title),
+        "ASPECT": f"{max(width, 1) / max(height, 1):.3f}",
+        "HEADING": _heading(trial, title, view.simulated),
+        "VIEWER": "" if len(view.frame_times) else "hidden",
+        "SIDE": "" if view.side is not None else "hidden",
+        "CAMERAS": _cameras(view),
+        "EMPTY": _empty(view),
+        "ONSETS": _onsets(view),
+        "CHARTS": charts,
+        "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(view)),
+        "FILES": _files(trial),
+        "DATA": shared.for_script(_data(view)),
+        "LIBRARY": library,
+        "SCRIPT": script,
+    }
+    template = PACKAGE / "pages" / "view" / "page.html"
+    hint = "fewer --images, or a part with --start-s and --stop-s"
+    return shared.fill(template, parts, trial.files[0].path, hint)
+
+
+def _base64(array: NDArray[Any] | None) -> str | None:
+    """Little-endian float32 (or bytes) for the page's script; null where there is none."""
+    if array is None:
+        return None
+    kind = "<u1" if array.dtype.kind in "ub" else "<f4"
+    return b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()
+
+
+def _data(view: ViewData) -> dict[str, Any]:
+    return {
+        "span": [at / 1000 for at in view.span],
+        "shown_ms": view.shown_ms,
+        "frame": list(view.frame_px),
+        "window": view.window_px,
+        "frame_times": view.frame_times.tolist(),
+        "pictures": [b64encode(png).decode() for png in view.pictures],
+        "events": view.events,
+        "dots": 0 if view.rest_xy_px is None else len(view.rest_xy_px),
+        "rest": _base64(view.rest_xy_px),
+        "tracked": _base64(view.dot_xy_px),
+        "lost": _base64(view.lost),
+        "true_dots": 0 if view.true_xy_px is None else view.true_xy_px.shape[1],
+        "true": _base64(view.true_xy_px),
+        "onsets": {source: slice_ for source, slice_ in view.onsets.items() if slice_ is not None},
+        "opens_at": view.opens_at,
+        "cameras": [
+            {"shown": camera.shown, "images": [b64encode(jpeg).decode() for jpeg in camera.images]}
+            for camera in view.cameras
+        ],
+        "side": None
+        if view.side is None
+        else {
+            "object": list(view.side.object_mm),
+            "most_n": view.side.most_n,
+            "height": _base64(view.side.height_mm),
+            "sunk": _base64(view.side.sunk_mm),
+            "force": _base64(view.side.force_n),
+        },
+    }
+
+
+# Text -----------------------------------------------------------------------------------------------------------------
+
+
+def _heading(trial: Trial, title: str, simulated: bool) -> str:
+    made = trial.recording_parameters
+    values = [
+        ("scene", inner(made, "scene", "name")),
+        ("object", inner(made, "object")),
+        ("object's material", inner(made, "object_row", "material")),
+        ("controller", inner(made, "controller")),
+        *outcome_badges(trial),
+        ("imported from", inner(made, "source")),
+        ("sensor", inner(made, "sensor")),
+    ]
+    badges = shared.badges(values, simulated=simulated)
+    summary = inner(made, "scene", "summary")
+    lead = f'<p class="lead">{shared.short(summary)}</p>' if isinstance(summary, str) else ""
+    id_ = f'<p class="id">recording <code>{html.escape(trial.recording_id)}</code></p>'
+    return f"<h1>{html.escape(title)}</h1><div>{badges}</div>{lead}{id_}"
+
+
+def _cameras(view: ViewData) -> str:
+    """A place for the images of each other camera of the trial."""
+    return "".join(
+        f"<figure><img data-camera='{at}' alt='Image of {html.escape(camera.name)}'>"
+        f"<figcaption>{html.escape(camera.name)}</figcaption></figure>"
+        for at, camera in enumerate(view.cameras)
+    )
+
+
+def _files(trial: Trial) -> str:
+    rows = []
+    for file in trial.files:
+        made = file.header["parameters"]
+        shown = ", ".join(
+            f"{html.escape(str(name))} {shared.short(value)}"
+            for name, value in made.items()
+            if not isinstance(value, (dict, list))
+        )
+        rows.append(
+            f"<tr><td class='word'>{file.kind}</td><td>{html.escape(file.path.name)}</td>"
+            f"<td><code title='{html.escape(file.header['id'])}'>{html.escape(file.header['id'][:12])}</code></td>"
+            f"<td>{shown}</td></tr>"
+        )
+    return "".join(rows)
+
+
+def _empty(view: ViewData) -> str:
+    """The sentence instead of images and series, where there is nothing to draw."""
+    if view.slices == 0:
+        return "<p class='empty'>This recording is empty: it holds not one slice of a millisecond.</p>"
+    if view.pictures and not any(view.events) and view.panels and (view.panels[0].lines[0].value <= 1).all():
+        return "<p class='empty'>There is not one event in what is shown.</p>"
+    return ""
+
+
+def _onsets(view: ViewData) -> str:
+    """First slip by truth, label and model, and how far apart they are."""
+    if not view.onsets:
+        return ""
+    reference = next((slice_ for slice_ in view.onsets.values() if slice_ is not None), None)
+    cells = []
+    for source, slice_ in view.onsets.items():
+        simulated = " <small>(gross slip, simulated)</small>" if source == "truth" else ""
+        if slice_ is None or reference is None:
+            cells.append(f"<span>{source}{simulated} <b>none</b></span>")
+            continue
+        away = slice_ - reference
+        beside = [f"{away:+d} ms"] if away else []
+        if source == "label" and view.confidence is not None:
+            beside.append(f"confidence {view.confidence:.2g}")
+        later = f" <small>{', '.join(beside)}</small>" if beside else ""
+        cells.append(
+            f"<button type='button' class='jump' data-ms='{slice_}'>{source}{simulated} "
+            f"<b>{slice_ / 1000:.3f} s</b>{later}</button>"
+        )
+    since = f" after {view.span[0] / 1000:.3f} s" if view.span[0] else ""
+    return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
+
+
+def _notes(view: ViewData) -> list[str]:
+    start, stop = view.span
+    notes = [f"Shown: {start / 1000:.3f} to {stop / 1000:.3f} s of {view.slices / 1000:.3f} s."]
+    if len(view.frame_times):
+        dense = ", ".join(f"{at / 1000:.3f} s ({why})" for why, at in view.dense.items())
+        notes.append(
+            f"{len(view.frame_times):,} images of {view.shown_ms} ms, spread evenly"
+            + (f" and, every 2 ms, around {dense}." if dense else ".")
+        )
+    notes.append("Series: every value, or the least and the greatest of each of 3,000 stretches of time.")
+    return notes + view.notes
+
+
+# Series ---------------------------------------------------------------------------------------------------------------
+
+
+def _charts(view: ViewData) -> tuple[str, str, str]:
+    """Bokeh's script for this page, its library, and the HTML in which the charts stand."""
+    if not view.panels and not view.lanes:
+        return "", "", ""
+    from bokeh.models.ranges import Range1d
+
+    start, stop = view.span
+    x_range = Range1d(start=start / 1000, end=stop / 1000, bounds=(start / 1000, stop / 1000))
+    figures = []
+    heads = []
+    number = 0
+    height = TALL_PX if len(view.panels) <= FEW_PANELS else LOW_PX
+    for panel in view.panels:
+        most = "" if panel.ends is None else f" data-most='{panel.ends[1]:g}'"
+        keys = "".join(
+            f"<span class='key {'band' if line.sd is not None else ''}' style='--colour:{shown_colour(line.colour)}'>"
+            f"{line.name if len(panel.lines) > 1 else ''}"
+            f" <output data-series='series{number + at}'{most}></output></span>"
+            for at, line in enumerate(panel.lines)
+        )
+        keys += "".join(f"<span class='key level'>{name} {value:.3g}</span>" for name, value in panel.levels.items())
+        heads.append(_head(panel.title, panel.unit, panel.simulated, keys))
+        figures.append(_panel_figure(panel, x_range, number, height))
+        number += len(panel.lines)
+    if view.lanes:
+        keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in view.lanes) else ""
+        heads.append(_head("Slip", "", False, keys))
+        figures.append(_lane_figure(view.lanes, x_range))
+    if view.phases:
+        heads.append(_head("Phase of the grasp", "", False, ""))
+        figures.append(_lane_figure(view.phases, x_range))
+    script, library, places = shared.embed(figures)
+    words = [f"<p class='hint'>{html.escape(panel.says)}</p>" if panel.says else "" for panel in view.panels]
+    charts = "".join(
+        f"<section class='chart'>{head}{place}{said}</section>"
+        for head, place, said in zip_longest(heads, places, words, fillvalue="")
+    )
+    return script, library, charts
+
+
+def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
+    unit = f" <small>{shared.short(unit)}</small>" if unit else ""
+    mark = " <span class='badge simulated'>simulated</span>" if simulated else ""
+    return f"<h2>{shared.short(title)}{unit}{mark}<span class='keys'>{keys}</span></h2>"
+
+
+def _time_figure(x_range: Any, **more: Any) -> Any:
+    """A figure with times below it that zooms in time: drag, or Ctrl and the wheel."""
+    from bokeh.models.annotations.geometry import Span
+    from bokeh.models.formatters import PrintfTickFormatter
+    from bokeh.models.tools import BoxZoomTool, WheelZoomTool
+
+    chart = shared.bare_figure(x_range=x_range, **more)
+    drag, wheel = BoxZoomTool(dimensions="width"), WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+    chart.add_tools(drag, wheel)
+    chart.toolbar.active_drag, chart.toolbar.active_scroll = drag, wheel
+    chart.add_layout(
+        Span(location=x_range.start, dimension="height", line_color="#e0a000", line_width=2, name="cursor")
+    )
+    chart.xaxis.formatter = PrintfTickFormatter(format="%.6g s")
+    chart.xaxis.major_tick_in, chart.xaxis.major_tick_out, chart.xaxis.major_label_standoff = 0, 3, 2
+    return chart
+
+
+def _panel_figure(panel: Panel, x_range: Any, number: int, height: int) -> Any:
+    """One axis with its series; their sources are named series0, series1, ... for the page's script."""
+    from bokeh.models.ranges import Range1d
+    from bokeh.models.sources import ColumnDataSource
+
+    more = {} if panel.ends is None else {"y_range": Range1d(start=panel.ends[0], end=panel.ends[1])}
+    kind = "log" if panel.logarithmic else "linear"
+    chart = _time_figure(x_range, height=height + AXIS_PX, y_axis_type=kind, **more)
+    if not panel.logarithmic:
+        chart.yaxis.ticker.desired_num_ticks = 4
+    for at, line in enumerate(panel.lines):
+        colour = shown_colour(line.colour)
+        columns = {"t": line.t_s, "v": line.value.astype(np.float32)}
+        if line.sd is not None:
+            low, high = line.band
+            columns |= {name: each.astype(np.float32) for name, each in (("sd", line.sd), ("low", low), ("high", high))}
+        source = ColumnDataSource(columns, name=f"series{number + at}")
+        if line.sd is not None:
+            chart.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.2)
+        if panel.marks:
+            chart.scatter("t", "v", source=source, size=4, fill_color=colour, line_color=None)
+        else:
+            chart.line("t", "v", source=source, line_color=colour, line_width=1.4, line_join="round")
+    for value in panel.levels.values():  # a line, and no annotation: the axis has to reach it
+        ends = [x_range.start, x_range.end]
+        chart.line(ends, [value, value], line_color=NEUTRAL, line_dash="dashed", line_width=1.2)
+    return chart
+
+
+def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
+    """Truth, label and model under each other: a bar where each says slip, a thin one where it did not examine."""
+    chart = _time_figure(
+        x_range, height=AXIS_PX + 10 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)]
+    )
+    chart.ygrid.grid_line_color = None
+    for lane in lanes:
+        for parts, colour, height in ((lane.unknown, UNKNOWN, 0.16), (lane.slip, lane.colour, 0.7)):
+            shown = NEUTRAL if colour == INK else colour
+            chart.hbar(
+                y=[lane.name] * len(parts),
+                left=np.array([first for first, _ in parts]),
+                right=np.array([last for _, last in parts]),
+                height=height,
+                fill_color=shown,
+                line_color=shown,
+                line_width=1,  # a slip of one millisecond is still seen
+            )
+    return chart

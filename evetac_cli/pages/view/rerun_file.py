@@ -1,0 +1,284 @@
+"""The file that `view --rrd` writes for the viewer rerun: a trial on one timeline, and a layout of its views.
+
+    gel/events            points of each slice; class 1 brighter, 0 darker
+    gel/dots              points of each slice, class 1 where the tracker lost the dot
+    gel/displacement      arrows to them from where the dots rest
+    gel/true_dots         points of each slice, known exactly in a simulation
+    images/events         the event images of the page; cameras/NAME those of other cameras
+    series/NN_PANEL/LINE  the series of the page: events, gripper, forces, displacement, flow, slip probability;
+                          beside an estimated one, itself minus and plus its standard deviation
+    slip/SOURCE, phase    who says slip when; the phases of a grasp
+    about                 what is simulated, found and thinned, in words
+
+The timeline `t` counts from the start of the recording; what belongs to a slice stands at its start. Whole columns are
+handed over, block by block. A file does not grow without end: above MOST_EVENTS every nth event, above MOST_DOTS the
+dots of every nth slice are in it, above MOST_ROWS several slices share a row, and `about` says so.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.events import SLICE_US
+from evetac_cli.jobs import Progress
+from evetac_cli.pages.shared import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PINK,
+    shown_colour,
+)
+from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5.disk import utf8_path
+from evetac_cli.store.recordings.read import BLOCK_SLICES, Recording
+from evetac_cli.text_files import as_utf8
+
+TIMELINE = "t"
+MOST_EVENTS = 4_000_000
+MOST_ROWS = 200_000  # of events
+MOST_DOTS = 1_000_000  # dots times slices
+EVENT_COLOURS = {"darker": BLUE, "brighter": ORANGE}
+DOT_COLOURS = {"dot": "#ffb52e", "lost": PINK}
+TRUE_COLOURS = {"true place (simulated)": GREEN}
+DOT_RADIUS_PX, TRUE_RADIUS_PX = 3.0, 5.0
+PALE = 128  # of 255: what a standard deviation bounds
+BEHIND = 29.0  # true places, of points that rerun draws at 30
+
+
+def load_rerun() -> Any:
+    """The module rerun; MissingLibrary where it is not installed."""
+    try:
+        import rerun
+    except ImportError as error:
+        raise missing_extra("rerun, which writes the file, is not installed", "view", error=error) from None
+    return rerun
+
+
+def write_rrd(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None:
+    """Write the file; InputError if the disk does not take all of it."""
+    with utf8_path(path) as plain:
+        _write(trial, view, plain, progress)
+
+
+def _write(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None:
+    rr = load_rerun()
+    start, stop = view.span
+    file = _File(rr, f"{trial.recording_id}-{start}-{stop}")
+    # rerun says of a disk that is full only in its log: so the file is read again when it is done
+    file.stream.save(path, default_blueprint=_blueprint(rr.blueprint, trial, view))
+    title = as_utf8(trial.files[0].path.name)
+    file.stream.send_recording_name(f"{title} (simulated)" if view.simulated else title)
+    notes = []
+    if trial.recording is not None:
+        notes += file.events(trial.recording, view.span, progress)
+        if trial.recording.has("truth/dot_xy_px"):
+            notes += file.dots("true_dots", trial.recording, "truth/dot_xy_px", view.span, None)
+    if trial.tracks is not None:
+        notes += file.dots("dots", trial.tracks, "dot_xy_px", view.span, view.rest_xy_px)
+    file.images(view)
+    file.series(view)
+    for lane in view.lanes:
+        file.states(f"slip/{_name(lane.name)}", [lane], start / 1000, ["slip"])
+    if view.phases:
+        file.states("phase", view.phases, start / 1000, [lane.name for lane in view.phases])
+    file.static("about", rr.TextDocument(_about(title, trial, view, notes), media_type="text/markdown"))
+    file.stream.flush()
+    file.stream.disconnect()
+    try:
+        rr.chunk.RrdReader(path).store()
+    except Exception as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise InputError("the file is not complete", where=str(path), found=reason, hint="is the disk full?") from None
+
+
+class _File:
+    """What is written of a trial, each part under its own path."""
+
+    def __init__(self, rr: Any, recording_id: str) -> None:
+        self._rr = rr
+        self.stream = rr.RecordingStream("evetac", recording_id=recording_id, send_properties=False)
+
+    def static(self, path: str, content: Any) -> None:
+        """What holds at all times."""
+        self.stream.log(path, content, static=True)
+
+    def _columns(self, path: str, t_us: NDArray[Any], columns: Any) -> None:
+        times = self._rr.TimeColumn(TIMELINE, duration=t_us.astype("timedelta64[us]"))
+        self.stream.send_columns(path, [times], columns, strict=True)
+
+    def _classes(self, path: str, colours: dict[str, str]) -> None:
+        classes = [(number, name, _rgb(colour)) for number, (name, colour) in enumerate(colours.items())]
+        self.static(path, self._rr.AnnotationContext(classes))
+
+    def events(self, recording: Recording, span: tuple[int, int], progress: Progress) -> list[str]:
+        """A row of points for every slice, also without any; returns what was thinned."""
+        start, stop = span
+        first, last = (int(recording.starts[at]) for at in span)
+        every, step = max(1, -(-(last - first) // MOST_EVENTS)), max(1, -(-(stop - start) // MOST_ROWS))
+        block = step * max(1, BLOCK_SLICES // step)
+        self._classes("gel/events", EVENT_COLOURS)
+        for begin in range(start, stop, block):
+            end = min(begin + block, stop)
+            rows = np.arange(begin, end, step)
+            events = recording.between(begin, end)
+            kept = slice(-int(recording.starts[begin]) % every, None, every)
+            lengths = np.diff(-(-recording.starts[np.append(rows, end)] // every))
+            places = np.stack((events.x[kept], events.y[kept]), axis=1).astype(np.float32)
+            columns = self._rr.Points2D.columns(positions=places, class_ids=events.p[kept].astype(np.uint16))
+            self._columns("gel/events", rows * SLICE_US, columns.partition(lengths))
+            progress(int(recording.starts[end]) - first, last - first, "events")
+        thinned = [f"Of {last - first:,} events one in {every} is shown."] if every > 1 else []
+        return thinned + ([f"Events are shown {step} ms at a time."] if step > 1 else [])
+
+    def dots(
+        self, name: str, file: StageFile, path: str, span: tuple[int, int], rest: NDArray[np.float64] | None
+    ) -> list[str]:
+        """A row of points a slice and, where they are tracked, of arrows from their rest; without unknown places."""
+        rr, start = self._rr, span[0]
+        stop = min(span[1], file.length(path))
+        dots = file.contents()[path][1][1]
+        every = max(1, -(-(stop - start) * dots // MOST_DOTS))
+        tracked = rest is not None
+        self._classes(f"gel/{name}", DOT_COLOURS if tracked else TRUE_COLOURS)
+        shape = {"radii": [DOT_RADIUS_PX]} if tracked else {"radii": [TRUE_RADIUS_PX], "draw_order": BEHIND}
+        self.static(f"gel/{name}", rr.Points2D.from_fields(**shape))
+        for begin in range(start, stop, BLOCK_SLICES):
+            end = min(begin + BLOCK_SLICES, stop)
+            shown = np.arange(-(begin - start) % every, end - begin, every)
+            if not len(shown):
+                continue
+            places = file.read(path, begin, end)[shown].astype(np.float32)
+            known = np.isfinite(places).all(axis=2)
+            lengths, t_us = known.sum(axis=1), (begin + shown) * SLICE_US
+            lost = file.read("lost", begin, end)[shown] if tracked else np.zeros(known.shape, np.uint8)
+            columns = rr.Points2D.columns(positions=places[known], class_ids=lost[known].astype(np.uint16))
+            self._columns(f"gel/{name}", t_us, columns.partition(lengths))
+            if rest is not None:
+                known &= np.isfinite(rest).all(axis=1)
+                origins = np.broadcast_to(rest.astype(np.float32), places.shape)[known]
+                arrows = rr.Arrows2D.columns(vectors=places[known] - origins, origins=origins)
+                self._columns("gel/displacement", t_us, arrows.partition(known.sum(axis=1)))
+        return [f"Of `gel/{name}` one slice in {every} is shown."] if every > 1 else []
+
+    def images(self, view: ViewData) -> None:
+        """The event images, each at the first slice that it shows, and those of cameras where another one is shown."""
+        if view.pictures:
+            self._images("images/events", "image/png", view.frame_times, view.pictures)
+        for camera in view.cameras:
+            changes = np.flatnonzero(np.diff(camera.shown, prepend=-1))
+            images = [camera.images[camera.shown[at]] for at in changes.tolist()]
+            self._images(f"cameras/{_name(camera.name)}", "image/jpeg", view.frame_times[changes], images)
+
+    def _images(self, path: str, media_type: str, at_ms: NDArray[np.int64], images: list[bytes]) -> None:
+        if images:
+            self.static(path, self._rr.EncodedImage.from_fields(media_type=media_type))
+            self._columns(path, at_ms * SLICE_US, self._rr.EncodedImage.columns(blob=images))
+
+    def series(self, view: ViewData) -> None:
+        """The lines of all panels, one standard deviation below and above them as far as known, and levels across."""
+        for number, panel in enumerate(view.panels):
+            path = _chart(number, panel)
+            for line in panel.lines:
+                colour = _rgb(shown_colour(line.colour))
+                if panel.marks:
+                    style = self._rr.SeriesPoints(names=line.name, colors=colour, marker_sizes=2.0)
+                else:
+                    style = self._rr.SeriesLines(names=line.name, colors=colour)
+                self._series(f"{path}/{_name(line.name)}", style, line.t_s, line.value)
+                ends = {} if line.sd is None else dict(zip(("minus sd", "plus sd"), line.band, strict=True))
+                for which, value in ends.items():
+                    name = f"{line.name} {which}"
+                    style = self._rr.SeriesLines(names=name, colors=[*colour, PALE], widths=0.7)
+                    self._series(f"{path}/{_name(name)}", style, line.t_s, value)
+            for name, level in panel.levels.items():
+                style = self._rr.SeriesLines(names=name, colors=_rgb(shown_colour(INK)))
+                self._series(f"{path}/{_name(name)}", style, np.array(view.span) / 1000, np.full(2, level))
+
+    def _series(self, path: str, style: Any, t_s: NDArray[np.float64], value: NDArray[np.float64]) -> None:
+        self.static(path, style)
+        self._columns(path, np.rint(t_s * 1e6), self._rr.Scalars.columns(scalars=value))
+
+    def states(self, path: str, lanes: list[Lane], start_s: float, names: list[str]) -> None:
+        """Which lane says its name when: empty in between, `not examined` where nothing is known."""
+        known = [(name, part) for lane, name in zip(lanes, names, strict=True) for part in lane.slip]
+        parts = known + [("not examined", part) for lane in lanes for part in lane.unknown]
+        changes = {start_s: ""} | {last: "" for _, (_, last) in parts} | {first: name for name, (first, _) in parts}
+        t_us = np.rint(np.array(sorted(changes)) * 1e6)
+        state = [as_utf8(changes[at]) for at in sorted(changes)]
+        self._columns(path, t_us, self._rr.StateChange.columns(state=state))
+
+
+def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
+    """The gel and its images on the left, series and slip in the middle, words on the right."""
+    pictures = []
+    if trial.recording is not None or trial.tracks is not None:
+        width, height = view.frame_px
+        bounds = rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height))
+        pictures.append(rrb.Spatial2DView(origin="gel", name="Events and dots", visual_bounds=bounds))
+    if view.pictures:
+        pictures.append(rrb.Spatial2DView(origin="images", name=f"Events of {view.shown_ms} ms"))
+    charts = []
+    pictures += [rrb.Spatial2DView(origin=f"cameras/{_name(one.name)}", name=one.name) for one in view.cameras]
+    for number, panel in enumerate(view.panels):
+        words = [panel.title, f"[{panel.unit}]" if panel.unit else "", "(simulated)" if panel.simulated else ""]
+        name = as_utf8(" ".join(word for word in words if word))
+        axis = None if panel.ends is None else rrb.ScalarAxis(range=panel.ends)
+        charts.append(rrb.TimeSeriesView(origin=_chart(number, panel), name=name, axis_y=axis))
+    if view.lanes:
+        charts.append(rrb.StateTimelineView(origin="slip", name="Slip"))
+    if view.phases:
+        charts.append(rrb.StateTimelineView(origin="phase", name="Phase of the grasp"))
+    about = rrb.TextDocumentView(origin="about", name="About")
+    columns = [rrb.Vertical(*views) for views in (pictures, charts, [about]) if views]
+    shares = [share for share, views in ((4, pictures), (4, charts), (2, [about])) if views]
+    return rrb.Blueprint(
+        rrb.Horizontal(*columns, column_shares=shares), rrb.TimePanel(timeline=TIMELINE), collapse_panels=True
+    )
+
+
+def _about(title: str, trial: Trial, view: ViewData, notes: list[str]) -> str:
+    """What this is, in Markdown."""
+    start, stop = view.span
+    onsets = [f"- {name}: {'none' if at is None else f'{at / 1000:.3f} s'}" for name, at in view.onsets.items()]
+    lines = [
+        f"# {title}",
+        "**Simulated.**" if view.simulated else "",
+        f"{start / 1000:.3f} to {stop / 1000:.3f} s of {view.slices / 1000:.3f} s, of `{trial.recording_id[:12]}`",
+        "## First slip" if onsets else "",
+        "\n".join(onsets),
+        "## Notes",
+        "\n".join(
+            f"- {note}"
+            for note in (
+                "A slice of 1 ms stands at its start.",
+                *(["Event images: white is brighter, black darker, grey no event."] if view.pictures else []),
+                "Series: every value, or the least and the greatest of each of 3,000 stretches of time.",
+                *(f"{panel.title}: {panel.says}" for panel in view.panels if panel.says),
+                *notes,
+                *view.notes,
+            )
+        ),
+    ]
+    return as_utf8("\n\n".join(line for line in lines if line))
+
+
+def _chart(number: int, panel: Panel) -> str:
+    """Where the lines of a panel stand; its number keeps panels of one title apart."""
+    return f"series/{number:02}_{_name(panel.title)}"
+
+
+def _name(text: str) -> str:
+    """A part of a path: small letters, digits and low lines."""
+    return re.sub("[^a-z0-9]+", "_", text.lower()).strip("_")
+
+
+def _rgb(colour: str) -> list[int]:
+    """Red, green and blue, 0 to 255, of `#rrggbb`."""
+    return [int(colour[at : at + 2], 16) for at in (1, 3, 5)]

@@ -1,0 +1,106 @@
+"""What view shows of other streams of a trial: columns of numbers over time, and the images of cameras at each time."""
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
+from evetac_cli.pages.view.time_series import own_clock, timed
+from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.view_data import CameraImages, Panel, ViewData
+from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings.read import Recording
+from evetac_cli.text_files import parse_json
+
+COLOURS = (BLUE, ORANGE, GREEN, PINK, INK)  # as many columns are drawn on one axis
+MOST_PANELS = 12
+MOST_CODES = 16
+MOST_IMAGES = 100  # of all cameras together: 1 MB of a page, 4 MB where they are noise
+LARGEST_IMAGE_PX = 320
+JPEG_QUALITY = 80
+
+
+def stream_panels(trial: Trial, span: tuple[int, int], notes: list[str]) -> list[Panel]:
+    """Columns of each stream, those of one unit on one axis, at most five; a note where there are too many to draw."""
+    recording = trial.recording
+    if recording is None:
+        return []
+    paths = recording.contents()
+    panels: list[Panel] = []
+    left_out = 0
+    for name in streams.names(paths):
+        group = f"{streams.GROUP}/{name}"
+        t_s, first, _ = timed(recording, f"{group}/t_us", span)
+        units = parse_json(recording.read(f"{group}/about")).get("units", {})
+        columns = [path.rpartition("/")[2] for path in paths if path.startswith(f"{group}/")]
+        by_unit: dict[str, list[str]] = {}
+        for column in columns:
+            if column not in streams.TAKEN:
+                by_unit.setdefault(units.get(column, ""), []).append(column)
+        for unit, alike in by_unit.items():
+            for at in range(0, len(alike), len(COLOURS)):
+                drawn = alike[at : at + len(COLOURS)]
+                if len(panels) == MOST_PANELS:
+                    left_out += len(drawn)
+                    continue
+                title = f"{name}, {drawn[0]}" if len(drawn) == 1 else name
+                lines = own_clock(
+                    t_s, dict(zip(drawn, COLOURS, strict=False)), _Columns(recording, group, drawn, first)
+                )
+                panels.append(
+                    Panel(title, unit, lines, marks=not unit and all(_are_codes(line.value) for line in lines))
+                )
+    if left_out:
+        notes.append(f"Streams: {left_out} columns are not drawn, after the first {MOST_PANELS} charts.")
+    return [panel for panel in panels if panel.lines]
+
+
+def _are_codes(values: NDArray[np.float64]) -> bool:
+    """Whether numbers without a unit name what happened, such as the source of a trigger, and are no quantity."""
+    known = np.unique(values[np.isfinite(values)])
+    return len(known) <= MOST_CODES and bool((known == np.rint(known)).all())
+
+
+class _Columns:
+    """Rows of some columns of a stream, counted from the first that is shown."""
+
+    def __init__(self, recording: Recording, group: str, columns: list[str], first: int) -> None:
+        self._recording, self._paths, self._first = recording, [f"{group}/{name}" for name in columns], first
+
+    def __call__(self, start: int, stop: int) -> NDArray[Any]:
+        rows = [self._recording.read(path, self._first + start, self._first + stop) for path in self._paths]
+        return np.stack(rows, axis=1)
+
+
+def draw_cameras(view: ViewData, trial: Trial) -> None:
+    """Of each camera the last image before the end of each event image, made smaller; not all where they are many."""
+    recording = trial.recording
+    if recording is None:
+        return
+    paths = recording.contents()
+    named = [name for name in streams.names(paths) if f"{streams.GROUP}/{name}/frames" in paths]
+    ends_us = np.minimum(view.frame_times + view.shown_ms, view.span[1]) * SLICE_US
+    for name in named:
+        group = f"{streams.GROUP}/{name}"
+        rows = np.searchsorted(recording.read(f"{group}/t_us"), ends_us) - 1  # -1 where it had not begun
+        wanted = np.unique(rows[rows >= 0])
+        step = -(-len(wanted) // max(1, MOST_IMAGES // len(named)))
+        kept = wanted[:: max(step, 1)]
+        if step > 1:
+            view.notes.append(f"Images of {name}: one of {step} is kept, so that the page stays small.")
+        images = [_jpeg(recording.read(f"{group}/frames", row, row + 1)[0]) for row in kept.tolist()]
+        shown = np.searchsorted(kept, rows, side="right") - 1
+        view.cameras.append(CameraImages(name, images, shown.tolist()))
+
+
+def _jpeg(frame: NDArray[np.uint8]) -> bytes:
+    from PIL import Image
+
+    image = Image.fromarray(frame[..., 0] if frame.shape[-1] == 1 else frame)
+    image.thumbnail((LARGEST_IMAGE_PX, LARGEST_IMAGE_PX))
+    written = io.BytesIO()
+    image.save(written, "JPEG", quality=JPEG_QUALITY)
+    return written.getvalue()

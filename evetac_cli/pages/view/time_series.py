@@ -1,0 +1,374 @@
+"""The series and stretches of slip that view draws, decimated so that an hour is no larger than a second.
+
+Series are cut into bins, about one per pixel column, of which the least and the greatest value are drawn. Arrays are
+read block by block: an hour of tracks is gigabytes.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
+from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.pages.shared import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PINK,
+    UNKNOWN,
+)
+from evetac_cli.pages.view.trial_files import Trial, inner
+from evetac_cli.pages.view.view_data import Lane, Line, Panel
+from evetac_cli.stages.force.gel_model import MODULI
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.read import Recording, true_onset
+
+BINS = 3000
+BLOCK_ROWS = 16384
+LEAST_FLOW_PX = 0.01  # drawn: a logarithmic axis has no 0, and less is noise
+MOST_FLOW_PX = 10.0  # drawn, or three times the limit: beyond it nothing is decided any more
+
+Read = Callable[[int, int], NDArray[Any]]
+
+
+def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Least and greatest value of every bin, in their order, for each column of read(start, stop) -> (rows, columns).
+
+    All values where there are no more than two per bin. What is not finite comes out as NaN, where a bin holds nothing
+    else. Returns (row, value) per column.
+    """
+    if length <= 2 * BINS:
+        rows = read(0, length).astype(np.float64)
+        rows[~np.isfinite(rows)] = np.nan
+        return [(np.arange(length), column) for column in rows.T]
+    columns: list[list[tuple[int, float]]] = []
+    for start, rows, edges in _blocks(length, read):
+        columns = columns or [[] for _ in range(rows.shape[1])]
+        for column, picked in zip(rows.T, columns, strict=True):
+            for first, last in pairwise(edges):
+                part = column[first:last].astype(np.float64)
+                finite = np.flatnonzero(np.isfinite(part))
+                if not len(finite):
+                    picked.append((start + first, np.nan))
+                    continue
+                ends = {int(finite[np.argmin(part[finite])]), int(finite[np.argmax(part[finite])])}
+                picked += [(start + first + at, float(part[at])) for at in sorted(ends)]
+    return [(np.array([at for at, _ in picked]), np.array([value for _, value in picked])) for picked in columns]
+
+
+def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Rows [first, last) that are 1, and those that are negative (not examined), to within a bin.
+
+    A bin with any 1 counts as 1, so that no short slip is lost. read(start, stop) -> (rows, 1).
+    """
+    states: list[int] = []
+    borders = [0]
+    for start, rows, edges in _blocks(length, read):
+        for first, last in pairwise(edges):
+            part = rows[first:last, 0]
+            states.append(1 if (part == 1).any() else -1 if (part < 0).all() else 0)
+            borders.append(start + last)
+    by_state: dict[int, list[tuple[int, int]]] = {1: [], 0: [], -1: []}
+    begin = 0
+    for at, state in enumerate(states):
+        if at + 1 == len(states) or states[at + 1] != state:
+            by_state[state].append((borders[begin], borders[at + 1]))
+            begin = at + 1
+    return by_state[1], by_state[-1]
+
+
+def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[int]]]:
+    """Rows in pieces of whole bins: (first row, the rows, edges of the bins counted from it)."""
+    edges = np.linspace(0, length, min(length, BINS) + 1).astype(np.int64)
+    at_once = max(1, int(BLOCK_ROWS * (len(edges) - 1) / max(length, 1)))
+    for first in range(0, len(edges) - 1, at_once):
+        piece = edges[first : first + at_once + 1]
+        yield int(piece[0]), read(int(piece[0]), int(piece[-1])), (piece - piece[0]).tolist()
+
+
+def first_row(length: int, read: Read, wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]) -> int | None:
+    """The first row of read(start, stop) -> (rows, 1) that is wanted, read block by block; None where there is none."""
+    for first in range(0, length, BLOCK_ROWS):
+        rows = np.flatnonzero(wanted(read(first, min(first + BLOCK_ROWS, length))[:, 0]))
+        if len(rows):
+            return first + int(rows[0])
+    return None
+
+
+def rows_of(file: StageFile, path: str, start: int) -> Read:
+    """Rows of a one-dimensional dataset, counted from `start`, as a column."""
+    return lambda first, last: file.read(path, start + first, start + last)[:, None]
+
+
+def decimated(
+    names: dict[str, str], start: int, length: int, read: Read, deviations: Mapping[str, Read] | None = None
+) -> list[Line]:
+    """A line for each column of read, without those that are NaN all over; names -> colours.
+
+    deviations: name -> (rows, 1), the standard deviation of each value of that column.
+    """
+    lines = []
+    for (name, colour), (at, value) in zip(names.items(), extremes(length, read), strict=True):
+        if not np.isfinite(value).any():
+            continue
+        sd = _rows_at(at, deviations[name]) if deviations and name in deviations else None
+        lines.append(Line(name, colour, (start + at) / 1000, value, sd))
+    return lines
+
+
+def _rows_at(rows: NDArray[np.int64], read: Read) -> NDArray[np.float64]:
+    """Some rows, in their order, of read(start, stop) -> (rows, 1), which is read block by block."""
+    blocks = np.split(rows, np.searchsorted(rows, np.arange(BLOCK_ROWS, rows[-1] + 1, BLOCK_ROWS)))
+    parts = [read(int(block[0]), int(block[-1]) + 1)[block - block[0], 0] for block in blocks if len(block)]
+    return np.concatenate(parts).astype(np.float64)
+
+
+def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Line]:
+    """Series of rows that have their own clock, whose times are t_s."""
+    return [
+        Line(line.name, line.colour, t_s[np.rint(line.t_s * 1000).astype(np.int64)], line.value)
+        for line in decimated(names, 0, len(t_s), read)
+    ]
+
+
+def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
+    """Series of the slices of the span, from all files of the trial; `probability` is that of model_output."""
+    start, stop = span
+    panels = []
+    recording, tracks, labels = trial.recording, trial.tracks, trial.labels
+    if recording is not None:
+        per_slice = np.diff(recording.starts[start : stop + 1])
+        drawn = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
+        lines = decimated({"events": BLUE}, start, stop - start, lambda first, last: drawn[first:last])
+        panels.append(Panel("Events per millisecond", "", lines, logarithmic=True))
+    if recording is not None and recording.has("truth"):
+
+        def forces(first: int, last: int) -> NDArray[Any]:
+            normal = recording.read("truth/normal_force_n", start + first, start + last)
+            shear = recording.read("truth/shear_force_n", start + first, start + last)
+            return np.stack((normal, np.hypot(shear[:, 0], shear[:, 1])), axis=1)
+
+        lines = decimated({"normal": INK, "shear": ORANGE}, start, stop - start, forces)
+        panels.append(Panel("Forces on one pad, truth", "N", lines, simulated=True))
+        if recording.has("truth/tone_hz"):
+            lines = decimated({"tone": PINK}, start, stop - start, rows_of(recording, "truth/tone_hz", start))
+            panels.append(Panel("Tone, truth", "Hz", lines, simulated=True))
+        else:
+
+            def shares(first: int, last: int) -> NDArray[Any]:
+                paths = ("truth/visible_slip_share", "truth/slip_share")
+                return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
+
+            lines = decimated({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
+            panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
+    if trial.forces is not None and (trial.forces.has("shear_n") or trial.forces.has("network_n")):
+        panels.append(_forces(trial.forces, span))
+    if tracks is not None:
+        rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+
+        def moved(first: int, last: int) -> NDArray[Any]:
+            away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
+            # where a dot that the tracker has lost may be, hundreds of px away, is no displacement of the gel
+            away[~np.isfinite(away) | (tracks.read("lost", start + first, start + last) > 0)] = np.nan
+            known = np.maximum(np.isfinite(away).sum(axis=1), 1)
+            mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / known, np.nan)
+            return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
+
+        lines = decimated({"mean": BLUE, "farthest": PINK}, start, _length(tracks, "dot_xy_px", span), moved)
+        panels.append(Panel("Dots, distance from rest", "px", lines))
+    if labels is not None:
+        panels.append(_flow(labels, span))
+    levels = {"threshold": float(trial.model.read("threshold"))} if trial.model is not None else {}
+    if probability is not None:
+        column = probability[:, None]
+        lines = decimated({"model": PINK}, start, len(column), lambda first, last: column[first:last])
+        panels.append(Panel("Slip probability, model", "", lines, levels))
+    elif recording is not None and recording.has("control/probability"):
+        lines = decimated({"detector": PINK}, start, stop - start, rows_of(recording, "control/probability", start))
+        threshold = recording.header["parameters"].get("slip_threshold")
+        levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
+        panels.append(Panel("Slip probability, detector while grasping", "", lines, levels))
+    return [panel for panel in panels if panel.lines]
+
+
+def _forces(forces: StageFile, span: tuple[int, int]) -> Panel:
+    """Forces that a model estimates from the dots, with their deviation; the paper's network knows no normal force."""
+    start, both = span[0], forces.has("shear_n") and forces.has("normal_n")
+    shear = "shear_n" if forces.has("shear_n") else "network_n"
+
+    def sizes(first: int, last: int) -> NDArray[Any]:
+        columns = [np.hypot(*forces.read(shear, start + first, start + last).T)]
+        columns += [forces.read("normal_n", start + first, start + last)] if both else []
+        return np.stack(columns, axis=1)
+
+    def shear_sd(first: int, last: int) -> NDArray[Any]:  # of the axis that is less sure, as predict-force prints it
+        return np.asarray(forces.read("shear_sd_n", start + first, start + last).max(axis=1, keepdims=True))
+
+    deviations: dict[str, Read] = {"shear": shear_sd} if forces.has("shear_sd_n") else {}
+    if forces.has("normal_sd_n"):
+        deviations["normal"] = rows_of(forces, "normal_sd_n", start)
+    names = {"shear": ORANGE, "normal": INK} if both else {"shear": ORANGE}
+    lines = decimated(names, start, _length(forces, shear, span), sizes, deviations)
+    return Panel("Forces on the gel, estimated", "N", lines, says=_how_sure(forces))
+
+
+def _how_sure(forces: StageFile) -> str:
+    """What the deviation of estimated forces is, and how well the gel's stiffness, their scale, is known."""
+    if not forces.has("shear_sd_n"):
+        return "The paper's method estimates no standard deviation: how certain these forces are is not known."
+    band = "Band: one standard deviation either way. "
+    models = [one for one in forces.header["history"].values() if one["kind"] == "force-model"]
+    if any(inner(one, "parameters", "method") == "gel, adapted" for one in models):
+        return band + "The model was adapted to this sensor with known forces."
+    known = inner(forces.header, "parameters", "known") or {}
+    unknown = [name for name, modulus in MODULI.items() if modulus not in known]
+    if not unknown:
+        return band + "The stiffness of this gel is taken as known."
+    which = "" if len(unknown) == len(MODULI) else f"{unknown[0]} "
+    return (
+        f"{band}The {which}stiffness of this gel is not known, and a typical one assumed: a curve may be off by one"
+        " constant factor. predict-force --sensor takes a known stiffness."
+    )
+
+
+def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
+    """What labels decided by, where they examined it and where not.
+
+    Logarithmic, and cut: nothing is decided beyond, and of an object that is lost `event-flow`, which extrapolates how
+    the window's events fade, soon counts a hundred times its motion.
+    """
+    start = span[0]
+
+    def flow(first: int, last: int) -> NDArray[Any]:
+        values = np.maximum(labels.read("relative_flow_px", start + first, start + last), LEAST_FLOW_PX)  # NaN stays
+        examined = labels.read("label", start + first, start + last) >= 0
+        return np.stack((np.where(examined, values, np.nan), np.where(examined, np.nan, values)), axis=1)
+
+    names = {"window against gel": GREEN, "not examined": UNKNOWN}
+    lines = decimated(names, start, _length(labels, "relative_flow_px", span), flow)
+    made = labels.header["parameters"]
+    method = made.get("method")
+    title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
+    # Where images are compared the flow itself is held against a threshold, else the distance slid since it last held.
+    compared = method in (None, "farneback", "dis")
+    name, limit = ("threshold", "threshold_px") if compared else ("onset at a slide of", "slip_distance_px")
+    if not (compared or method == "event-flow") or not isinstance(made.get(limit), (int, float)):
+        return Panel(title, "px", lines, logarithmic=True)
+    level = float(made[limit])
+    ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
+    if compared:
+        look_ahead = made.get("look_ahead_ms")
+        time = f"in {look_ahead} ms" if isinstance(look_ahead, int) else "over the look-ahead"
+        says = f"Motion of the window against the gel {time}; more than {level:g} px is slip."
+    else:
+        says = (
+            f"Motion of the window in the next {EventFlowConstants.look_ahead_ms} ms, less that of the dot that follows"
+            f" it best. Slip begins where this slide, summed while no dot follows, exceeds {level:g} px."
+        )
+    if any(line.name == "not examined" for line in lines):
+        says += " Grey: not examined."
+    if any(np.nanmax(line.value) > ends[1] for line in lines):
+        says += f" Not drawn beyond {ends[1]:g} px: once the object is lost, the flow soon measures no distance."
+    return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, says=says)
+
+
+def timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:
+    """Times in s of rows that have their own clock, and which of all rows lie in the span."""
+    t_us = recording.read(path)
+    first, last = np.searchsorted(t_us, np.array(span) * SLICE_US).tolist()
+    return t_us[first:last] / 1e6, first, last
+
+
+def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
+    """Rows that a file holds of the span: it may be shorter than the recording."""
+    return max(0, min(file.length(path), span[1]) - span[0])
+
+
+# Slip: truth, labels, model -------------------------------------------------------------------------------------------
+
+
+def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | None:
+    """Slip probability of each slice of the span, NaN before the first; None without a model or features."""
+    if trial.model is None or trial.features is None:
+        return None
+    from evetac_cli.stages.slip_detectors import load_detector, read_series
+
+    detector = load_detector(trial.model)
+    start = span[0]
+    length = _length(trial.features, "displacement_px", span)
+    probability = np.full(length, np.nan, np.float32)
+    for first in range(0, length, BLOCK_ROWS):
+        last = min(first + BLOCK_ROWS, length)
+        # a full history, and as far back as a prediction is held
+        before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
+        rows = slice(start + first - before, start + last)
+        series = read_series(trial.features, detector.architecture, rows.start, rows.stop)
+        probability[first:last] = detector.over(series, rows.start)[before:]
+    return probability
+
+
+def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
+    """First slice of slip after the start of the span, by truth, label and model or detector, as far as known.
+
+    By truth and label a trial begins where the gripper's current begins to fall; for a grasp's detector, after the
+    light contact, of which it knows nothing: no trajectory that it was trained on holds one.
+    """
+    start, stop = span
+    onsets: dict[str, int | None] = {}
+    if trial.recording is not None and trial.recording.has("truth"):
+        onsets["truth"] = true_onset(trial.recording, start, stop)
+    examined = start
+    source = trial.labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
+    if source is not None:
+        label = source.read("label", start, stop)
+        onsets["label"] = _first(label == 1, start)
+        examined = _first(label >= 0, start) or start
+    if probability is not None and trial.model is not None:
+        detected = is_slip(probability, float(trial.model.read("threshold")))
+        onsets["model"] = _first(detected[examined - start :], examined)
+    elif trial.recording is not None and trial.recording.has("control"):
+        t_s, first, last = timed(trial.recording, "control/t_us", span)
+        gripped = trial.recording.read("control/phase", first, last) > Phase.CONTACT
+        slip = np.flatnonzero(gripped & (trial.recording.read("control/slip", first, last) > 0))
+        onsets["detector"] = int(t_s[slip[0]] * 1000) if len(slip) else None
+    return onsets
+
+
+def _first(slip: NDArray[np.bool_], start: int) -> int | None:
+    slices = np.flatnonzero(slip)
+    return start + int(slices[0]) if len(slices) else None
+
+
+def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
+    """Stretches of slip in the span, by truth, label and model or detector, as far as known."""
+    start, stop = span
+    lanes = []
+
+    def lane(name: str, colour: str, length: int, read: Read, t_s: Callable[[int], float]) -> None:
+        slip, unknown = ([(t_s(first), t_s(last)) for first, last in rows] for rows in stretches(length, read))
+        lanes.append(Lane(name, colour, slip, unknown))
+
+    def by_slice(at: int) -> float:
+        return (start + at) / 1000
+
+    recording, labels = trial.recording, trial.labels
+    if recording is not None and recording.has("truth"):
+        lane("truth", INK, stop - start, rows_of(recording, "truth/slip", start), by_slice)
+    source = labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
+    if source is not None:
+        lane("label", GREEN, _length(source, "label", span), rows_of(source, "label", start), by_slice)
+    if probability is not None and trial.model is not None:
+        slip = is_slip(probability, float(trial.model.read("threshold"))).astype(np.int8)
+        slip[np.isnan(probability)] = -1
+        lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
+    elif recording is not None and recording.has("control"):
+        t_s, first, last = timed(recording, "control/t_us", span)
+        ends = np.append(t_s, stop / 1000)
+        lane("detector", PINK, last - first, rows_of(recording, "control/slip", first), lambda at: float(ends[at]))
+    return lanes

@@ -1,0 +1,184 @@
+"""The files of one trial, for view: those given, and those beside them that belong to the same recording."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.errors import MAKE_MODEL, InputError, UnavailableError, made_by
+from evetac_cli.stages.slip_detectors import why_useless
+from evetac_cli.store.files import StageFile, stem
+from evetac_cli.store.index import recording_of
+from evetac_cli.store.recordings.read import Recording
+
+KINDS = ("recording", "tracks", "labels", "features", "forces")
+MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a file was made from is searched
+
+
+@dataclass
+class Trial:
+    """A recording and what was computed from it, all open, as far as it exists; and notes on what was left out."""
+
+    recording_id: str
+    recording: Recording | None = None
+    tracks: StageFile | None = None
+    labels: StageFile | None = None
+    features: StageFile | None = None
+    forces: StageFile | None = None
+    model: StageFile | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def files(self) -> list[StageFile]:
+        """The files that exist."""
+        files = (self.recording, self.tracks, self.labels, self.features, self.forces, self.model)
+        return [file for file in files if file is not None]
+
+    @property
+    def slices(self) -> int:
+        """Length of the trial in ms: that of the recording, else of what was computed from it."""
+        if self.recording is not None:
+            return len(self.recording)
+        rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
+        lengths = [file.length(path) for file, path in rows if file is not None]
+        if self.forces is not None:
+            lengths += [self.forces.length(path) for path in self.forces.contents()]
+        return max(lengths, default=0)
+
+    @property
+    def recording_parameters(self) -> Any:
+        """The parameters of the recording, which every file of a trial carries in its history."""
+        if self.recording is not None:
+            return self.recording.header["parameters"]
+        return inner(self.files[0].header["history"], self.recording_id, "parameters")
+
+    def add(self, file: StageFile) -> None:
+        """Add a file under its kind."""
+        setattr(self, file.kind, file)
+
+
+def inner(table: Any, *names: str) -> Any:
+    """A value inside nested tables of a header, which may hold anything; None where there is none."""
+    for name in names:
+        table = table.get(name) if isinstance(table, dict) else None
+    return table
+
+
+@contextmanager
+def open_trial(paths: list[Path]) -> Iterator[Trial]:
+    """Open the files named and those beside them; InputError if those named are not of one trial.
+
+    A file beside them that is damaged or of another recording is left out, with a note.
+    """
+    with ExitStack() as stack:
+        named = [stack.enter_context(_open(path)) for path in dict.fromkeys(paths)]
+        trial = Trial(_one_recording(named))
+        for file in named:
+            if getattr(trial, file.kind) is not None:
+                raise InputError(
+                    f"two {file.kind} files",
+                    where=str(file.path),
+                    expected="files of one trial",
+                    found=str(getattr(trial, file.kind).path),
+                )
+            trial.add(file)
+        for path in _beside(named):
+            if getattr(trial, _kind_of(path)) is not None:
+                continue
+            try:
+                file = stack.enter_context(_open(path))
+            except (InputError, UnavailableError) as error:
+                trial.notes.append(f"Left out: {str(error).splitlines()[0].removeprefix(f'{path.parent}/')}")
+                continue
+            if file.kind == _kind_of(path) and _recording_id(file) == trial.recording_id:
+                trial.add(file)
+            else:
+                trial.notes.append(f"Left out: {path.name} was made from another recording.")
+        _check_model(trial)
+        if trial.recording is None:
+            _search_recording(trial, named[0].path.parent, stack)
+        yield trial
+
+
+def _open(path: Path) -> StageFile:
+    file = StageFile(path, (*KINDS, "model"))
+    if file.kind != "recording":
+        return file
+    file.close()
+    return Recording(path)
+
+
+def _kind_of(path: Path) -> str:
+    return path.name.split(".")[-2]
+
+
+def _recording_id(file: StageFile) -> str | None:
+    """The id of the recording itself, or of the one that a file, or the tracks behind it, was made from."""
+    if file.kind == "recording":
+        return str(file.header["id"])
+    made_from = recording_of(file.header, file.header["history"])
+    return str(made_from["id"]) if made_from else None
+
+
+def _one_recording(named: list[StageFile]) -> str:
+    """The recording that all files named belong to (a model belongs to any)."""
+    of_trial = [file for file in named if file.kind != "model"]
+    if not of_trial:
+        raise InputError(
+            "a model alone has nothing to show",
+            where=str(named[0].path),
+            expected=", ".join(KINDS),
+            hint=f"name features too ({made_by('features')}), and the page shows the model's slip probability on them",
+        )
+    first = _recording_id(of_trial[0])
+    for file in of_trial:
+        if _recording_id(file) != first:
+            raise InputError(
+                "these files are of two trials",
+                where=str(file.path),
+                expected=f"as {of_trial[0].path.name}, made from recording {(first or 'unknown')[:12]}",
+                found=f"recording {(_recording_id(file) or 'unknown')[:12]}",
+                hint="one page shows one trial: run evetac view once for each",
+            )
+    if first is None:
+        raise InputError("its header names no recording", where=str(of_trial[0].path))
+    return first
+
+
+def _check_model(trial: Trial) -> None:
+    if trial.model is not None and (why := why_useless(trial.model)):
+        trial.notes.append(f"{trial.model.path.name} is no slip detector: {why}.")
+    if trial.model is None or trial.features is None:
+        return
+    of_features, of_model = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))
+    if of_features != of_model:
+        raise InputError(
+            "the model is for another dot grid",
+            where=str(trial.model.path),
+            expected=str(of_features),
+            found=str(of_model),
+            hint=MAKE_MODEL,
+        )
+
+
+def _beside(named: list[StageFile]) -> list[Path]:
+    """Files of the same name and another kind, beside those named."""
+    paths = [
+        file.path.with_name(f"{stem(file.path)}.{kind}.h5") for file in named if file.kind != "model" for kind in KINDS
+    ]
+    return [path for path in dict.fromkeys(paths) if path.is_file()]
+
+
+def _search_recording(trial: Trial, folder: Path, stack: ExitStack) -> None:
+    """Find the recording under another name in the same folder."""
+    for path in sorted(folder.glob("*.recording.h5"))[:MOST_NEIGHBOURS]:
+        try:
+            with StageFile(path, "recording") as file:
+                same = file.header["id"] == trial.recording_id
+            if same:
+                trial.recording = stack.enter_context(Recording(path))
+                return
+        except (InputError, UnavailableError):
+            continue
+    trial.notes.append(f"The recording {trial.recording_id[:12]} is not beside these files: no event images.")

@@ -1,0 +1,195 @@
+"""What xarray, netCDF, MATLAB and HDFView read in our files: units, long names, named dimensions, a readable header.
+
+Everything comes from the schema of the kind and from the header, and is written when a file is complete. Arrays and
+recipe ids know nothing of it, and evetac itself reads only the JSON header.
+
+Why so: a dimension is what netCDF-4 calls one, a dataset that is attached to others as an HDF5 dimension scale. Ours
+hold no values, since the place along each is the plain index, so that a length takes no room on disk. Each lies in the
+deepest group that holds all datasets that may have it, where netCDF looks for it. Units are written as in our names:
+`us`, `ms`. xarray makes durations of `microseconds` and the like, but leaves these symbols alone, and times stay the
+numbers that they are. There is no `Conventions`: CF wants units that UDUNITS knows, which has no `px` and no `ticks`.
+Texts have a variable length, because h5py gives those of a fixed one as bytes.
+"""
+
+import functools
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import h5py
+
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.layout.schema import Dataset
+from evetac_cli.text_files import parse_json
+
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's word for a scale without values
+LARGEST_INT = 2**63 - 1  # what an attribute holds as a number
+MOST_ANCESTORS = 20  # lines of `history`; a model may have hundreds of parents
+# Dimensions that a schema gives as a number say what lies along them: by the dataset, else by the number.
+FIXED = {
+    "frame_px": ("width_height",),
+    "window_px": ("x0_y0_x1_y1",),
+    "dot_shape": ("rows_columns",),
+    "lost_slices": ("gaps", "first_end"),
+    "slope_n_px": ("displacement_xy", "xy"),  # netCDF wants no dimension twice in one dataset
+}
+BY_SIZE = {2: "xy", 3: "median_p99_most"}
+EDGES = {"slices+1": "slice_edges"}
+ANY_SHAPE = re.compile("size_[0-9]+(_[0-9]+)?")  # dimensions of datasets whose shape the schema leaves open
+
+
+def describe_file(h5: h5py.File, header: Header) -> None:
+    """Write everything of this module into a file that holds all its datasets."""
+    table = schema.load(header["kind"])
+    for name, value in header_in_words(header).items():
+        h5.attrs[name] = value
+    datasets: dict[str, Any] = {}
+    h5.visititems(lambda name, item: datasets.update({name: item}) if isinstance(item, h5py.Dataset) else None)
+    for name, dataset in datasets.items():
+        row = table.find(name)
+        if row is None:
+            continue
+        describe_dataset(dataset, row)
+        if row.described_in:
+            _describe_column(h5, dataset, row.named_group(name), row.described_in)
+        for axis, dimension in enumerate(_dimensions(header["kind"], row, name, dataset.shape)):
+            scale = h5.get(dimension)
+            if scale is None:
+                scale = _new_scale(h5, dimension, dataset.shape[axis])
+            dataset.dims[axis].attach_scale(scale)
+
+
+def describe_dataset(dataset: Any, row: Dataset | None) -> None:
+    """Write `units`, which is `1` for what has none, and `long_name`, if a schema describes the dataset."""
+    if row is None:
+        return
+    dataset.attrs["units"] = row.unit or "1"
+    dataset.attrs["long_name"] = row.meaning
+
+
+def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) -> None:
+    """Write the unit of a column and what it is a column of, as the JSON text of its group tells them."""
+    about = parse_json(h5[f"{group}/{described_in}"].asstr()[()])
+    name = column.name.rpartition("/")[2]
+    column.attrs["units"] = about.get("units", {}).get(name) or "1"
+    column.attrs["long_name"] = f"{name}, {about.get('what') or group.rpartition('/')[2]}"
+
+
+def strays(kind: str, dimensions: Iterable[str]) -> list[str]:
+    """Paths of dimensions that a file of this kind does not have."""
+    known = [re.escape(path).replace(r"\*", "[^/]+") for path in dimension_paths(kind).values()]
+    return [
+        path
+        for path in dimensions
+        if not any(re.fullmatch(pattern, path) for pattern in known) and not _of_open_shape(kind, path)
+    ]
+
+
+def _of_open_shape(kind: str, path: str) -> bool:
+    group, _, name = path.rpartition("/")
+    return group in _open_groups(kind) and ANY_SHAPE.fullmatch(name) is not None
+
+
+def dimension_problems(
+    kind: str, stored: Mapping[str, tuple[str, tuple[int, ...]]], lengths: Mapping[str, int]
+) -> list[str]:
+    """A line for each dimension, path -> length, that is not as long as a dataset, path -> (dtype, shape), that has it.
+
+    Files without dimensions are fine. The shapes have been checked: see schema.problems.
+    """
+    lines: dict[str, str] = {}
+    for path, (_, shape) in stored.items():
+        row = schema.load(kind).find(path)
+        for dimension, size in zip(_dimensions(kind, row, path, shape) if row else (), shape, strict=False):
+            length = lengths.get(dimension, size)
+            if length != size:
+                lines.setdefault(dimension, f"{dimension}: expected length {size} (as in {path}), found {length}")
+    return list(lines.values())
+
+
+@functools.cache
+def dimension_paths(kind: str) -> dict[str, str]:
+    """Name of each dimension of a kind -> its path: in the deepest group that holds all datasets that may have it.
+
+    Where a group has a name of its own, a `*` stands for it.
+    """
+    homes: dict[str, list[str]] = {}
+    for row in schema.load(kind).datasets:
+        groups = row.path.split("/")[:-1]
+        for name in _names(row):
+            shared = homes.setdefault(name, groups)
+            same = [a == b for a, b in zip(shared, groups, strict=False)]
+            homes[name] = shared[: (*same, False).index(False)]
+    return {name: "/".join([*groups, name]) for name, groups in homes.items()}
+
+
+def header_in_words(header: Header) -> dict[str, str | int]:
+    """The header as attributes of the root: plain values, and title, source and history as CF calls them."""
+    table = schema.load(header["kind"])
+    seed = header["seed"]
+    words: dict[str, str | int] = {
+        "title": f"Simulated: {table.meaning}" if header["simulated"] else table.meaning,
+        "kind": header["kind"],
+        "schema_version": header["version"],
+        "method": header["method"],
+        "recipe_id": header["id"],
+        "simulated": "yes" if header["simulated"] else "no",
+        "source": "simulated data" if header["simulated"] else "data from devices or other programs",
+        "history": "\n".join(_history(header)),
+    }
+    if seed is not None:
+        words["seed"] = seed if abs(seed) <= LARGEST_INT else str(seed)
+    return words
+
+
+def _history(header: Header) -> Iterator[str]:
+    """A line for every ancestor, the oldest first, and one for the file itself."""
+    ancestors = list(header["history"].items())
+    if len(ancestors) > MOST_ANCESTORS:
+        yield f"{len(ancestors) - MOST_ANCESTORS} more files, named in the attribute header"
+    for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
+        yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
+    made = header.get("made", {})
+    yield (
+        f"{made.get('at', '')} evetac {made.get('evetac', '')}: "
+        f"{header['kind']} {header['id'][:12]}, method {header['method']}"
+    )
+
+
+def _names(row: Dataset) -> list[str]:
+    """Names of the dimensions of a dataset; none where the schema leaves its shape open."""
+    if row.dims is None:
+        return []
+    fixed = FIXED.get(row.path.rpartition("/")[2])
+    if fixed is not None:
+        return list(fixed)
+    return [
+        BY_SIZE.get(dim, f"size_{dim}") if isinstance(dim, int) else EDGES.get(dim, dim.replace("+", "_plus_"))
+        for dim in row.dims
+    ]
+
+
+def _dimensions(kind: str, row: Dataset, path: str, shape: tuple[int, ...]) -> list[str]:
+    """Paths of the dimensions of the dataset that is stored at a path."""
+    if row.dims is not None:
+        group = row.named_group(path).rpartition("/")[2]
+        return [dimension_paths(kind)[name].replace("*", group) for name in _names(row)]
+    group = row.path.rpartition("/")[0]
+    before = [shape[:axis].count(size) for axis, size in enumerate(shape)]
+    return [
+        f"{group}/size_{size}" + (f"_{count + 1}" if count else "") for size, count in zip(shape, before, strict=True)
+    ]
+
+
+@functools.cache
+def _open_groups(kind: str) -> frozenset[str]:
+    """Groups that hold datasets whose shape the schema leaves open."""
+    return frozenset(row.path.rpartition("/")[0] for row in schema.load(kind).datasets if row.dims is None)
+
+
+def _new_scale(h5: h5py.File, path: str, length: int) -> Any:
+    """A dimension: a dataset into which nothing is written, so that it takes no room."""
+    scale = h5.create_dataset(path, shape=(length,), dtype=">f4", track_times=False)
+    scale.make_scale(f"{NO_VARIABLE}{length:10d}")
+    return scale

@@ -1,0 +1,222 @@
+"""Recordings slice by slice, where their slip begins, and windows of features with their labels for training."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5.disk import joined_on_disk
+
+BLOCK_SLICES = 1000
+UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
+
+
+class Recording(StageFile):
+    """A recording as a sequence of slices: len() in ms, [k] and iteration give Events, read block by block.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     burst = recording.between(120, 170)          # the slices [120, 170) in one
+    >>> bool(burst.t[-1] < 170_000)
+    True
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "recording")
+        try:
+            self.starts: NDArray[np.int64] = self.read("ms_to_idx")
+        except BaseException:
+            self.close()
+            raise
+        self._block = (0, 0)
+        self._events: Events | None = None
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @property
+    def event_count(self) -> int:
+        """Number of events of the whole recording."""
+        return int(self.starts[-1])
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """Width and height of the sensor's frame."""
+        width, height = self.read("sensor/frame_px")
+        return int(width), int(height)
+
+    @property
+    def window_px(self) -> tuple[int, int, int, int] | None:
+        """The cut-out strip x0, y0, x1, y1, or None for a closed gel."""
+        if not self.has("sensor/window_px"):
+            return None
+        x0, y0, x1, y1 = self.read("sensor/window_px").tolist()
+        return x0, y0, x1, y1
+
+    @property
+    def dot_xy_px(self) -> NDArray[np.float64] | None:
+        """Dot centres at rest (rows, columns, 2), or None where no calibration is stored."""
+        return self.read("sensor/dot_xy_px") if self.has("sensor/dot_xy_px") else None
+
+    @property
+    def dot_radius_px(self) -> float | None:
+        """Radius of the printed dots, or None where no calibration is stored."""
+        return float(self.read("sensor/dot_radius_px")) if self.has("sensor/dot_radius_px") else None
+
+    def sensor_datasets(self) -> dict[str, Any]:
+        """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""
+        return {name: self.read(name) for name in self.contents() if name.startswith("sensor/")}
+
+    def between(self, start: int, stop: int) -> Events:
+        """All events of the slices [start, stop) in one; t stays absolute."""
+        if not 0 <= start <= stop <= len(self):
+            raise InputError(
+                "slices out of range",
+                where=str(self.path),
+                expected=f"0 <= start <= stop <= {len(self)}",
+                found=f"{start}, {stop}",
+            )
+        return self.events(int(self.starts[start]), int(self.starts[stop]))
+
+    def events(self, first: int, last: int) -> Events:
+        """The events [first, last), counted from the start of the recording; SchemaError if their slice is another."""
+        events = Events(*(self.read(f"events/{column}", first, last) for column in Events._fields))
+        if events.size:
+            self.check_slices(events.t, first, last)
+        return events
+
+    def check_slices(self, t: NDArray[np.int64], first: int, last: int) -> None:
+        """Raise SchemaError unless the events [first, last), whose times do not decrease, lie in their slices."""
+        begin, end = np.searchsorted(self.starts, (first, last - 1), side="right")
+        edges = np.clip(self.starts[begin - 1 : end + 1], first, last) - first
+        slices = np.arange(begin - 1, end)
+        held = edges[1:] > edges[:-1]
+        earliest, latest = t[edges[:-1][held]], t[edges[1:][held] - 1]
+        wrong = (earliest < slices[held] * SLICE_US) | (latest >= (slices[held] + 1) * SLICE_US)
+        if wrong.any():
+            index = int(np.argmax(wrong))
+            slice_ = int(slices[held][index])
+            raise SchemaError(
+                "ms_to_idx does not fit events/t",
+                where=str(self.path),
+                expected=f"times from {slice_ * SLICE_US} to {(slice_ + 1) * SLICE_US - 1} us in slice {slice_}",
+                found=f"{earliest[index]} to {latest[index]}",
+            )
+
+    def __getitem__(self, index: int) -> Events:
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        index %= len(self)
+        if self._events is None or not self._block[0] <= index < self._block[1]:
+            start = index - index % BLOCK_SLICES
+            self._block = (start, min(start + BLOCK_SLICES, len(self)))
+            self._events = self.between(*self._block)
+        base = self.starts[self._block[0]]
+        return self._events.part(int(self.starts[index] - base), int(self.starts[index + 1] - base))
+
+    def __iter__(self) -> Iterator[Events]:
+        for index in range(len(self)):
+            yield self[index]
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open a recording for reading by slices; InputError if it is anything else.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     counts = [events.size for events in recording]      # one Events a millisecond
+    ...     shear_n = recording.read("truth/shear_force_n")     # any dataset by its path
+    >>> len(counts) == len(shear_n)
+    True
+    """
+    return Recording(Path(path))
+
+
+def ramp_start(recording: Recording) -> int:
+    """The slice in which the target current first departs from the one that holds the object; 0 without a gripper."""
+    if not recording.has("gripper"):
+        return 0
+    target_ma = recording.read("gripper/current_target_ma")
+    change = np.diff(target_ma)  # NaN in position mode
+    changed = np.flatnonzero(np.isfinite(change) & (change != 0))
+    return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0
+
+
+def true_onset(recording: Recording, first: int = 0, stop: int | None = None) -> int | None:
+    """The first slice of gross slip in first .. stop, since the current began to fall; None where there is none."""
+    return first_slice(recording.read("truth/slip")[:stop] > 0, max(first, ramp_start(recording)))
+
+
+def first_slice(is_so: NDArray[np.bool_], start: int) -> int | None:
+    """The first slice from `start` on that is marked, of (slices,); None without one."""
+    slices = start + np.flatnonzero(is_so[start:])
+    return int(slices[0]) if len(slices) else None
+
+
+class SlipWindows:
+    """Windows of features with their labels: a map-style data set that torch's DataLoader takes as it is.
+
+    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32); a window holds for every dot its distances
+    from rest in px, then its event counts, of the last `history` slices, the newest first. Slices without a full
+    history, without an examined label, or `after_onset` slices and more after the onset are left out.
+
+    The files are read once, one after the other, and unpacked into a temporary file without a name (450 bytes a slice
+    of 56 dots, in the folder that TMPDIR names), from which windows are read: memory does not grow with it. Workers
+    that are forked share it; those that are spawned read the files again.
+
+    >>> import torch
+    >>> windows = evetac.SlipWindows(["a.features.h5"], history=10)
+    >>> loader = torch.utils.data.DataLoader(windows, batch_size=16, shuffle=True)
+    >>> batch, label = next(iter(loader))
+    >>> batch.shape, label.shape
+    (torch.Size([16, 56, 20]), torch.Size([16]))
+    """
+
+    def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:
+        self.paths, self.history, self.after_onset = [Path(path) for path in paths], history, after_onset
+        self._dots: list[int] = []  # of each file
+        self._first: list[int] = []  # of its values
+        # of each window: its file, its slice there, its label
+        index: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
+        values = joined_on_disk(None, self._unpacked(index))
+        self._values: NDArray[np.float32] = values[0] if values else np.empty(0, np.float32)
+        self._index = np.concatenate(index)
+
+    def _unpacked(self, index: list[NDArray[np.int32]]) -> Iterator[tuple[NDArray[np.float32]]]:
+        """Distances and event counts of each file, slice by slice; `index` is filled on the way."""
+        first = 0
+        for number, path in enumerate(self.paths):
+            with StageFile(path, "features") as file:
+                if not file.has("label"):
+                    raise InputError(
+                        "these features have no labels", where=str(path), hint="evetac label, then featurize"
+                    )
+                label, onset = file.read("label"), int(file.read("onset_slice"))
+                values = np.stack([file.read("displacement_px"), file.read("events_per_dot")], axis=1, dtype=np.float32)
+            stop = len(label) if onset < 0 else min(len(label), onset + self.after_onset)
+            usable = np.flatnonzero(label[:stop] >= 0)
+            usable = usable[usable >= self.history - 1]
+            index.append(np.stack([np.full_like(usable, number), usable, label[usable]], axis=1, dtype=np.int32))
+            self._dots.append(values.shape[2])
+            self._first.append(first)
+            first += values.size
+            yield (values.reshape(-1),)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For workers that are spawned, which have files of their own."""
+        return SlipWindows, (self.paths, self.history, self.after_onset)
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
+        number, slice_, label = self._index[index].tolist()
+        row = 2 * self._dots[number]
+        begin = self._first[number] + (slice_ + 1 - self.history) * row
+        values = self._values[begin : begin + self.history * row].reshape(self.history, row)
+        # newest first; of each dot its distances, then its event counts
+        window = values[::-1].reshape(self.history, 2, -1).transpose(2, 1, 0)
+        return window.reshape(-1, 2 * self.history), np.float32(label)

@@ -1,0 +1,313 @@
+"""Recordings of devices: closed segments in NAME.part/, joined into one file at the end.
+
+Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
+segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
+last quarter of a second is on disk: of wall time, which is that of devices. Trials that can be simulated again are
+written once (trial_writer.py). A folder NAME.part/ that is left over means that a recording broke off; it holds all
+that `evetac repair` needs (recovery.py). Segments are not compressed: that would cost a tenth of the time in
+which they fill, at a million events a second, and the recorder must not leave its devices unread for so long. Each
+dataset carries its CRC-32 instead, so that damage is seen.
+"""
+
+import fcntl
+import json
+import re
+import time
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.store.files import put_header, replacing
+from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, row_blocks
+from evetac_cli.store.hdf5.chunks import RowWriter, put
+from evetac_cli.store.hdf5.disk import make_own_folder, missing_folders, new_file, open_lock, remove_empty
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.netcdf import describe_dataset
+from evetac_cli.store.layout.provenance import ContentDigest, Header, Recipe
+from evetac_cli.store.recordings import part_folder
+from evetac_cli.store.recordings.part_folder import JOINED, LATE, LOCK, SEGMENT, STATIC
+from evetac_cli.store.recordings.trial_writer import TrialBuffer
+
+SEGMENT_S = 0.25  # at most one segment in this time, in wall time
+SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
+COUNTS = "events_per_slice"
+STARTS = "ms_to_idx"
+BLOCK_ROWS = 1 << 16  # of lost slices, which are written at once
+# Attributes of a segment, of its datasets, and of STATIC.
+FIRST_SLICE = "first_slice"
+CRC = "crc32"
+RECIPE = "recipe"
+
+
+class RecordingWriter:
+    """Append slices and rows; nothing is in `path` until `finish`.
+
+    Rows are named by their schema path, such as `gripper/t_us`, and may come at any rate of their own.
+    """
+
+    def __init__(self, path: Path, static: Mapping[str, Any], *, recipe: Recipe | None = None) -> None:
+        """Make NAME.part/; `static` holds what is known beforehand (sensor/..., t_offset).
+
+        A left-over NAME.part/ that holds segments is refused. With a `recipe` what is left by a recording that breaks
+        off can be repaired.
+        """
+        self.path = path
+        self.folder = _part_folder(path)
+        self._made = missing_folders(path.parent)
+        self._lock: BinaryIO | None = None
+        try:
+            self._claim()
+        except KeyboardInterrupt:
+            self._remove_if_only_begun()
+            raise
+        try:
+            about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
+            self._write(self.folder / STATIC, static, about)
+        except BaseException:
+            self.discard()
+            raise
+        self._waiting = TrialBuffer()
+        self._segments = 0
+        self._slices = 0
+        self.events = 0
+        self._closed_at = time.monotonic()
+
+    def _claim(self) -> None:
+        """Make the folder ours; a lock tells a recording in progress from one that broke off."""
+        try:
+            make_own_folder(self.folder)
+            self._lock = lock = open_lock(self.folder / LOCK)  # held until finish() or discard()
+        except (FileExistsError, NotADirectoryError):
+            raise InputError("the output folder is a file", where=str(self.folder)) from None
+        except OSError as error:
+            raise InputError(f"cannot be made: {error.strerror}", where=str(self.folder)) from None
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._unlock()
+            raise InputError("another process is recording here", where=str(self.folder)) from None
+        try:
+            part_folder.refuse_strange(self.folder)
+        except InputError:
+            (self.folder / LOCK).unlink()
+            self._unlock()
+            raise
+        try:
+            refuse_leftover(self.path)
+        except InputError:
+            self._unlock()
+            raise
+        part_folder.remove(self.folder, keep=LOCK)
+
+    def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
+        """Add one slice (its events may be none) and one row to each of the named datasets; arrays are not copied."""
+        self._waiting.append(events, rows or {})
+        self.events += events.size
+        if self._waiting.event_count >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
+            self.close_segment()
+
+    def append_rows(self, rows: Mapping[str, Any]) -> None:
+        """Add one row to each of the named datasets, beside the slices."""
+        self._waiting.append_rows(rows)
+
+    def close_segment(self) -> None:
+        """Write everything that waits as the next segment."""
+        if self._waiting.events:
+            counts = self._waiting.counts()
+            arrays = {COUNTS: counts, **self._waiting.columns()}
+            self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})
+            self._segments += 1
+            self._slices += len(counts)
+            self._waiting = TrialBuffer()
+        self._closed_at = time.monotonic()
+
+    def finish(self, recipe: Recipe, late: Mapping[str, Any] | None = None) -> Header:
+        """Close, join all segments into `path` and remove the folder; `late` adds what is only known at the end."""
+        self.close_segment()
+        parts = [self.folder / f"{number:06d}.h5" for number in range(self._segments)]
+        header = join(self.folder, self.path, recipe, late or {}, parts)
+        with suppress(OSError):  # on a full disk; then the next lines have not much to do
+            (self.folder / JOINED).touch()
+        self.discard()
+        return header
+
+    @property
+    def segments(self) -> int:
+        """How many were written."""
+        return self._segments
+
+    def leave(self) -> None:
+        """Let go of the folder: what is in it waits for `evetac repair`; without a segment it goes."""
+        if self._segments == 0:
+            self.discard()
+        self._unlock()
+
+    def leave_complete(self, late: Mapping[str, Any]) -> None:
+        """Close, and leave the folder with all that `evetac repair` needs to do what `finish` would have done."""
+        self.close_segment()
+        self._write(self.folder / LATE, late, {})
+        self.leave()
+
+    def discard(self) -> None:
+        """Throw the folder away: of a recording that is joined, or that nobody wants."""
+        part_folder.remove(self.folder)  # before the lock is let go: the next may be waiting for it
+        remove_empty(self._made)
+        self._unlock()
+
+    def _remove_if_only_begun(self) -> None:
+        """Remove the folder where it holds nothing but the lock, and that is ours."""
+        with suppress(OSError):
+            if self._lock is None:
+                self.folder.rmdir()
+            else:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if [file.name for file in self.folder.iterdir()] == [LOCK]:
+                    (self.folder / LOCK).unlink()
+                    self.folder.rmdir()
+        self._unlock()
+        remove_empty(self._made)
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
+
+    @staticmethod
+    def _write(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+        temporary = path.with_suffix(".tmp")
+        table = schema.load("recording")
+        try:
+            with new_file(temporary) as h5:
+                h5.attrs.update(about)
+                for name, value in arrays.items():
+                    if isinstance(value, str):
+                        put(h5, name, value)
+                    else:
+                        h5.create_dataset(name, data=value, track_times=False).attrs[CRC] = checksum(value)
+                    describe_dataset(h5[name], table.find(name))
+            temporary.replace(path)
+        except OSError as error:
+            with suppress(OSError):
+                temporary.unlink()
+            raise InputError(
+                f"a segment cannot be written: {error.strerror or error}",
+                where=str(path.parent),
+                hint="free some space on this disk",
+            ) from error
+
+
+def refuse_leftover(path: Path) -> None:
+    """InputError where a recording of this name broke off, and its segments wait for repair."""
+    folder = _part_folder(path)
+    if not folder.is_dir() or (folder / JOINED).exists():
+        return
+    if any(re.fullmatch(SEGMENT, file.name) for file in folder.iterdir()):
+        raise InputError(
+            "a recording broke off here and cannot be made again",
+            where=str(folder),
+            hint=f"evetac repair {folder}, or write elsewhere with -o",
+        )
+
+
+def _part_folder(path: Path) -> Path:
+    return path.with_name(path.name.removesuffix(".h5") + ".part")
+
+
+def checksum(value: Any) -> int:
+    """CRC-32 of the bytes of an array, as stored beside it in a segment."""
+    return zlib.crc32(np.ascontiguousarray(value).tobytes())
+
+
+def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], parts: Sequence[Path | int]) -> Header:
+    """Join segments of NAME.part/ into one recording, block by block: memory does not grow with its length.
+
+    parts: the segments in their order; a number stands for so many slices that were lost: they are empty, and what is
+    stored of every slice is NaN there. Values are not looked at: what devices gave is kept as it is. The digest of the
+    stored arrays enters the recipe, because such a recording cannot be made again.
+    """
+    per_slice = _float_of_every_slice(parts)
+    digest = ContentDigest()
+    events = 0
+    whole = {**_static(folder), **late}
+    shapes = {name: schema.describe(value) for name, value in whole.items()}
+    with replacing(path) as h5:
+        for name, value in whole.items():
+            put(h5, name, value)
+            digest.update(name, value)
+
+        writers: dict[str, RowWriter] = {}
+
+        def put_more(name: str, rows: Any) -> None:
+            """Append rows to a dataset, which is made by the first."""
+            if name not in writers:
+                writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:])
+            writer = writers[name]
+            writer.append(rows)
+            digest.update(name, rows)
+            shapes[name] = (rows.dtype.name, (writer.rows, *rows.shape[1:]))
+
+        put_more(STARTS, np.zeros(1, np.int64))
+        for part in parts:
+            if isinstance(part, int):
+                for count in _in_blocks(part):
+                    put_more(STARTS, np.full(count, events, np.int64))
+                    for name, (dtype, row_shape) in per_slice.items():
+                        put_more(name, np.full((count, *row_shape), np.nan, dtype))
+                continue
+            with CheckedHdf5(part) as segment:
+                for name, dataset in segment.datasets().items():
+                    for rows in row_blocks(dataset):
+                        if name != COUNTS:
+                            put_more(name, rows)
+                        else:
+                            ends = events + np.cumsum(rows)
+                            put_more(STARTS, ends.astype(np.int64))
+                            events = int(ends[-1]) if len(ends) else events
+        table = schema.load("recording")
+        for column in Events._fields:  # a recording without a single slice still has its columns
+            name = f"events/{column}"
+            described = table.find(name)
+            if name not in writers and described is not None:
+                put_more(name, np.empty(0, described.dtype))
+        for writer in writers.values():
+            writer.close()
+        schema.refuse("recording", schema.problems(table, shapes), str(folder))
+        header = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()}).header()
+        put_header(h5, header)
+    return header
+
+
+def _static(folder: Path) -> dict[str, Any]:
+    """What was known of a recording at its start."""
+    with CheckedHdf5(folder / STATIC) as static:
+        return {
+            name: static.text(name, dataset) if schema.describe_stored(dataset) == "utf8" else dataset[()]
+            for name, dataset in static.datasets().items()
+        }
+
+
+def _in_blocks(count: int) -> Iterator[int]:
+    """Numbers of at most BLOCK_ROWS that add up to `count`."""
+    for start in range(0, count, BLOCK_ROWS):
+        yield min(BLOCK_ROWS, count - start)
+
+
+def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, tuple[int, ...]]]:
+    """Name -> (dtype, shape of a row) of what segments hold of every slice beside events, as far as it may be NaN."""
+    table = schema.load("recording")
+    first = next((part for part in parts if isinstance(part, Path)), None)
+    if first is None or len(parts) < 2:
+        return {}
+    with CheckedHdf5(first) as segment:
+        columns = {name: (dataset.dtype, dataset.shape[1:]) for name, dataset in segment.datasets().items()}
+    described = {name: table.find(name) for name in columns}
+    return {
+        name: columns[name]
+        for name, row in described.items()
+        if row is not None and row.dims and row.dims[0] == "slices" and row.dtype.startswith("float")
+    }

@@ -1,0 +1,122 @@
+"""grasp: detect slip at 1000 Hz and control the gripper at 500 Hz (paper, section VII).
+
+Light contact, lifting, balancing. The detector folds the same kernels over live slices that `track` and `featurize`
+fold over a file (online_detector.py). It counts slices with slip; the controller checks every 2 ms whether the count
+has risen (loop.py). What the flags say is resolved once (settings.py) and carried by the trials, of each of which a
+module takes care: SimulatedGrasp (simulated.py), DeviceGrasp (real_time.py) and ReplayGrasp (replay.py).
+"""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.parameter import flag_of, refuse_unused
+from evetac_cli.devices import cameras as named_cameras
+from evetac_cli.devices import grippers as named_grippers
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.names import Capability
+from evetac_cli.store.files import up_to_date
+from evetac_cli.trials import part_costs
+from evetac_cli.trials.grasp import simulated
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
+from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
+from evetac_cli.trials.trial import OUTPUT as OUTPUT
+from evetac_cli.trials.trial import simulated_trials
+
+METHOD = simulated.METHOD
+OF_DETECTOR = ("model", "slip_threshold", "tracker")
+TIMERS = (("slip detector", OnlineSlipDetector, "step"),)  # what a dry run times beside the scene
+NEVER = frozenset({Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED})  # words of `record`
+
+
+def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
+    """One recording for every object and trial."""
+    camera = named_cameras.parse(params.camera)
+    _refuse_unused(params, camera)
+    settings = GraspSettings.of(params)
+    if settings.detector is None:
+        _refuse_detector_options(params)
+    gripper = _gripper(params, camera)
+    if not camera.has(Capability.STEPPED):
+        from evetac_cli.trials.grasp import real_time  # with all that belongs to devices
+
+        return real_time.jobs(camera, gripper, params, settings, out)
+    return [
+        SimulatedGrasp(
+            **vars(trial) | {"view": settings.view(params)},
+            settings=settings,
+            timing=settings.timing(trial.plan.scene.time.touch_s),
+        )
+        for trial in simulated_trials(("lift",), params, out)
+    ]
+
+
+def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
+    has = set(camera.capabilities)
+    if not has & {Capability.STEPPED, Capability.REPLAY}:
+        has.add(Capability.GRASPED)
+    if params.live:
+        has.add(Capability.SHOWN)
+    flags = f"--camera {params.camera}{params.gripper_flag()}{', --live' * params.live}"
+    refuse_unused(params, has, flags, never=NEVER)
+
+
+def _refuse_detector_options(params: Grasp) -> None:
+    """InputError for an option of the detector, for a controller that uses none."""
+    for item in fields(params):
+        value = getattr(params, item.name)
+        if item.name in OF_DETECTOR and value != item.default:
+            without = f"no detector is used with --controller {params.controller}"
+            raise InputError(without, where=flag_of(item), found=str(value))
+
+
+def _gripper(params: Grasp, camera: NamedCamera) -> NamedGripper:
+    """The gripper that is named, or that belongs to the camera; InputError for a pair that makes no grasp."""
+    stepped, replayed = camera.has(Capability.STEPPED), camera.has(Capability.REPLAY)
+    own = named_grippers.Simulated.name if replayed else camera.own_gripper
+    gripper = named_grippers.parse(params.gripper if params.gripper is not None else own)
+    fits = stepped or replayed if gripper.has(Capability.STEPPED) else gripper.has(Capability.MOVED) and not stepped
+    if not fits:
+        raise InputError(
+            "a grasp needs a camera and a gripper that belong together",
+            where="--camera, --gripper",
+            expected="both sim; or a gripper that is virtual or at a PORT; or replay:RECORDING with sim",
+            found=f"{camera}, {gripper}",
+        )
+    return gripper
+
+
+def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """What would be built or done, and what that costs; refused what a run refuses."""
+    trials = [job for job in jobs if isinstance(job, SimulatedGrasp)]
+    if not trials:
+        from evetac_cli.trials.grasp import real_time
+
+        others = [job for job in jobs if isinstance(job, DeviceGrasp | ReplayGrasp)]
+        return real_time.dry_run(others, force=force)
+    for trial in trials:
+        up_to_date(trial.output, simulated.make_recipe(trial), force=force)
+    return part_costs.dry_run(trials, simulated.play, TIMERS, progress)
+
+
+def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Grasp one object and record everything: in simulation, in real time, or on a recording."""
+    match job:
+        case SimulatedGrasp():
+            return simulated.run(job, force=force, progress=progress)
+        case ReplayGrasp():
+            from evetac_cli.trials.grasp import replay
+
+            return replay.run(job, force=force, progress=progress)
+        case DeviceGrasp():
+            from evetac_cli.trials.grasp import real_time
+
+            return real_time.run(job, force=force, progress=progress)
+    raise TypeError(f"grasp has no {type(job).__name__}")
+
+
+STAGE = Stage(jobs, run, dry_run=dry_run, dry_run_for_people=part_costs.for_people)

@@ -1,0 +1,377 @@
+"""The controller's process of a grasp in real time: every 2 ms read the gripper and the detector's status, command.
+
+Deadlines are absolute: a step that comes late does not move those after it, and one that is missed is counted, not made
+up for. Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That
+is also what happens where the bus fails, and where the detector publishes no status, its camera gives no event, or the
+recorder (the parent of all) gives no sign of life for longer than FRESH of the watchdog's time; a recorder writes to a
+disk, and has RECORDER_MS if that is longer. What this process itself cannot notice, its own death, is noticed by the
+servo, whose Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets
+go before it commands anything.
+
+Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
+not idle.
+"""
+
+import contextlib
+import gc
+import math
+import os
+import signal
+import time
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+from evetac_cli import console
+from evetac_cli.devices import Gripper
+from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
+from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.grip.control import Control, Law
+from evetac_cli.realtime.last_words import error_words
+from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
+from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
+from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.trials.grasp.loop import Timing, control_row
+from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_MS
+
+PRIORITY = 30
+BATCH_STEPS = 25  # whose rows the recorder gets at once
+COMMAND_BYTES = 19  # of a goal position on the wire, 10 bits each
+FROZEN_US = 10_000.0  # a step so much later than due was stopped, or waited for an answer
+FRESH_US = 150.0  # age that a status should have when a step reads it: the detector is not always as fast
+FOLLOWING = 0.02  # of what a step is off, so much is corrected at a time
+MOST_SHIFT_US = 4.0
+FLUSH_S = 5.0
+LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
+DYING_S = 0.5
+FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first slice
+WAITING_S = 0.01
+ORDER_S = 0.1
+OVER = "the grasp is over"
+DETECTOR = "the detector"
+RECORDER_HANGS = "the recorder hangs"
+STOPPED = "stopped"
+TOO_LONG = "the time allowed is over"
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What the controller's process is made of; it is sent there."""
+
+    port: str
+    baud: int
+    gripper: RhP12RnSettings
+    law: Law
+    timing: Timing
+    watchdog_ms: int
+    most_s: float  # that the grasp may take, whatever the camera's clock says
+    time: TimeSource = HOST_TIME  # by which the controller goes
+
+
+class GripperReady(NamedTuple):
+    """The gripper is set up, and has no torque before its first command."""
+
+    setup: dict[str, Any]
+    scheduling: str
+
+
+class ControllerEnded(NamedTuple):
+    """Why no more commands are given."""
+
+    ended: str
+    error: Exception | None  # where that was not meant
+    steps: int
+    missed: int  # deadlines
+    seconds: float  # from the first step to the last
+    cycle_us: "array[float]"  # of every step, from its beginning to the end of its command
+    alive_us: float  # last event of the camera where it is silent, else last status; NaN if the bus failed
+    released_us: float  # when torque was off; NaN where that is not known
+    counted: dict[str, int]
+    torque: str = "torque was never on"  # in words, as it was read back
+
+
+class Pace:
+    """Absolute deadlines at equal distances, on a clock that may be another one in tests."""
+
+    def __init__(
+        self, period_s: float, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
+    ) -> None:
+        self._period_s = period_s
+        self._clock, self._sleep = clock, sleep
+        self._began_s = clock()
+        self._next = 0
+        self.missed = 0
+
+    def shift(self, later_us: float) -> None:
+        """Move all further deadlines by this time, which may be negative."""
+        self._began_s += later_us * 1e-6
+
+    def wait(self) -> float:
+        """Sleep until the next deadline; how much later than that it is then, in us.
+
+        A step has until the next deadline to be done. Deadlines that passed before it was are counted as missed; the
+        next step then begins at once, and where several passed, it stands for all of them.
+        """
+        if self._next:
+            passed = int((self._clock() - self._began_s) / self._period_s) - (self._next - 1)
+            self.missed += max(passed, 0)
+            self._next += max(passed - 1, 0)
+        due_s = self._began_s + self._next * self._period_s
+        self._next += 1
+        early_s = due_s - self._clock()
+        if early_s > 0:
+            self._sleep(early_s)
+        return max(self._clock() - due_s, 0.0) * 1e6
+
+
+def shift_us(age_us: float) -> float:
+    """How much later deadlines should be, given how old the status was that a step read.
+
+    There is a new one every millisecond. A step that reads just before it comes learns of slip a millisecond later than
+    one that reads just after. So the steps follow, by little at a time: the camera's clock may run a little otherwise.
+    """
+    off_us = (FRESH_US - age_us + SLICE_US / 2) % SLICE_US - SLICE_US / 2
+    return min(max(FOLLOWING * off_us, -MOST_SHIFT_US), MOST_SHIFT_US)
+
+
+class Watch:
+    """Says when detector or recorder are dead or hang, or the camera is silent.
+
+    Why so: a busy computer stops all of its processes now and then. So silence counts from where the controller itself
+    has been awake, and who was stopped with it has the time to go on; but no more than once that time, or a controller
+    that is late at every step would never see anything.
+    """
+
+    def __init__(self, watchdog_ms: float, has_ended: Callable[[], bool] = lambda: False) -> None:
+        """`has_ended` says whether the detector's process has ended, which needs no waiting."""
+        self._fresh_us = 1e3 * FRESH * watchdog_ms
+        self._recorder_us = max(self._fresh_us, 1e3 * RECORDER_MS)
+        self._has_ended = has_ended
+        self._awake_us = -math.inf
+
+    def slept_until(self, now_us: float) -> None:
+        """The controller was stopped until now."""
+        self._awake_us = now_us
+
+    def fault(self, status: DetectorStatus, recorder_us: float, now_us: float) -> tuple[str, float]:
+        """What is wrong, "" if nothing is, and when what is at fault was last alive.
+
+        recorder_us: when the recorder last was.
+        """
+        if self._has_ended():
+            return f"{DETECTOR} died", status.at_us
+        for what, alive_us, most_us in (
+            (f"{DETECTOR} hangs: no sign of life", status.at_us, self._fresh_us),
+            ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
+            (f"{RECORDER_HANGS}: no sign of life", recorder_us, self._recorder_us),
+        ):
+            silent_us = now_us - alive_us
+            if silent_us > 2 * most_us or min(silent_us, now_us - self._awake_us) > most_us:
+                return f"{what} for {silent_us * 1e-3:.0f} ms", alive_us
+        return "", status.at_us
+
+
+def run_controller(
+    settings: ControllerSettings, shared: SharedStatus, orders: Connection, pipe: Connection, detector: Connection
+) -> None:
+    """The controller's process: wait for an order, open the gripper, command until the end, torque off, say why.
+
+    detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
+    """
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
+    ending = remember_signals()
+    recorder = os.getppid()
+    outbox = MessageWriter(pipe)
+    result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
+    gripper: RhP12Rn | None = None
+    try:
+        while not take_order(orders, ORDER_S):
+            _raise_if_ended(ending)
+        scheduling = set_realtime_priority(PRIORITY)
+        with RhP12Rn(settings.port, settings.baud, "position", settings.gripper) as gripper:
+            setup = {name: value for name, value in gripper.described.items() if name != "eeprom_written"}
+            outbox.put(GripperReady(setup, scheduling))
+            outbox.flush(FLUSH_S)
+            gc.collect()
+            gc.freeze()
+            gc.disable()  # the loop makes no cycles
+            clock, sleep = settings.time.now_s, settings.time.sleep
+            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, detector.poll, ending)
+    except PeerGone:  # whoever started this; it may have only asked this to end
+        result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
+        _speak_for_recorder(result, died=_has_died(recorder))
+        return
+    except EvetacError as error:
+        result = result._replace(ended=str(error).splitlines()[0], error=error)
+    except BaseException as error:  # raised by the process that started this
+        torque = result.torque if gripper is None else gripper.release_words
+        failed = DeviceError(f"the controller failed: {error_words(error)}; {torque}")
+        result = result._replace(ended=str(failed), error=failed, torque=torque)
+    _speak_for_recorder(result, died=os.getppid() != recorder)
+    outbox.put(result)
+    with contextlib.suppress(PeerGone):
+        outbox.flush(LAST_FLUSH_S)
+
+
+def _has_died(parent: int) -> bool:
+    """Whether the parent is dead, given that its end of a pipe is closed: a dying one closes them a little before."""
+    until_s = time.monotonic() + DYING_S
+    while os.getppid() == parent and time.monotonic() < until_s:
+        time.sleep(WAITING_S)
+    return os.getppid() != parent
+
+
+def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:
+    """Tell the user what became of torque, where the recorder cannot, or not now."""
+    with contextlib.suppress(OSError):  # there may be no terminal any more
+        if died:
+            kept = "what was recorded until then waits for `evetac repair`"
+            console.say(f"error: the recorder died; {result.torque}; {kept}")
+        elif RECORDER_HANGS in result.ended:
+            console.say(f"error: {result.ended}; {result.torque}")
+
+
+def command_grasp(
+    gripper: Gripper,
+    shared: SharedStatus,
+    settings: ControllerSettings,
+    outbox: MessageWriter,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+    has_ended: Callable[[], bool] = lambda: False,
+    ending: Sequence[int] = (),
+) -> ControllerEnded:
+    """Command until the grasp is over, the order to stop or open comes, or something fails; then torque off.
+
+    has_ended: whether the detector's process has; clock and sleep in seconds; ending: signals that came here.
+    """
+    result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
+    try:
+        if _wait_for_status(shared, clock, sleep, ending):
+            result = _command(gripper, shared, settings, outbox, clock, sleep, has_ended, ending)
+        if result.ended == OPENED:
+            gripper.emergency_open()
+        gripper.close()  # without effect where the driver has let go of it already
+    except DeviceError as failed:
+        with contextlib.suppress(DeviceError):  # the words say it
+            gripper.close()
+        # before it, another fault may have ended the grasp
+        first = result.error if result.error is not None else failed
+        result = result._replace(ended=str(first).splitlines()[0], error=first, alive_us=math.nan)
+    torque = gripper.release_words
+    error = result.error
+    if isinstance(error, EvetacError) and torque not in str(error):
+        error.message += f"; {torque}"
+    bus_failed = error is not None and math.isnan(result.alive_us)  # the error says whether torque is off
+    released_us = math.nan if bus_failed else clock() * 1e6
+    return result._replace(released_us=released_us, counted=dict(gripper.counted), torque=torque)
+
+
+def _command(
+    gripper: Gripper,
+    shared: SharedStatus,
+    settings: ControllerSettings,
+    outbox: MessageWriter,
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+    has_ended: Callable[[], bool],
+    ending: Sequence[int],
+) -> ControllerEnded:
+    """The loop; its result does not yet say when torque was off."""
+    timing = settings.timing
+    control = Control(settings.law, timing.control_hz)
+    pace = Pace(1.0 / timing.control_hz, clock, sleep)
+    watch = Watch(settings.watchdog_ms, has_ended)
+    parent = os.getppid()
+    wire_us = COMMAND_BYTES * 1e7 / settings.baud
+    cycle_us = array("d")
+    rows: list[dict[str, Any]] = []
+    ended, error, alive_us = "", None, math.nan
+    began_s = last_s = clock()
+    missed_before = slips_before = 0
+    while True:
+        late_us = pace.wait()
+        begun_s = clock()
+        try:
+            reading = gripper.read()
+            now_us = clock() * 1e6
+            status = shared.latest()
+            assert status is not None
+            if now_us - begun_s * 1e6 + late_us > FROZEN_US:
+                watch.slept_until(now_us)
+            pace.shift(shift_us(now_us - status.at_us))
+            slice_ = max(int(now_us - status.zero_us) // SLICE_US, 0)
+            shared.controller_lives(now_us)
+            fault, alive_us = watch.fault(status, shared.recorder_us, now_us)
+            if slice_ >= timing.end_ms:
+                ended = OVER
+            elif shared.opening:
+                ended = OPENED
+            elif shared.stopping or os.getppid() != parent:
+                ended = STOPPED
+            elif begun_s > began_s + settings.most_s:
+                ended = TOO_LONG
+            elif fault:
+                ended, error = fault, DeviceError(fault, hint=OVERLOADED if "hangs" in fault else "")
+            elif ending:
+                ended = f"the controller was ended by {signal.Signals(ending[0]).name}"
+                error = DeviceError(ended)
+            if ended:
+                break
+            phase = timing.phase(slice_)
+            goal = control.step(phase, status.signal, reading.position_ticks)
+            silent_ms = (clock() - last_s) * 1e3
+            if silent_ms > settings.watchdog_ms:  # the servo has let go, and must not be made to grip again
+                ended, alive_us = f"the controller was stopped for {silent_ms:.0f} ms", last_s * 1e6
+                error = DeviceError(ended, hint=OVERLOADED)
+                break
+            gripper.write_position(goal)
+        except DeviceError as failed:
+            ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
+            break
+        last_s = clock()
+        cycle_us.append((last_s - begun_s) * 1e6)
+        row = control_row(control, phase, status.signal, reading, goal, round(now_us - status.zero_us))
+        row["control/late_us"] = late_us
+        row["control/missed"] = pace.missed - missed_before
+        row["control/latency_us"] = last_s * 1e6 + wire_us - status.slip_began_us(slips_before)
+        row["control/slices_processed"] = status.slices
+        missed_before, slips_before = pace.missed, status.signal.slips
+        rows.append(row)
+        if len(rows) >= BATCH_STEPS:
+            outbox.put(rows)
+            outbox.send()
+            rows = []
+    outbox.put(rows)
+    seconds = last_s - began_s
+    return ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
+
+
+def _raise_if_ended(ending: Sequence[int]) -> None:
+    """DeviceError if a signal came that ends this process."""
+    if ending:
+        raise DeviceError(f"the controller was ended by {signal.Signals(ending[0]).name}")
+
+
+def _wait_for_status(
+    shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None], ending: Sequence[int]
+) -> bool:
+    """Wait until the detector has evaluated a first slice; False if it was stopped before.
+
+    There is no torque yet.
+    """
+    until_s = clock() + FIRST_STATUS_S
+    parent = os.getppid()
+    while shared.latest() is None:
+        shared.controller_lives(clock() * 1e6)
+        if shared.stopping or os.getppid() != parent:
+            return False
+        _raise_if_ended(ending)
+        if clock() > until_s:
+            raise DeviceError(f"{DETECTOR} did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
+        sleep(WAITING_S)
+    return True

@@ -1,0 +1,367 @@
+"""A grasp in real time, with devices or their virtual twins: checked, started, recorded, and reported at the end.
+
+Three processes: the detector (detector_process.py) at 1000 Hz, the controller (controller_process.py) at 500 Hz, and
+this one, which records (recorder.py). The detector and the law are those of a simulated grasp.
+
+Latency is counted from the first event of the slice with slip to the last byte of the command. The event has the
+camera's time; the host's clock is matched to it by the fastest delivery within 5 s. So the shortest time of words from
+sensor to program (some 0.1 ms over USB) is not in it, and the clocks' drift in 5 s, 0.25 ms at 50 ppm, may be.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evetac_cli import console
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import VIRTUAL_WATCHDOG_FACTOR, NamedGripper
+from evetac_cli.devices.opening import open_peers, require_arm
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
+from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.names import Capability
+from evetac_cli.realtime.processes import at_niceness, set_realtime_priority
+from evetac_cli.realtime.shared_time import HOST_TIME
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.store.calibration import MAKE_GRID, read_calibration
+from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.segments import RecordingWriter
+from evetac_cli.trials import live_view, session
+from evetac_cli.trials.grasp import replay
+from evetac_cli.trials.grasp.controller_process import ControllerSettings
+from evetac_cli.trials.grasp.detector_process import DetectorSettings
+from evetac_cli.trials.grasp.loop import Timing
+from evetac_cli.trials.grasp.recorder import GraspProcesses, RecordedGrasp, record
+from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp
+from evetac_cli.trials.trial import ReplayTrial, device_trials
+
+if TYPE_CHECKING:
+    from evetac_cli.devices.virtual.world import VirtualWorld
+
+METHOD = 2  # of grasps in real time
+KINDS = ("lift",)  # of scenes that are grasped
+WATCHDOG_MS = 60  # where none is asked for
+EVENTS_S = 500_000  # that the disk must have room for
+SLOWEST_HZ = 100.0  # below, the watchdog would be blind
+SERVO_PRIORITY = 40  # hardware does not wait for a scheduler
+RECORDER_NICE, BESIDE_VIRTUAL = -5, 15  # behind the detector; beside devices that take as much, behind all
+LAST_TICK = 740  # closed; the law's own limit
+FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: what is held then falls"
+
+
+def jobs(
+    camera: NamedCamera, gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
+) -> Sequence[DeviceGrasp | ReplayGrasp]:
+    """One recording for every trial; InputError for what cannot be done, or must not without --arm."""
+    watchdog_ms = WATCHDOG_MS if params.watchdog_ms is None else params.watchdog_ms
+    driver = _driver(params, gripper, watchdog_ms)
+    touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s
+    timing = settings.timing(touch_s)
+    _check_timing(timing, params, gripper)
+    plan = (
+        f"{params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s, with at most"
+        f" {params.max_current_ma} mA; {FALLS}"
+    )
+    require_arm(gripper, armed=params.arm or params.dry_run, plan=plan)
+    trials = device_trials(KINDS, (camera,), gripper, params, out, prefix="grasp-")
+    if gripper.has(Capability.STEPPED):
+        return [
+            replay.grasp_of(
+                ReplayTrial(each.inputs, each.output, each.number, each.seed, None, camera), settings, touch_s
+            )
+            for each in trials
+        ]
+    calibration = None if params.calibration is None else read_calibration(params.calibration, camera.frame_px())
+    view = settings.view(params)
+    return [
+        DeviceGrasp(
+            **vars(each) | {"view": view},
+            settings=settings,
+            timing=timing,
+            driver=driver,
+            watchdog_ms=watchdog_ms,
+            most_s=params.max_seconds,
+            calibration=calibration,
+            armed=params.arm,
+        )
+        for each in trials
+    ]
+
+
+def _check_timing(timing: Timing, params: Grasp, gripper: NamedGripper) -> None:
+    """InputError for a timing that devices cannot keep."""
+    if timing.latency_ms and not gripper.has(Capability.STEPPED):
+        raise InputError("latency is added in simulation alone", where="--latency-ms", found=str(timing.latency_ms))
+    if timing.every_ms > 1000 / SLOWEST_HZ:
+        expected = f"at least {SLOWEST_HZ:g} Hz in real time"
+        raise InputError(
+            "too slow to be watched", where="--control-hz", expected=expected, found=str(params.control_hz)
+        )
+    if timing.end_ms > 1000 * params.max_seconds:
+        raise InputError(
+            "the grasp would take too long",
+            where="--max-seconds",
+            expected=f"at least the {timing.end_ms * 1e-3:g} s of contact, --lift-s and --balance-s",
+            found=f"{params.max_seconds:g}",
+        )
+
+
+def _driver(params: Grasp, gripper: NamedGripper, watchdog_ms: int) -> RhP12RnSettings:
+    """How the gripper is set up: an answer is waited for so long that two tries fit into the watchdog's time."""
+    try:
+        return gripper.settings(
+            max_current_ma=params.max_current_ma,
+            watchdog_ms=watchdog_ms,
+            answer_ms=min(ANSWER_MS, watchdog_ms / 3),
+            last_tick=LAST_TICK,
+        )
+    except ValueError as error:
+        raise InputError(str(error), where="--watchdog-ms") from None
+
+
+def check(trial: DeviceGrasp, *, force: bool) -> None:
+    """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
+    again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
+    session.refuse_taken(trial, again=again, hint=hint, force=force)
+    session.check_room(trial, EVENTS_S, trial.timing.end_ms * 1e-3, "a shorter --balance-s")
+    if trial.plan is not None and trial.calibration is None:
+        return  # its scene will say where the dots are
+    sensor = _sensor(trial, None)
+    if trial.settings.detector is not None:
+        trial.settings.detector.require_dots(sensor["sensor/dot_xy_px"])
+
+
+def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False) -> Outcome:
+    """What would be opened and done, checked as by a run; no device is touched, and no file written."""
+    for trial in trials:
+        if isinstance(trial, ReplayGrasp):
+            replay.check(trial, force=force)
+        else:
+            check(trial, force=force)
+    first = trials[0]
+    settings = first.settings
+    steps = f"{settings.control_hz:g} Hz, {settings.controller}"
+    if isinstance(first, ReplayGrasp):
+        camera = first.camera
+        moves = [("gripper", "sim", f"{steps}, moves nothing")]
+        watched = []
+    else:
+        camera = first.cameras[0]
+        moves = [("gripper", str(first.gripper), f"{steps}, at most {first.driver.max_current_ma} mA")]
+        watched = [("watchdog", f"{first.watchdog_ms} ms", "of silence, and torque is off")]
+    detector = "no slip detector"
+    if settings.detector is not None:
+        detector = f"slip detected 1000 times per second by {settings.detector.path}"
+    ends = ("end", f"after {first.timing.end_ms * 1e-3:g} s", FALLS)
+    parts = [("camera", str(camera), detector), *moves, ends, *watched]
+    return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
+
+
+def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
+    """Grasp once, in real time, and record everything."""
+    check(trial, force=force)
+    (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
+    settings, timing = trial.settings, trial.timing
+    is_hardware = gripper.has(Capability.HARDWARE)
+    if is_hardware:
+        session.wait_for_object(trial)
+    with ExitStack() as opened:
+        came = opened.enter_context(session.signals_interrupt())
+        view = opened.enter_context(live_view.opened(trial, f"grasp {trial.output.name}", moves=True))
+        durations = {"lift_s": settings.lift_s, "balance_s": settings.balance_s}
+        world, servo = open_peers(
+            camera, gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
+        )
+        signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
+        sensor = _sensor(trial, world)
+        parents = (*settings.parents(), *camera.parents())
+        detector = DetectorSettings(camera, seeds, sensor, settings.detector, timing.end_ms)
+        controller = ControllerSettings(
+            servo.port if servo is not None else gripper.port,
+            gripper.baud,
+            trial.driver,
+            settings.law,
+            timing,
+            # as the servo's own: where nothing real moves, a busy computer is forgiven
+            (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * trial.watchdog_ms,
+            trial.most_s,
+            HOST_TIME if world is None else world.time,
+        )
+        processes = GraspProcesses(detector, controller, world)
+        opened.callback(processes.close)
+        if servo is not None and servo.pid is not None:
+            set_realtime_priority(SERVO_PRIORITY, servo.pid)
+        camera_ready, gripper_ready = processes.begin(signals)
+        for note in camera_ready.notes:
+            console.say(note)
+        sensor = {**camera_ready.sensor, **sensor, "t_offset": np.int64(0)}
+        described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
+        if view is not None:
+            view.begin(sensor)
+        recipe = _recipe(trial, described, sensor, parents)
+        writer = RecordingWriter(trial.output, sensor, recipe=recipe)
+        if is_hardware and not signals:
+            console.say(f"{gripper} moves now; {FALLS}")
+        key = opened.enter_context(session.gripper_key(moves=not signals))
+        try:
+            if not signals:
+                processes.go()
+            # A grasp lasts while its recorder is alive.
+            with at_niceness(RECORDER_NICE if is_hardware else BESIDE_VIRTUAL):
+                recorded = record(
+                    *(processes, world, writer, timing.end_ms, signals, key),
+                    lambda done: progress(done, timing.end_ms),
+                    view,
+                )
+        except BaseException as error:
+            writer.leave()
+            processes.close()
+            console.say(f"{gripper}: {processes.last_words()}")
+            raise session.with_hint(error, writer) from None
+        processes.close()
+        if view is not None:
+            view.end(recorded.ended)
+        datasets = {
+            **recorded.datasets(),
+            "capture/scheduling": f"detector {camera_ready.scheduling}, controller {gripper_ready.scheduling}",
+        }
+        if world is not None:
+            datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
+        grasp_outcome, saved = _finish(writer, trial, recipe, recorded, datasets, world)
+    return _result(trial, recipe, recorded, datasets, grasp_outcome, saved)
+
+
+def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None") -> dict[str, Any]:
+    """The dot grid, which has to be known before the camera is opened; InputError if it is not."""
+    (camera,) = trial.cameras
+    if trial.calibration is not None:
+        sensor: Mapping[str, Any] = trial.calibration.arrays()
+    elif world is not None:
+        sensor = world.sensor
+    else:
+        sensor = camera.known_sensor()
+    if "sensor/dot_xy_px" not in sensor:
+        raise InputError(
+            "it is not known where the dots of this gel are",
+            where=str(camera),
+            expected="a dot grid",
+            hint=MAKE_GRID,
+        )
+    return dict(sensor)
+
+
+def _recipe(
+    trial: DeviceGrasp,
+    described: Mapping[str, Any],
+    sensor: Mapping[str, Any],
+    parents: tuple[Header, ...],
+) -> Recipe:
+    """What is known of a grasp beforehand; its content stands in for the rest.
+
+    parents: headers of the model and of what the camera plays. They take long to read, and now the camera runs.
+    """
+    (camera,) = trial.cameras
+    return session.make_recipe(
+        METHOD,
+        trial.settings.parameters(trial),
+        described,
+        sensor,
+        {"watchdog_ms": trial.watchdog_ms},
+        parents=parents,
+        simulated=camera.has(Capability.SIMULATED),
+    )
+
+
+def _finish(
+    writer: RecordingWriter,
+    trial: DeviceGrasp,
+    recipe: Recipe,
+    recorded: RecordedGrasp,
+    datasets: Mapping[str, Any],
+    world: "VirtualWorld | None",
+) -> tuple[dict[str, Any], Path | None]:
+    """Make the file; returns what became of the grasp, where truth is known, and the file, or the folder that is left.
+
+    No file is made of one without a step.
+    """
+    if not recorded.has_steps:
+        writer.discard()
+        return {}, None
+    late = dict(datasets)
+    grasp_outcome = None
+    if world is not None and trial.plan is not None and (truth := recorded.truth_arrays()):
+        late |= {**truth, "truth/sampled_parameters": world.sampled}
+        grasp_outcome = recorded.outcome(trial.plan.sensor.mm_per_px)
+    if grasp_outcome is not None:
+        late["control/outcome"] = json.dumps(grasp_outcome)
+    saved = session.finish(writer, recipe, late, ended=recorded.ended)
+    return grasp_outcome or {}, saved
+
+
+def _result(
+    trial: DeviceGrasp,
+    recipe: Recipe,
+    recorded: RecordedGrasp,
+    datasets: Mapping[str, Any],
+    grasp_outcome: Mapping[str, Any],
+    saved: Path | None,
+) -> Outcome:
+    """The row of a grasp; an error or Ctrl-C goes on from here, and says what was saved."""
+    result = None
+    if recorded.has_steps:
+        result = _row(trial, recipe, recorded, datasets, grasp_outcome)
+    words = f"{recorded.slices:,} slices in {session.place(saved)}" if saved else "nothing was recorded"
+    session.raise_end(recorded.error, recorded.ended, words, result, recorded.torque)
+    if result is None:
+        raise DeviceError("the grasp ended before its first step", found=recorded.ended)
+    return result
+
+
+def _row(
+    trial: DeviceGrasp,
+    recipe: Recipe,
+    recorded: RecordedGrasp,
+    datasets: Mapping[str, Any],
+    grasp_outcome: Mapping[str, Any],
+) -> Outcome:
+    """The figures of a grasp of which there is a file."""
+    timing: dict[str, float | None] = {}
+    for name, path, index in (
+        ("latency_us_median", "latency_us", 0),
+        ("latency_us_p99", "latency_us", 1),
+        ("step_late_us_p99", "step_late_us", 1),
+        ("command_us_median", "command_us", 0),
+    ):
+        values = datasets.get(f"capture/{path}")
+        timing[name] = None if values is None else float(values[index])
+    for name in ("slices_per_s", "commands_per_s"):
+        timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
+    late, commands = recorded.late_slices, len(recorded.step_late_us)
+    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s)
+    if too_slow is not None:
+        console.say(too_slow)
+    return outcome(
+        trial,
+        made=True,
+        simulated=recipe.simulated,
+        slices=recorded.slices,
+        ended=recorded.ended,
+        **timing,
+        command_misses=_whole(datasets.get("capture/command_misses")),
+        latencies=len(recorded.latency_us),
+        late_slices=late.count,
+        too_slow=too_slow,
+        scheduling=datasets["capture/scheduling"],
+        **session.lost_columns(datasets),
+        **grasp_outcome,
+    )
+
+
+def _whole(value: Any) -> int | None:
+    return None if value is None else int(value)

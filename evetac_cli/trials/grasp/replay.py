@@ -1,0 +1,153 @@
+"""A grasp on a recording: what detector and controller would have decided, slice by slice; nothing moves.
+
+The gripper is where the recording says it was, if it says so, and no command moves it. Time is the recording's: every
+slice is evaluated and every step made, however long they take, so that the same recording gives the same decisions.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import EventCamera, GripperReading, Rig
+from evetac_cli.devices.replay import ReplayCamera
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.sim.setup.plan import read_plan
+from evetac_cli.stages import row_blocks
+from evetac_cli.store.calibration import MAKE_GRID
+from evetac_cli.store.files import up_to_date, write_stage
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import Recording, open_recording
+from evetac_cli.store.recordings.trial_writer import TrialBuffer
+from evetac_cli.trials.grasp.loop import grasp_slices
+from evetac_cli.trials.grasp.settings import GraspSettings, ReplayGrasp
+from evetac_cli.trials.trial import OUTPUT, ReplayTrial
+
+METHOD = 2
+
+
+class RecordedGripper:
+    """A gripper that was where a recording says, at the time of the camera; commands have no effect."""
+
+    counted: Mapping[str, int] = MappingProxyType({})
+    release_words = ""
+
+    def __init__(self, recording: Recording, camera: EventCamera) -> None:
+        self._camera = camera
+        self._t_us = np.zeros(1, np.int64)
+        self._ticks, self._current_ma = np.zeros(1, np.int32), np.zeros(1, np.float32)
+        if recording.has("gripper") and recording.length("gripper/t_us"):
+            self._t_us = recording.read("gripper/t_us")
+            self._ticks = recording.read("gripper/position_ticks")
+            self._current_ma = recording.read("gripper/current_ma")
+
+    def read(self) -> GripperReading:
+        """The last reading before now; zeros if there was none."""
+        at = max(int(np.searchsorted(self._t_us, self._camera.now_us(), side="right")) - 1, 0)
+        return GripperReading(float(self._current_ma[at]), int(self._ticks[at]))
+
+    def write_current(self, current_ma: int) -> None:
+        """Without effect: the finger is where it was recorded."""
+
+    def write_position(self, goal_ticks: int) -> None:
+        """Without effect: the finger is where it was recorded."""
+
+    def emergency_open(self) -> None:
+        """Without effect: the finger is where it was recorded."""
+
+    def close(self) -> None:
+        """Without effect: the recording belongs to whoever opened it."""
+
+
+def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> ReplayGrasp:
+    """The grasp on a recording; InputError if the recording cannot be read.
+
+    Its phases are those of the recording, if it is one of a grasp, else those of the flags after a touch of `touch_s`.
+    """
+    with open_recording(trial.inputs[0]) as recording:
+        parameters = recording.header["parameters"]
+    timing = settings.timing(touch_s)
+    if {"scene", "lift_s", "balance_s"} <= set(parameters):
+        touch_s = read_plan(parameters, str(trial.inputs[0])).scene.time.touch_s
+        timing = settings.timing_with(touch_s, parameters["lift_s"], parameters["balance_s"])
+    return ReplayGrasp(**vars(trial), settings=settings, timing=timing)
+
+
+def check(trial: ReplayGrasp, *, force: bool) -> None:
+    """InputError for what a run would refuse; only files are read."""
+    with open_recording(trial.inputs[0]) as recording:
+        if not up_to_date(trial.output, _recipe(trial, recording), force=force):
+            _refuse_unknown_dots(trial, recording)
+
+
+def _recipe(trial: ReplayGrasp, recording: Recording) -> Recipe:
+    timing = trial.timing
+    parameters = {
+        **trial.settings.parameters(trial),
+        "replayed": True,
+        "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
+    }
+    return Recipe(OUTPUT, METHOD, parameters, parents=(*trial.settings.parents(), recording.header))
+
+
+def _refuse_unknown_dots(trial: ReplayGrasp, recording: Recording) -> None:
+    if trial.settings.detector is None:
+        return
+    if recording.dot_xy_px is None:
+        raise InputError(
+            "the recording has no dot grid", where=str(recording.path), hint=f"{MAKE_GRID} to evetac record"
+        )
+    trial.settings.detector.require_dots(recording.dot_xy_px)
+
+
+def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
+    """Detect slip and decide on a recording, and write events and decisions."""
+    settings = trial.settings
+    with open_recording(trial.inputs[0]) as recording:
+        recipe = _recipe(trial, recording)
+        if up_to_date(trial.output, recipe, force=force):
+            return outcome(trial, made=False, simulated=recipe.simulated)
+        _refuse_unknown_dots(trial, recording)
+        sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
+        detector = None if settings.detector is None else settings.detector.open(sensor)
+        slices = len(recording)
+        if not slices:
+            raise InputError("there is not a single slice", where=str(trial.inputs[0]))
+        camera = ReplayCamera(trial.inputs[0])
+        devices = Rig(camera, RecordedGripper(recording, camera))
+        steps = steps_with_slip = 0
+
+        def blocks() -> Iterator[dict[str, Any]]:
+            """What happened, in blocks of slices: an hour takes no more memory than a minute."""
+            nonlocal steps, steps_with_slip
+            happening = grasp_slices(devices, detector, settings.control(), trial.timing)
+            for first, stop in row_blocks(slices):
+                buffer = TrialBuffer()
+                for index, (events, rows) in enumerate(islice(happening, stop - first), first):
+                    buffer.append(events, rows)
+                    if index % 100 == 0:
+                        progress(index, slices)
+                block = buffer.columns()
+                slips = block.get("control/slip", np.empty(0, np.uint8))
+                steps, steps_with_slip = steps + len(slips), steps_with_slip + int(slips.sum())
+                yield block
+
+        lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), recording.event_count)
+        lengths["control/probability"] = slices
+        try:
+            write_stage(trial.output, recipe, {**sensor, "ms_to_idx": recording.starts}, blocks(), lengths)
+        finally:
+            devices.close()
+    return outcome(
+        trial,
+        made=True,
+        simulated=recipe.simulated,
+        slices=slices,
+        slices_with_slip=detector.count if detector is not None else 0,
+        steps=steps,
+        steps_with_slip=steps_with_slip,
+    )

@@ -1,0 +1,170 @@
+"""How a grasp is done, resolved once from its flags: law, detector, timing, gripper; and the trials that carry it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli import resources
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.grip import control as grip_control
+from evetac_cli.kernels.grip.control import Control, Law
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.tracker import TrackerConstants
+from evetac_cli.stages.slip_detectors import check_graph, require_useful
+from evetac_cli.store.calibration import Calibration
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.trials.grasp.loop import SLICES_S, Timing
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector, dots_for, open_detector
+from evetac_cli.trials.trial import DeviceTrial, ReplayTrial, SimulatedTrial, Trial, View
+
+if TYPE_CHECKING:
+    from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+
+
+@dataclass(frozen=True)
+class DetectorModel:
+    """The model of a slip detector, checked, and how it is run.
+
+    header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: from which
+    probability on the controller is told of slip.
+    """
+
+    path: Path
+    header: Header
+    preset: str
+    constants: TrackerConstants
+    threshold: float
+
+    @classmethod
+    def of(cls, params: Grasp) -> "DetectorModel":
+        """The model that the flags name; InputError if it must not be run, or is of no use.
+
+        Why so: asked before any device is touched, and a graph is better refused now than in the detector's process.
+        """
+        path = resources.model_file(params.model)
+        with StageFile(path, "model") as model:
+            check_graph(model)
+            require_useful(model)
+            header = model.header
+        return cls(path, header, params.tracker, tracker.PRESETS[params.tracker], params.slip_threshold)
+
+    def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:
+        """The detector for a sensor with these datasets `sensor/...`; InputError if its file was replaced meanwhile."""
+        with StageFile(self.path, "model") as model:
+            if model.header["id"] != self.header["id"]:
+                raise InputError("the model was replaced since this command began", where=str(self.path))
+            return open_detector(model, sensor, self.constants, self.threshold)
+
+    def require_dots(self, dot_xy_px: NDArray[np.float64]) -> None:
+        """InputError for dots, at rest at (rows, columns, 2), that the model is not for."""
+        with StageFile(self.path, "model") as model:
+            dots_for(model, dot_xy_px)
+
+
+@dataclass(frozen=True)
+class GraspSettings:
+    """Law, detector and timing of a series of grasps; detector: None for a law that does without."""
+
+    controller: str
+    gain: float
+    law: Law
+    control_hz: float
+    latency_ms: int
+    lift_s: float
+    balance_s: float
+    detector: DetectorModel | None
+
+    @classmethod
+    def of(cls, params: Grasp) -> "GraspSettings":
+        """As the flags say; InputError if there is no such controller, none with that gain, or no such model."""
+        try:
+            law = grip_control.make_law(params.controller, params.gain)
+        except ValueError as error:
+            where = "--controller" if params.gain == 1.0 else "--controller, --gain"
+            raise InputError("unknown value", where=where, expected=str(error).removeprefix("expected ")) from None
+        detector = DetectorModel.of(params) if grip_control.uses_detector(law) else None
+        lasts_s = params.lift_s, params.balance_s
+        return cls(params.controller, params.gain, law, params.control_hz, params.latency_ms, *lasts_s, detector)
+
+    def timing(self, touch_s: float) -> Timing:
+        """When the phases end, and how the controller is timed, after a contact of so long."""
+        return self.timing_with(touch_s, self.lift_s, self.balance_s)
+
+    def timing_with(self, touch_s: float, lift_s: float, balance_s: float) -> Timing:
+        """The timing for phases that are not those of the flags."""
+        touch_ms, lift_ms, balance_ms = (round(SLICES_S * each) for each in (touch_s, lift_s, balance_s))
+        return Timing(touch_ms, lift_ms, balance_ms, self.control_hz, self.latency_ms)
+
+    def control(self) -> Control:
+        """The controller at the beginning of a grasp."""
+        return Control(self.law, self.control_hz)
+
+    def view(self, params: Grasp) -> View | None:
+        """How the trials are shown, if the flags say so: with the detector of the grasp, else the package's."""
+        if params.shown_in is None:
+            return None
+        model = None if self.detector is None else self.detector.path
+        return View(params.shown_in, model, params.slip_threshold, params.tracker)
+
+    def parents(self) -> tuple[Header, ...]:
+        """The header of the detector's model, if there is one, as parents of a recipe."""
+        return () if self.detector is None else (self.detector.header,)
+
+    def parameters(self, trial: Trial) -> dict[str, Any]:
+        """The parameters of a grasp's recipe."""
+        detector = self.detector
+        tracking = None
+        if detector is not None:
+            tracking = {"preset": detector.preset, "constants": asdict(detector.constants)}
+        return {
+            **({} if trial.plan is None else trial.plan.parameters()),
+            "trial": trial.number,
+            "controller": self.controller,
+            "gain": self.gain,
+            "law": asdict(self.law),
+            "latency_ms": self.latency_ms,
+            "control_hz": self.control_hz,
+            "tracker": tracking,
+            "slip_threshold": None if detector is None else detector.threshold,
+            "lift_s": self.lift_s,
+            "balance_s": self.balance_s,
+        }
+
+
+@dataclass(frozen=True)
+class SimulatedGrasp(SimulatedTrial):
+    """A grasp in a simulated scene."""
+
+    settings: GraspSettings
+    timing: Timing
+
+
+@dataclass(frozen=True)
+class DeviceGrasp(DeviceTrial):
+    """A grasp with devices in real time.
+
+    driver: settings of the gripper's driver; watchdog_ms: as asked for; most_s: that it may take; calibration: of the
+    sensor, if one is given; armed: whether real fingers may be moved.
+    """
+
+    settings: GraspSettings
+    timing: Timing
+    driver: "RhP12RnSettings"
+    watchdog_ms: int
+    most_s: float
+    calibration: Calibration | None
+    armed: bool
+
+
+@dataclass(frozen=True)
+class ReplayGrasp(ReplayTrial):
+    """A grasp on a recording: what would have been decided; timing: the recording's, if it is one of a grasp."""
+
+    settings: GraspSettings
+    timing: Timing

@@ -1,0 +1,234 @@
+"""--live: a page in the browser, or a picture of characters on the terminal, of a recording while it is made.
+
+Whoever records hands over slices and commands through shared memory, which takes some us, and never waits for the view.
+The view is a process of its own, behind all others (process.py).
+"""
+
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evetac_cli import console
+from evetac_cli.devices import losses
+from evetac_cli.errors import DeviceError, missing_extra
+from evetac_cli.events import Events
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
+from evetac_cli.realtime.message_pipe import MessageWriter
+from evetac_cli.realtime.processes import start_shielded, wait_while_computing
+from evetac_cli.trials.live_view import browser
+from evetac_cli.trials.live_view.messages import (
+    BROWSER,
+    TERMINAL,
+    Begun,
+    Ended,
+    Lost,
+    Said,
+    Title,
+)
+from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
+from evetac_cli.trials.trial import Trial
+
+if TYPE_CHECKING:
+    from evetac_cli.trials.live_view.samples import OpenDetector
+
+LIBRARY = "tornado"
+END_S = 3.0
+MOST_BYTES = 1 << 20  # of messages that the view has not read yet
+SETTLED_MS = 2000  # after a simulation was this far behind real time, its pace counts from anew
+
+
+class LiveView:
+    """The view of one recording, as whoever records sees it; nothing here waits, and nothing fails with the view."""
+
+    def __init__(self, where: str, title: Title, open_detector: "OpenDetector") -> None:
+        """Start the view's process, and wait until it can be looked at; DeviceError if it does not come up."""
+        from evetac_cli.trials.live_view.process import run_view
+
+        context = multiprocessing.get_context("spawn")
+        self._shared = SharedView()
+        self._where = where
+        inbox, outbox = context.Pipe(duplex=False)
+        ready, ready_end = context.Pipe(duplex=False)
+        self._messages = MessageWriter(outbox, MOST_BYTES)
+        self._said: list[str] = []
+        self._lost: tuple[str, str] | None = None
+        self._missed = 0
+        self._has_ended = self._has_told = False
+        self._moves = title.moves
+        self._last_words = LastWords()
+        self._process = context.Process(
+            target=telling,
+            args=(self._last_words, run_view, where, title, self._shared, open_detector, inbox, ready_end),
+            name="evetac-live-view",
+            daemon=True,
+        )
+        start_shielded(self._process)
+        inbox.close()
+        ready_end.close()
+        try:
+            wait_while_computing(ready, self._process, "the live view did not come up")
+            self.url = str(ready.recv())
+        except EOFError:
+            how = exit_words(self._process, self._last_words)
+            raise DeviceError(
+                with_reason("the live view died while it started", how), hint="leave out --live"
+            ) from None
+        except BaseException:
+            self._process.kill()
+            raise
+        finally:
+            ready.close()
+
+    def begin(self, sensor: Mapping[str, Any]) -> None:
+        """The camera runs; sensor: its datasets `sensor/...`, and what else is known of them."""
+        known = {name: value for name, value in sensor.items() if name.startswith("sensor/")}
+        self._send(Begun(known))
+
+    def add_slice(self, events: Events, late_us: float = float("nan"), probability: float = float("nan")) -> None:
+        """Show one more slice; late_us: from its end until it came; probability: of slip, where the loop knows it."""
+        self._shared.add_slice(events, late_us, probability)
+
+    def add_command(self, row: Mapping[str, Any]) -> None:
+        """Show a command, as a row of datasets `gripper/...` and `control/...`."""
+        self._missed += int(row.get("control/missed", 0))
+        self._shared.set_gripper(
+            GripperNumbers(
+                float(row["gripper/position_ticks"]),
+                float(row.get("control/goal_ticks", "nan")),
+                float(row["gripper/current_ma"]),
+                float(row["gripper/current_target_ma"]),
+                float(self._missed),
+                float(row.get("control/phase", "nan")),
+            )
+        )
+
+    def lost(self, counts: Mapping[str, int]) -> None:
+        """Show what devices lost so far, by DEVICE.REASON; asked every so often, it says too that the view died."""
+        self._tell_death()
+        lost = losses.events_lost(counts)
+        now = (lost if isinstance(lost, str) else f"{lost:,}", losses.reasons(counts) or "")
+        if now != self._lost:
+            self._lost = now
+            self._send(Lost(*now))
+
+    def say(self, text: str) -> None:
+        """A message to the user: at once on the terminal, unless the view is drawn there; then at its end."""
+        self._send(Said(text))
+        if self._where == TERMINAL and sys.stderr.isatty():
+            self._said.append(text)
+        else:
+            console.say(text)
+
+    @property
+    def is_asked_to_let_go(self) -> bool:
+        """Whether somebody pressed the button."""
+        return self._shared.is_asked_to_let_go
+
+    def end(self, why: str) -> None:
+        """Say why there will be no more slices, and end the process; a second call does nothing."""
+        if self._has_ended:
+            return
+        self._tell_death()
+        self._has_ended = True
+        self._send(Ended(why))
+        with suppress(BrokenPipeError):
+            self._messages.flush(END_S)
+        self._process.join(END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        for text in self._said:
+            console.say(text)
+
+    def _tell_death(self) -> None:
+        """Say once that the view is gone, why, and what that means for its button."""
+        if self._has_told or self._has_ended or self._process.exitcode is None:
+            return
+        self._has_told = True
+        how = exit_words(self._process, self._last_words)
+        button = ", and its button with it: Ctrl-C lets go" if self._moves else ""
+        console.say(f"{with_reason('the live view died', how)}{button}; the recording goes on")
+
+    def _send(self, message: Any) -> None:
+        with suppress(BrokenPipeError):  # the view has gone, which ends no recording
+            self._messages.put(message)
+            self._messages.send()
+
+
+@contextmanager
+def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]:
+    """The view of a trial while the block lasts, announced, its page opened where there is a display; or None.
+
+    name: of what is shown; moves: whether a gripper moves that can be let go of.
+    """
+    asked = trial.view
+    if asked is None:
+        yield None
+        return
+    from evetac_cli.trials.grasp.online_detector import open_view_detector  # loads what a recording does not need
+
+    where = place(asked.where)
+    title = Title(name, trial.shows_simulation, moves)
+    view = LiveView(where, title, partial(open_view_detector, asked.model, asked.preset, asked.threshold))
+    ended = "ended"
+    try:
+        with browser.announced(view.url, opens=_has_display()) if where == BROWSER else nullcontext():
+            yield view
+    except BaseException as error:
+        ended = str(error).splitlines()[0] if str(error) else "interrupted"
+        raise
+    finally:
+        view.end(ended)
+
+
+def place(asked: str) -> str:
+    """BROWSER or TERMINAL, as asked for; else the browser where there is a display, and what serves the page.
+
+    MissingLibrary where a page is asked for that cannot be served.
+    """
+    can_serve = find_spec(LIBRARY) is not None
+    if asked == BROWSER and not can_serve:
+        message, otherwise = f"the page needs the library {LIBRARY}", "--live-in terminal"
+        raise missing_extra(message, "plot", where="--live-in browser", otherwise=otherwise)
+    if asked in (BROWSER, TERMINAL):
+        return asked
+    return BROWSER if can_serve and _has_display() else TERMINAL
+
+
+def _has_display() -> bool:
+    """Whether a browser that is opened here is seen by whoever sits at the terminal."""
+    if "SSH_CONNECTION" in os.environ:
+        return False
+    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def shown_in_real_time(
+    view: LiveView | None, append: Callable[[Events, dict[str, Any]], None]
+) -> Callable[[Events, dict[str, Any]], None]:
+    """What takes the slices of a simulation and their rows, so that each is shown, no faster than in real time."""
+    if view is None:
+        return append
+    slices, began_s = 0, time.monotonic()
+
+    def show(events: Events, rows: dict[str, Any]) -> None:
+        nonlocal slices, began_s
+        append(events, rows)
+        view.add_slice(events, probability=float(rows.get("control/probability", np.nan)))
+        if "gripper/position_ticks" in rows:
+            view.add_command(rows)
+        slices += 1
+        ahead_s = began_s + slices * 1e-3 - time.monotonic()
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+        elif ahead_s < -1e-3 * SETTLED_MS:
+            began_s -= ahead_s
+
+    return show

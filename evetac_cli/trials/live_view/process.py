@@ -1,0 +1,138 @@
+"""The process of a live view: serves a page or draws on the terminal, behind everything that records.
+
+It has the highest niceness there is, so that a busy computer costs pictures first. It ends with whoever started it, and
+whatever happens to it changes nothing in the recording.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Iterator, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+from evetac_cli import console
+from evetac_cli.realtime.message_pipe import MessageReader
+from evetac_cli.realtime.processes import ignore_interrupts, set_niceness
+from evetac_cli.trials.live_view import terminal
+from evetac_cli.trials.live_view.messages import (
+    BROWSER,
+    Begun,
+    Ended,
+    Lost,
+    Said,
+    Title,
+)
+from evetac_cli.trials.live_view.samples import PERIOD_S, Follower, OpenDetector, load
+from evetac_cli.trials.live_view.shared_view import SharedView
+
+NICENESS = 19
+TERMINAL_PERIOD_S = 0.1
+MOST_SAID = 20
+
+
+class ViewState:
+    """What a view knows beside the slices, from the messages of whoever records."""
+
+    def __init__(self, title: Title, follower: Follower, inbox: MessageReader, open_detector: OpenDetector) -> None:
+        self.title, self.follower = title, follower
+        self._inbox, self._open_detector = inbox, open_detector
+        self.version = 0  # of `known`
+        self.lost = Lost("0", "")
+        self.said: list[str] = []
+        self.ended = ""
+
+    def listen(self) -> None:
+        """Take the messages that have come."""
+        for message in self._inbox.take():
+            match message:
+                case Begun():
+                    self.follower.begin(message.sensor, self._open_detector)
+                    self.version += 1
+                case Lost():
+                    self.lost = message
+                case Said():
+                    self.said = [*self.said, message.text][-MOST_SAID:]
+                    self.version += 1
+                case Ended():
+                    self.ended = message.why
+        if self._inbox.ended and not self.ended:
+            self.ended = "the program that records has gone"
+
+    def known(self) -> dict[str, Any]:
+        """What a page has to know before its first picture."""
+        follower = self.follower
+        return {
+            "about": {
+                **self.title._asdict(),
+                "frame_px": follower.frame_px,
+                "threshold": follower.threshold,
+                "notes": follower.notes,
+                "said": self.said,
+                "samples": list(follower.samples),
+            }
+        }
+
+    def news(self, sample: Mapping[str, Any]) -> dict[str, Any]:
+        """What a page is told with every picture."""
+        follower = self.follower
+        return {
+            "sample": sample,
+            "dots": follower.dots(),
+            "window_px": follower.window_px,
+            "lost": self.lost.events,
+            "lost_why": self.lost.why,
+            "left_out": follower.left_out,
+            "ended": self.ended,
+        }
+
+
+def run_view(
+    where: str, title: Title, shared: SharedView, open_detector: OpenDetector, pipe: Connection, ready: Connection
+) -> None:
+    """The process: `where` is BROWSER or TERMINAL; `ready` gets the page's address, or "", once it can be looked at."""
+    ignore_interrupts()
+    load(open_detector)  # nothing is recorded yet
+    set_niceness(NICENESS)
+    state = ViewState(title, Follower(shared), MessageReader(pipe), open_detector)
+    with contextlib.suppress(BrokenPipeError):  # whoever records has gone, and is told nothing any more
+        if where == BROWSER:
+            asyncio.run(_serve(state, shared, ready))
+        else:
+            ready.send("")
+            _draw(state)
+
+
+async def _serve(state: ViewState, shared: SharedView, ready: Connection) -> None:
+    from evetac_cli.trials.live_view.server import PageServer
+
+    server = PageServer(shared.let_go if state.title.moves else lambda: None)
+    ready.send(server.url)
+    for began_s, sample in _samples(state):
+        if server.is_asked:
+            news = {**state.news(sample), "let_go": shared.is_asked_to_let_go}
+            server.send(news, state.follower.image(), state.known, state.version)
+        await asyncio.sleep(_left_s(began_s, PERIOD_S))
+    await server.end({"ended": state.ended})
+
+
+def _draw(state: ViewState) -> None:
+    with console.live() as show:
+        for began_s, sample in _samples(state):
+            show(terminal.screen(state.follower, sample, state.lost.events, state.said))
+            time.sleep(_left_s(began_s, TERMINAL_PERIOD_S))
+
+
+def _samples(state: ViewState) -> Iterator[tuple[float, dict[str, Any]]]:
+    """A sample each time it is asked for, and when (s) it was begun, until the recording ends."""
+    while True:
+        began_s = time.monotonic()
+        state.listen()
+        if state.ended:
+            return
+        yield began_s, state.follower.sample()
+
+
+def _left_s(began_s: float, period_s: float) -> float:
+    """How long to wait until the next sample; one that was late does not make the next one earlier."""
+    return max(began_s + period_s - time.monotonic(), 1e-3)

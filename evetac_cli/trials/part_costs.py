@@ -1,0 +1,299 @@
+"""What the parts of a simulated scene cost a slice on this machine, measured on the first seconds of a trial.
+
+Parts that a scene can do without are measured with and without, in turn; gel, gripper and camera by timers about their
+calls. The trial is the same every time, so each stretch of it counts as the fastest of its runs: what else the machine
+does meanwhile is left out. Only the time of this thread counts; writing the file is not in it. A difference counts as
+measured where it is larger than what the machine's own ups and downs make of it; of a smaller one that limit is said.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from time import thread_time
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import Events
+from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.sim.parts import rows_of, switched
+from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.trials.trial import SimulatedTrial
+
+REPEATS = 3  # of a dry run, at most
+BUDGET_S = 3.0  # of a dry run: what its runs may take together; a slow scene is measured on fewer slices
+DRY_MOVING_S = 0.5  # how long a trial is measured once something moves, in a dry run
+MOVING_S = 1.5  # otherwise
+BLOCK = 50  # slices that are timed together
+MOST_FILES = 5  # that a plan with devices names on a terminal
+SURE = 2.0  # a difference is noise that is smaller than so many standard errors of its mean over the blocks
+
+Append = Callable[[Events, dict[str, Any]], None]
+SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
+Play = Callable[[SomeTrial, Append], Any]  # runs a trial and hands over every slice and its rows
+Timer = tuple[str, Any, str]  # a part, and the function or method that is timed: what it belongs to, and its name
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PartCosts:
+    """Microseconds a slice of a trial, one for each block of slices, each the fastest of its runs.
+
+    parts: those of its plan; whole: the trial as it is; timed: in the calls that are timed; switched: the trial with
+    one part the other way.
+    """
+
+    parts: list[dict[str, Any]]
+    whole: Floats
+    timed: dict[str, Floats]
+    switched: dict[str, Floats]
+
+    @property
+    def slices(self) -> int:
+        """How many slices were measured."""
+        return BLOCK * len(self.whole)
+
+    def more_us(self, part: str) -> float:
+        """How much more the trial takes with a part that can be switched than without it."""
+        left_out = any(row["part"] == part and row["left_out"] for row in self.parts)
+        difference_us = float(self._differences_us(part).mean())
+        return -difference_us if left_out else difference_us
+
+    def noise_us(self, part: str) -> float:
+        """How large a difference of a part that can be switched the machine makes by itself.
+
+        From how much the blocks differ. No part saves time by being there: a cost below zero is noise, all of it.
+        """
+        differences_us = self._differences_us(part)
+        below_zero_us = max(0.0, -self.more_us(part))
+        if len(differences_us) < 2:
+            return abs(self.more_us(part))
+        return max(below_zero_us, SURE * float(differences_us.std(ddof=1)) / math.sqrt(len(differences_us)))
+
+    def _differences_us(self, part: str) -> Floats:
+        other = self.switched[part]
+        both = min(len(other), len(self.whole))
+        return self.whole[:both] - other[:both]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The parts of the plan, each with what it costs where it is built, or saves where it is left out.
+
+        None where a part is not measured by itself: then it is in the figure of gel and friction, or cannot be had
+        otherwise. What the other parts of the camera do not account for is that of the dots. noise_us: within so much
+        of zero a figure says nothing; None of one that is counted and not a difference.
+        """
+        rows = [dict(row) for row in self.parts]
+        names = [row["part"] for row in rows]
+        built = [row["part"] for row in rows if row["left_out"] is None]
+        timed_us = {part: float(us.mean()) for part, us in self.timed.items()}
+        costs = {part: self.more_us(part) for part in self.switched if part in built} | timed_us
+        in_camera = names[names.index("camera") + 1 :]
+        costs["dots"] = timed_us["camera"] - sum(costs.get(part, 0.0) for part in in_camera)
+        noises = {part: self.noise_us(part) for part in self.switched}
+        others_us = math.hypot(*(noises[part] for part in in_camera if part in noises and part in costs))
+        noises["dots"] = max(others_us, -costs["dots"])
+        for row in rows:
+            left_out = row["part"] not in built and row["part"] in self.switched
+            row["time_us"] = costs.get(row["part"])
+            row["saves_us"] = self.more_us(row["part"]) if left_out else None
+            row["noise_us"] = noises.get(row["part"])
+        rest_us = float(self.whole.mean()) - sum(timed_us.values())
+        beside = {part: us for part, us in timed_us.items() if part not in names} | {"everything else": rest_us}
+        for part, us in beside.items():
+            rows.append(dict.fromkeys(rows[0]) | {"part": part, "built": BESIDE_SCENE[part], "time_us": us})
+        return rows
+
+
+# What runs in a trial beside the parts of its scene.
+BESIDE_SCENE = {
+    "slip detector": "tracker, features, network",
+    "everything else": "places of dots, truth, commands",
+}
+
+
+def dry_run(
+    trials: Sequence[SomeTrial], play: Play[SomeTrial], more_timers: Sequence[Timer] = (), progress: Progress = silent
+) -> Outcome:
+    """What the first trial builds and leaves out, and what each part of it costs here."""
+    costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
+    files = {"files": len(trials), "first_file": str(trials[0].output)}
+    if not costs.slices:  # over before there was anything to measure
+        return Outcome(rows_of(trials[0].plan), True, files, made=False)
+    rows, total_us = costs.rows(), float(costs.whole.mean())
+    summary = {
+        **files,
+        "slices_measured": costs.slices,
+        "time_us_a_slice": total_us,
+        "times_real_time": 1000.0 / total_us,
+        "left_out_saves_us": sum(row["saves_us"] or 0.0 for row in rows),
+    }
+    return Outcome(rows, True, summary, made=False)
+
+
+def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
+    """What a terminal shows of a dry run: the parts that are built, then in words what is left out and what it takes.
+
+    Of one with devices (session.plan_shown): what is opened and done, and the first of very many files.
+    """
+    rows, summary = shown.rows, shown.summary
+    if "left_out" not in rows[0]:
+        files = [row for row in rows if row["part"] == "file"]
+        more = [{"part": "files", "what": f"{len(files):,} in all", "detail": "-v names them"}]
+        return (rows if len(files) <= MOST_FILES else [row for row in rows if row not in files[MOST_FILES:]] + more), []
+    built = [
+        {"part": row["part"], "built": row["built"], "time_us": _in_words(row, "time_us")}
+        for row in rows
+        if row["built"] is not None
+    ]
+    left_out = [row for row in rows if row["left_out"] is not None]
+    would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row, "saves_us")) is not None]
+    said = [
+        "-: not measured on its own, but as part of another. The camera's time includes dots, window, edge and noise."
+    ]
+    if left_out:
+        said += [f"{len(left_out)} parts are left out because scene and sensor do not name them; -v says why of each."]
+    if would_take:
+        said += [f"They would take: {', '.join(would_take)}."]
+    if "time_us_a_slice" in summary:
+        said += [
+            f"A slice takes {summary['time_us_a_slice']:.0f} us here, which is {summary['times_real_time']:.2g} x real"
+            f" time, measured on {summary['slices_measured']:,} slices."
+        ]
+    of_several = "" if summary["files"] == 1 else f"{summary['files']:,} files, the first "
+    said += [f"Nothing was written. It would make {of_several}{summary['first_file']}."]
+    return built, said
+
+
+def _in_words(row: dict[str, Any], figure: str) -> str | None:
+    """A time of a part to three digits; "< x" where a difference is within what the machine makes by itself."""
+    us, noise_us = row.get(figure), row.get("noise_us")
+    if us is None:
+        return None
+    return f"< {noise_us:.2g}" if noise_us is not None and us <= noise_us else f"{us:.3g}"
+
+
+def measure(
+    trial: SomeTrial,
+    play: Play[SomeTrial],
+    repeats: int,
+    more_timers: Sequence[Timer] = (),
+    *,
+    moving_s: float = MOVING_S,
+    budget_s: float = math.inf,
+    progress: Progress = silent,
+) -> PartCosts:
+    """Run the first slices of a trial again and again: as it is, and with one part of it switched.
+
+    moving_s: how long it is measured once something moves. budget_s: what all runs may take together: fewer slices, and
+    fewer repeats, where these would take longer.
+    """
+    others = {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
+    with _timers((*_scene_timers(), *more_timers)) as seconds:
+        for one in (trial, *others.values()):
+            _run(one, play, 2 * BLOCK, seconds)  # compiles, or loads what was compiled
+        slices = _slices_within(trial, play, _moving_slices(trial.plan.scene, moving_s), budget_s / (2 + len(others)))
+        plain: list[Floats] = []
+        with_other: dict[str, list[Floats]] = {part: [] for part in others}
+        started = thread_time()
+        for done in range(repeats):
+            if done and (thread_time() - started) * (done + 1) / done > budget_s:
+                break
+            plain.append(_run(trial, play, slices, seconds))
+            for number, (part, other) in enumerate(others.items(), 1):
+                progress(done * (1 + len(others)) + number, repeats * (1 + len(others)))
+                with_other[part].append(_run(other, play, slices, seconds))
+        in_calls = np.min(plain, axis=0)[:, 1:].T
+    return PartCosts(
+        parts=rows_of(trial.plan),
+        whole=np.min(plain, axis=0)[:, 0],
+        timed={part: us for part, us in zip(seconds, in_calls, strict=True) if us.any()},
+        switched={part: np.min(runs, axis=0)[:, 0] for part, runs in with_other.items()},
+    )
+
+
+def _slices_within(trial: SomeTrial, play: Play[SomeTrial], slices: int, most_s: float) -> int:
+    """As many of the first slices of a trial as it runs in `most_s`; at least a block."""
+    if math.isinf(most_s):
+        return slices
+    for _ in range(2):  # what was cut short may have been compiling
+        ran = BLOCK * len(_run(trial, play, slices, {}, most_s))
+        if ran >= slices:
+            break
+    return max(ran, BLOCK)
+
+
+def _moving_slices(scene: Scene, moving_s: float) -> int:
+    """How many slices of a trial are measured: until things move as they mostly do in it, and `moving_s` of that."""
+    time, rub = scene.time, scene.rub
+    still_s = time.rest_s + time.load_s + time.hold_s + time.touch_s + time.before_rise_s
+    pauses_s = 0.0
+    if rub is not None:
+        still_s, pauses_s = still_s + rub.touch_s + rub.shear_s, 2 * rub.pause_s
+    moves_s = max(still_s, time.tone_at_s) + pauses_s
+    return round(1000 * (moves_s + moving_s)) // BLOCK * BLOCK
+
+
+class _Enough(Exception):
+    """As many slices as were asked for."""
+
+
+def _run(
+    trial: SomeTrial, play: Play[SomeTrial], slices: int, seconds: dict[str, float], most_s: float = math.inf
+) -> Floats:
+    """Microseconds a slice of each block, (blocks, 1 + timers): in all, and what each timer in `seconds` counted.
+
+    It ends before a block that begins later than `most_s`.
+    """
+    blocks: list[list[float]] = []
+    last: list[float] = []
+    done = 0
+    latest = thread_time() + most_s
+
+    def append(events: Events, rows: dict[str, Any]) -> None:
+        nonlocal done, last
+        if done % BLOCK == 0:
+            now = [thread_time(), *seconds.values()]
+            if done:
+                blocks.append([after - before for before, after in zip(last, now, strict=True)])
+            last = now
+        if done == slices or (done % BLOCK == 0 and last[0] > latest):
+            raise _Enough
+        done += 1
+
+    with suppress(_Enough):
+        play(trial, append)
+    return np.reshape(np.array(blocks), (-1, 1 + len(seconds))) / BLOCK * 1e6
+
+
+def _scene_timers() -> tuple[Timer, ...]:
+    from evetac_cli.sim import gripper  # these build on numba: only when there is something to simulate
+    from evetac_cli.sim.camera.gel_camera import GelCamera
+    from evetac_cli.sim.gel.adaptive import Stepper
+
+    return (("gel and friction", Stepper, "advance"), ("gripper", gripper, "step"), ("camera", GelCamera, "render"))
+
+
+@contextmanager
+def _timers(timers: Sequence[Timer]) -> Iterator[dict[str, float]]:
+    """Seconds of this thread in the calls that stand for parts, which are wrapped for as long as this lasts."""
+    seconds = {part: 0.0 for part, _, _ in timers}
+
+    def watched(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*arguments: Any, **named: Any) -> Any:
+            started = thread_time()
+            result = call(*arguments, **named)
+            seconds[part] += thread_time() - started
+            return result
+
+        return timed
+
+    originals = [getattr(owner, name) for _, owner, name in timers]
+    try:
+        for (part, owner, name), call in zip(timers, originals, strict=True):
+            setattr(owner, name, watched(part, call))
+        yield seconds
+    finally:
+        for (_, owner, name), call in zip(timers, originals, strict=True):
+            setattr(owner, name, call)

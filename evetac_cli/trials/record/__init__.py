@@ -1,0 +1,129 @@
+"""record: events of one trial into a file, from a simulated scene, from devices or from a foreign event file.
+
+Each of the three is a type of job with a module of its own: SimulatedTrial (simulated.py), DeviceRecording (capture.py)
+and ImportJob (imported.py). With --preview, a Preview (preview.py) shows what the camera of a trial sees, and nothing
+is written.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from evetac_cli.commands.parameter import refuse_unused
+from evetac_cli.commands.record import Record
+from evetac_cli.devices import cameras as named_cameras
+from evetac_cli.devices import grippers as named_grippers
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.opening import require_arm
+from evetac_cli.errors import InputError
+from evetac_cli.formats.read.bags.bag_files import is_bag_folder
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.names import Capability
+from evetac_cli.store.files import output_path, up_to_date
+from evetac_cli.trials import part_costs
+from evetac_cli.trials.record import capture, capture_plan, imported, preview, simulated
+from evetac_cli.trials.record.capture_plan import DeviceRecording
+from evetac_cli.trials.record.imported import ImportJob
+from evetac_cli.trials.record.preview import Preview
+from evetac_cli.trials.trial import OUTPUT as OUTPUT
+from evetac_cli.trials.trial import SimulatedTrial, device_trials, simulated_trials
+
+METHOD = simulated.METHOD
+WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
+SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are grasped
+
+
+def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
+    """One recording for every object and trial, or for the imported file; InputError for options of another."""
+    cameras, gripper = devices(params)
+    _refuse_unused(params, cameras, gripper)
+    if params.source is not None:
+        if params.source.is_dir() and not is_bag_folder(params.source):
+            raise InputError("this is a folder", where=str(params.source), expected="an event file")
+        return [ImportJob((params.source,), output_path(params.source, OUTPUT, out))]
+    shows = params.preview and not params.dry_run
+    if cameras[0].has(Capability.STEPPED):
+        scenes = simulated_trials(SCENE_KINDS, params, out, params.tones)
+        return [Preview.of(trial, cameras[0], params) for trial in scenes] if shows else scenes
+    require_arm(gripper, armed=params.arm or params.dry_run or params.preview)  # which moves nothing
+    trials = device_trials(("ramp", "hold"), cameras, gripper, params, out)
+    return [Preview.of(each, cameras[0], params) if shows else DeviceRecording.of(each, params) for each in trials]
+
+
+def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
+    """InputError for an option that belongs to nothing that this run has."""
+    if params.source is not None:
+        refuse_unused(params, {Capability.IMPORT}, f"--from {params.source}", never={Capability.GRASPED})
+        return
+    has = {capability for camera in cameras for capability in camera.capabilities}
+    if params.preview:
+        has.add(Capability.PREVIEW)
+    elif Capability.DEVICE in has:
+        has |= {Capability.RECORDED} | gripper.capabilities
+    if params.shown_in is not None:
+        has.add(Capability.SHOWN)
+    shown = ", --preview" * params.preview or ", --live" * params.live
+    flags = f"--camera {params.camera}{params.gripper_flag()}{shown}"
+    refuse_unused(params, has, flags, never={Capability.GRASPED})
+
+
+def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
+    """The devices that are named; InputError for names that there are not, and for flags that do not fit them."""
+    cameras = tuple(map(named_cameras.parse, re.split(",(?=sim|virtual|dvxplorer|dv|replay:)", params.camera)))
+    gripper = named_grippers.parse(params.gripper if params.gripper is not None else cameras[0].own_gripper)
+    if params.watchdog_ms is not None:
+        if params.watchdog_ms % WATCHDOG_STEP_MS:
+            raise InputError(
+                "not a time of the watchdog",
+                where="--watchdog-ms",
+                expected="a multiple of 20 ms",
+                found=str(params.watchdog_ms),
+            )
+        gripper = replace(gripper, watchdog_ms=params.watchdog_ms)
+    if any(camera.has(Capability.STEPPED) != gripper.has(Capability.STEPPED) for camera in cameras):
+        raise InputError(
+            "a simulated camera and a real gripper (or the other way round) cannot be combined",
+            where="--camera, --gripper",
+            expected="both sim, or neither",
+            found=f"{params.camera}, {gripper}",
+        )
+    if params.source is not None and not cameras[0].has(Capability.STEPPED):
+        raise InputError("either a file or a camera", where="--from, --camera", found=params.camera)
+    scenes = any(camera.has(Capability.SCENE) for camera in cameras)
+    if len(cameras) > 1 and (scenes or params.preview):
+        expected = "one camera of a simulated world" if scenes else "one camera to look through"
+        raise InputError("too many cameras", where="--camera", expected=expected, found=params.camera)
+    return cameras, gripper
+
+
+def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """What would be built or done, and what that costs; refused what a run refuses."""
+    trials = [job for job in jobs if isinstance(job, DeviceRecording)]
+    if trials:
+        return capture_plan.dry_run(trials, force=force, writes=not params.preview)
+    scenes = [job for job in jobs if isinstance(job, SimulatedTrial)]
+    if not scenes:
+        raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
+    for trial in scenes:
+        if not params.preview:
+            up_to_date(trial.output, simulated.make_recipe(trial), force=force)
+    return part_costs.dry_run(scenes, simulated.play_through, progress=progress)
+
+
+def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Record one trial, or import one file; with --preview, show the camera of the trial instead."""
+    match job:
+        case Preview():
+            return preview.run(job)
+        case SimulatedTrial():
+            return simulated.run(job, force=force, progress=progress)
+        case DeviceRecording():
+            return capture.run(job, force=force, progress=progress)
+        case ImportJob():
+            return imported.run(job, params, force=force, progress=progress)
+    raise TypeError(f"record has no {type(job).__name__}")
+
+
+STAGE = Stage(jobs, run, dry_run=dry_run, dry_run_for_people=part_costs.for_people)

@@ -1,0 +1,478 @@
+"""Recording from devices: whatever ends it, what was recorded until then is saved.
+
+The camera gives the pace: its slices are written as they come. A gripper is commanded by a thread of its own
+(current_ramp.py). The end of the time, Ctrl-C, a gripper that has let go and a device that fails all end with a valid
+file, which says why it ended, what was lost and how well time was kept. A full disk and a kill leave a NAME.part/ for
+`evetac repair`.
+
+Several cameras of one trial fill a file each; these share a trajectory id and say how their clocks lie to each other.
+The first camera leads: it gives the number of slices, and its file has the gripper.
+"""
+
+import math
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+
+from evetac_cli import console
+from evetac_cli.devices import EventCamera, GripperReading, Rig
+from evetac_cli.devices.grippers import NoGripper
+from evetac_cli.devices.losses import LossNews
+from evetac_cli.devices.opening import open_rig
+from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.jobs import Job, Outcome, Progress, outcome
+from evetac_cli.names import Capability
+from evetac_cli.realtime.emergency_key import EmergencyKey
+from evetac_cli.realtime.processes import raised_priority
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Recipe, first_difference
+from evetac_cli.store.recordings.segments import RecordingWriter
+from evetac_cli.trials import live_view, session
+from evetac_cli.trials.live_view import LiveView
+from evetac_cli.trials.record.capture_plan import DeviceRecording, check, is_done
+from evetac_cli.trials.record.current_ramp import GripperLoop, Hold, start, step
+from evetac_cli.trials.session import INTERRUPTED, LET_GO, LateSlices, TimeSample
+from evetac_cli.trials.trial import OUTPUT
+
+NEWS_SLICES = 100  # after so many slices it is asked what was lost, and said
+METHOD = 1  # of recordings from devices
+WAITING_EVENTS, WAITING_SLICES = (
+    4_000_000,
+    60_000,
+)  # of another camera; beyond them its driver drops, and counts, events
+SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
+OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "sampled_holding_ma")  # of each trial
+
+
+class SliceThread:
+    """Reads another camera of the same trial, so that no camera waits for the other.
+
+    Slices are kept, each with the time (s) at which it came, until they are taken; not more than a bounded number.
+    """
+
+    def __init__(self, camera: EventCamera) -> None:
+        self._camera = camera
+        self._slices: deque[tuple[Events, float]] = deque()
+        self._waiting = 0  # events
+        self._lock = threading.Lock()
+        self._running = True
+        self._thread = threading.Thread(target=self._run, name="slices", daemon=True)
+        self.error: Exception | None = None
+
+    def start(self) -> None:
+        """Begin to read the camera."""
+        self._thread.start()
+
+    def take(self) -> list[tuple[Events, float]]:
+        """The slices that came since the last call, oldest first."""
+        with self._lock:
+            taken = list(self._slices)
+            self._slices.clear()
+            self._waiting = 0
+        return taken
+
+    def stop(self) -> None:
+        """End after the slice that is awaited; the camera is not read after this returns."""
+        self._running = False
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while self._running and (events := self._camera.read()) is not None:
+                with self._lock:
+                    self._slices.append((events, self._camera.time.now_s()))
+                    self._waiting += events.size
+                while self._running and (self._waiting > WAITING_EVENTS or len(self._slices) > WAITING_SLICES):
+                    time.sleep(1e-3)
+        except Exception as error:  # raised by the thread that records
+            self.error = error
+
+
+@dataclass
+class CameraRecording:
+    """One camera of a trial, the file that it fills, and how that goes."""
+
+    output: Path
+    rig: Rig
+    recipe: Recipe
+    writer: RecordingWriter
+    slices: int = 0
+    events: int = 0
+    ended: str = ""
+    saved: Path | None = None  # the file, or the folder that is left to repair
+    error: Exception | None = None
+    first_s: float = 0.0  # when the first and the last slice came
+    last_s: float = 0.0
+    late_us: float = math.nan  # of the last slice, from its end until it came, where that is known
+    delays: TimeSample = field(default_factory=TimeSample)
+    late_slices: LateSlices = field(default_factory=lambda: LateSlices(1e6 * session.BEHIND_S))
+    loop: GripperLoop | None = None  # commands the gripper, if there is one
+    thread: SliceThread | None = None  # reads the camera, if it is not the first
+
+    def append(self, events: Events, came_s: float) -> None:
+        """Write one slice, and count it."""
+        self.first_s = self.first_s or came_s
+        self.last_s = came_s
+        self.slices += 1
+        self.events += events.size
+        self.late_us = came_s * 1e6 - self.rig.camera.host_us(self.slices * SLICE_US)
+        if not math.isnan(self.late_us):
+            self.delays.add(self.late_us)
+            self.late_slices.add(self.late_us, events.size)
+        self.writer.append(events)
+
+    def datasets(self, first: Rig) -> dict[str, Any]:
+        """The datasets capture/...; how the clock of this camera lies to that of the first, if it is another."""
+        seconds = self.last_s - self.first_s
+        rows: dict[str, Any] = {"capture/ended": self.ended}
+        if seconds > 0:
+            rows["capture/slices_per_s"] = np.float64((self.slices - 1) / seconds)
+        rows |= session.lost_datasets(self.rig.counted())
+        late_us = self.delays.spread()
+        if late_us is not None:
+            rows["capture/slice_late_us"] = late_us
+        if self.loop is not None and self.loop.commands:
+            if seconds > 0:
+                rows["capture/commands_per_s"] = np.float64(self.loop.commands / seconds)
+            rows["capture/command_misses"] = np.int64(self.loop.misses)
+            command_us = self.loop.cycle_us.spread()
+            if command_us is not None:
+                rows["capture/command_us"] = command_us
+        offset_us = self.rig.camera.host_us(0.0) - first.camera.host_us(0.0)
+        if self.rig is not first and not math.isnan(offset_us):
+            rows["capture/clock_offset_us"] = np.float64(offset_us)
+        return rows
+
+
+def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> Outcome:
+    """Record one trial from devices."""
+    if is_done(trial, force=force):
+        return _earlier(trial)
+    check(trial, force=force)
+    seeds = trial.seeds()
+    rng = np.random.default_rng(seeds.spawn(1)[0])
+    if trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE):
+        session.wait_for_object(trial)
+    with ExitStack() as opened, ExitStack() as priority:
+        came = opened.enter_context(session.signals_interrupt())
+        name = f"record {trial.output.name}"
+        view = opened.enter_context(live_view.opened(trial, name, moves=trial.hold is not None))
+        # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
+        held = trial.gripper.has(Capability.HARDWARE) and not any(
+            camera.has(Capability.SCENE) for camera in trial.cameras
+        )
+        priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
+        recordings: list[CameraRecording] = []
+        opened.push(lambda kind, error, trace: _discard_empty(recordings, failed=error is not None))
+        trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
+        for place, camera in enumerate(trial.cameras):
+            gripper = NoGripper() if place else trial.gripper
+            rig = open_rig(camera, gripper, trial.settings, trial.plan, seeds, armed=trial.armed)
+            opened.callback(rig.close)
+            for note in rig.camera.notes:
+                console.say(note)
+            recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
+        moves = recordings[0].rig.gripper is not None
+        with session.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
+            _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view)
+            datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
+            with session.signals_held():
+                _release(recordings)
+            if view is not None:
+                view.end(recordings[0].ended)
+            priority.close()
+            signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
+            _finish(recordings, datasets)
+    return _result(trial, recordings, datasets)
+
+
+def _earlier(trial: DeviceRecording) -> Outcome:
+    """The rows of a trial that was recorded before."""
+    simulated = [bool(_header(output)["simulated"]) for output in trial.outputs]
+    rows = [
+        row
+        for output, each in zip(trial.outputs, simulated, strict=True)
+        for row in outcome(Job(trial.inputs, output), made=False, simulated=each).rows
+    ]
+    return Outcome(rows, simulated[0], made=False)
+
+
+def _begin(
+    trial: DeviceRecording,
+    rig: Rig,
+    place: int,
+    trajectory: Mapping[str, Any],
+    view: LiveView | None,
+) -> CameraRecording:
+    """Begin the file of the camera at this place among those of a trial."""
+    output = trial.outputs[place]
+    sensor = {**rig.known_sensor(), "t_offset": np.int64(0)}
+    if trial.calibration is not None:
+        sensor |= trial.calibration.arrays()
+    if view is not None:
+        view.begin(sensor)
+    hold = _hold(trial, rig)
+    asked_ma = None if trial.hold is None else trial.hold.holding_ma
+    # A current that every trial draws for itself belongs to the trial, not to how the series is set up.
+    drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
+    recipe = session.make_recipe(
+        METHOD,
+        {**({} if trial.plan is None else trial.plan.parameters()), **trajectory, "trial": trial.number},
+        rig.setup,
+        sensor,
+        {
+            "current_ramp": None if hold is None else _set_up(hold, asked_ma),
+            **drawn,
+            "current_ramp_seed": trial.seed,
+        },
+        parents=rig.parents,
+        simulated=rig.simulated,
+    )
+    if trial.resume:
+        check_series((outputs[place] for outputs in trial.series), recipe)
+    return CameraRecording(output, rig, recipe, RecordingWriter(output, sensor, recipe=recipe))
+
+
+def _set_up(hold: Hold, asked_ma: float | None) -> dict[str, Any]:
+    """How the gripper is commanded, for the recipe: the course of its current, if it follows one."""
+    if hold.course is not None:
+        return {"course": asdict(hold.course)}
+    ramp = {**asdict(hold), "holding_ma": asked_ma}
+    del ramp["course"]
+    return ramp
+
+
+def check_series(others: Iterable[Path], recipe: Recipe) -> None:
+    """Refuse to go on with a series, the files of one camera, that was begun with another set-up."""
+    for other in others:
+        if not other.exists():
+            continue
+        header = _header(other)
+        own = {name: header["parameters"].get(name) for name in OWN_PARAMETERS}
+        wanted = {**recipe.parameters, **{name: value for name, value in own.items() if name in recipe.parameters}}
+        now = Recipe(OUTPUT, METHOD, wanted, header["seed"], recipe.parents, header["content"], recipe.simulated_source)
+        if now.id != header["id"]:
+            raise InputError(
+                "the series was begun with another set-up",
+                where=str(other),
+                found=first_difference(now, header),
+                hint="set it up as it was, or begin a series of its own with -o",
+            )
+
+
+def _header(path: Path) -> dict[str, Any]:
+    with StageFile(path, OUTPUT) as file:
+        return file.header
+
+
+def _discard_empty(recordings: Sequence[CameraRecording], *, failed: bool) -> None:
+    """Where nothing was recorded before something failed, nothing is left."""
+    for recording in recordings:
+        if failed and recording.slices == 0:
+            recording.writer.discard()
+
+
+def _release(recordings: Sequence[CameraRecording]) -> None:
+    """Let go of all devices before the files are joined, which may take a while: torque must not wait for it."""
+    for recording in recordings:
+        try:
+            recording.rig.close()
+        except DeviceError as error:
+            recordings[0].error = recordings[0].error or error
+
+
+def _finish(recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[str, Any]]) -> None:
+    """Join every file, also where another cannot be."""
+    errors: list[EvetacError] = []
+    for recording, late in zip(recordings, datasets, strict=True):
+        if recording.slices == 0:
+            recording.writer.discard()
+            continue
+        try:
+            recording.saved = session.finish(recording.writer, recording.recipe, late, ended=recording.ended)
+        except EvetacError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+
+
+def _hold(trial: DeviceRecording, rig: Rig) -> Hold | None:
+    """How the object is handled; None without a gripper, as beside a second camera."""
+    return None if rig.gripper is None or trial.hold is None else trial.hold.hold(rig.holding_ma)
+
+
+def _write(
+    recordings: Sequence[CameraRecording],
+    hold: Hold | None,
+    rng: np.random.Generator,
+    seconds: float | None,
+    signals: list[int],
+    key: EmergencyKey,
+    progress: Progress,
+    view: LiveView | None,
+) -> None:
+    """Follow the cameras until something ends the recording; a device that failed is in the result."""
+    first = recordings[0]
+    if first.rig.gripper is not None and hold is not None:
+        state, law = start(hold), hold
+
+        def act(reading: GripperReading) -> tuple[float, str]:
+            target_ma = step(state, law, reading, rng)
+            return target_ma, state.ended
+
+        camera, watchdog_ms = first.rig.camera, first.rig.watchdog_ms
+        first.loop = GripperLoop(first.rig.gripper, act, camera.now_us, camera.time, watchdog_ms, key)
+    for recording in recordings[1:]:
+        recording.thread = SliceThread(recording.rig.camera)
+    most = round(1000 * seconds) if seconds is not None else None
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        _follow(recordings, most, signals, progress, view)
+    except DeviceError as error:
+        first.error = error
+        first.ended = str(error).splitlines()[0]
+    except BaseException as error:
+        if first.slices == 0:
+            raise
+        for recording in recordings:
+            with suppress(EvetacError):  # of a full disk, which is the error already
+                recording.writer.close_segment()
+            recording.writer.leave()
+        raise session.with_hint(error, first.writer) from None
+    finally:
+        sys.setswitchinterval(interval)
+        if first.loop is not None:
+            first.loop.stop()
+        for recording in recordings[1:]:
+            if recording.thread is not None:
+                recording.thread.stop()
+    _fetch(recordings, view)
+    for recording in recordings[1:]:
+        recording.ended = first.ended
+
+
+def _follow(
+    recordings: Sequence[CameraRecording],
+    most: int | None,
+    signals: list[int],
+    progress: Progress,
+    view: LiveView | None,
+) -> None:
+    """Read and write slice by slice until something ends the recording, and say what; a failure is raised."""
+    first = recordings[0]
+    loop = first.loop
+    news = [LossNews() for _ in recordings]
+    for recording in recordings[1:]:
+        assert recording.thread is not None
+        recording.thread.start()
+    while first.slices != most:
+        events = first.rig.camera.read()
+        if events is None:
+            first.ended = "the camera's stream ended"
+            return
+        if first.slices == 0 and loop is not None:
+            loop.start()
+        _fetch(recordings, view)
+        first.append(events, first.rig.camera.time.now_s())
+        if view is not None:
+            view.add_slice(events, first.late_us)
+        failed = [part.error for part in (loop, *(each.thread for each in recordings)) if part and part.error]
+        if failed:
+            raise failed[0]
+        if loop is not None and loop.ended:
+            first.ended = loop.ended
+            return
+        if signals:
+            first.ended = INTERRUPTED
+            return
+        if view is not None and view.is_asked_to_let_go:
+            first.ended = LET_GO
+            return
+        if first.slices % NEWS_SLICES == 0:
+            progress(first.slices, most or 0)
+            _tell(recordings, news, view)
+    first.ended = "after the seconds asked for"
+
+
+def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews], view: LiveView | None) -> None:
+    """Say what was lost since the last time; a second camera by the name of its file."""
+    if view is not None:
+        view.lost(recordings[0].rig.counted())
+    say = console.say if view is None else view.say
+    for recording, each in zip(recordings, news, strict=True):
+        for sentence in each.of(recording.rig.counted(), time.monotonic()):
+            say(sentence if len(recordings) == 1 else f"{recording.output.name}: {sentence}")
+
+
+def _fetch(recordings: Sequence[CameraRecording], view: LiveView | None) -> None:
+    """Write what came beside the slices of the first camera: commands, and slices of the others."""
+    first = recordings[0]
+    if first.loop is not None:
+        for row in first.loop.rows():
+            first.writer.append_rows(row)
+            if view is not None:
+                view.add_command(row)
+    for recording in recordings[1:]:
+        if recording.thread is not None:
+            for events, came_s in recording.thread.take():
+                recording.append(events, came_s)
+
+
+def _result(
+    trial: DeviceRecording, recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[str, Any]]
+) -> Outcome:
+    """A row for each file; an error or Ctrl-C goes on from here, and says what was saved."""
+    saved = [(each, rows) for each, rows in zip(recordings, datasets, strict=True) if each.slices]
+    files = ", ".join(
+        f"{recording.slices:,} slices in {session.place(recording.saved)}" for recording, _ in saved if recording.saved
+    )
+    simulated = any(recording.recipe.simulated for recording in recordings)
+    result = Outcome([_row(trial, recording, rows) for recording, rows in saved], simulated)
+    first = recordings[0]
+    torque = first.rig.gripper.release_words if first.rig.gripper is not None else ""
+    session.raise_end(first.error, first.ended, files or "nothing was recorded", result, torque)
+    return result
+
+
+def _row(trial: DeviceRecording, recording: CameraRecording, datasets: Mapping[str, Any]) -> dict[str, Any]:
+    """What the table says of one file."""
+    none = (None, None, None)
+    late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
+    loop = recording.loop
+    commands = loop.commands if loop is not None else 0
+    too_slow = session.too_slow(datasets, recording.slices, recording.late_slices, commands)
+    if too_slow is not None:
+        console.say(too_slow)
+    (row,) = outcome(
+        Job(trial.inputs, recording.saved or recording.output),
+        made=True,
+        simulated=recording.recipe.simulated,
+        slices=recording.slices,
+        events=recording.events,
+        ended=recording.ended,
+        slices_per_s=_plain(datasets.get("capture/slices_per_s")),
+        slice_late_us_p99=_plain(late_us[1]),
+        **session.lost_columns(datasets),
+        commands=loop.commands if loop is not None else None,
+        command_misses=loop.misses if loop is not None else None,
+        command_us_median=_plain(command_us[0]),
+        late_slices=recording.late_slices.count,
+        too_slow=too_slow,
+    ).rows
+    return row
+
+
+def _plain(value: Any) -> float | None:
+    return None if value is None else float(value)

@@ -1,0 +1,125 @@
+"""Import a foreign event file as a recording."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evetac_cli.commands.record import Record
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.events import Events, SliceStarts, empty
+from evetac_cli.jobs import Job, Outcome, Progress, outcome
+from evetac_cli.store.calibration import read_calibration
+from evetac_cli.store.files import up_to_date, writing
+from evetac_cli.store.hdf5.disk import existing_folder, missing_folders, remove_empty
+from evetac_cli.store.layout.provenance import ContentDigest, Recipe
+from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
+from evetac_cli.trials.trial import OUTPUT
+
+if TYPE_CHECKING:  # with the libraries of its format
+    from evetac_cli.formats.imports import EventFile
+
+METHOD = 3
+# What a user may say of a file; in the header where it was said.
+SAID = ("drop_late", "from_restart", "columns", "time_unit")
+NO_TIMES = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True)
+class ImportJob(Job):
+    """One recording to make of a foreign event file, its only input."""
+
+
+def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> Outcome:
+    """Import an event file of another program as a recording.
+
+    The events are written as they are read, once; what they are, and whether they can be used, is known at the end.
+    """
+    from evetac_cli.formats.imports import EventFile, left_out_text  # with the libraries of its format
+
+    file = EventFile(
+        job.inputs[0],
+        frame_px=_frame(params.frame_size),
+        sort=params.sort,
+        drop_late=params.drop_late,
+        from_restart=params.from_restart,
+        stream=params.stream,
+        columns=params.columns,
+        time_unit=params.time_unit,
+        frames=params.frames,
+        folder=existing_folder(job.output.parent),
+        progress=progress,
+    )
+    known: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
+    if params.calibration is not None:
+        known |= read_calibration(params.calibration, file.frame_px).arrays()
+    digest, starts = ContentDigest(), SliceStarts()
+    made, folders = False, missing_folders(job.output.parent)
+    with _removed_if_refused(folders), writing(job.output, OUTPUT, known) as recording:
+        for block in _blocks(file):
+            recording.append(block)
+            digest.update_all(block)
+            starts.add(block.get("events/t", NO_TIMES))
+        facts = file.facts
+        late: dict[str, Any] = {
+            "ms_to_idx": starts.finish(facts.slices),
+            "t_offset": np.int64(facts.t_offset_us),
+            **{path: text for stream in facts.streams for path, text in stream.texts().items()},
+        }
+        digest.update_all(known | late)
+        parameters = {
+            "source": job.inputs[0].name,
+            "format": facts.format,
+            "sorted": params.sort,
+            **{name: getattr(params, name) for name in SAID if getattr(params, name) not in (None, False)},
+            "dropped": dict(facts.counts),
+            "left_out": dict(facts.left_out),
+            "notes": list(facts.notes),
+        }
+        recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=facts.simulated)
+        if made := not up_to_date(job.output, recipe, force=force):
+            recording.finish(recipe, late)
+    return outcome(
+        job,
+        made=made,
+        simulated=facts.simulated,
+        slices=facts.slices,
+        events=facts.size,
+        dropped=sum(facts.counts.values()),
+        streams=" ".join(stream.name for stream in facts.streams) or None,
+        left_out=left_out_text(facts.left_out) or None,
+        notes="; ".join(facts.notes) or None,
+    )
+
+
+@contextmanager
+def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
+    """Remove folders that were made for a recording of a file that turned out to be unusable; no other job is there."""
+    try:
+        yield
+    except EvetacError:
+        remove_empty(folders)
+        raise
+
+
+def _blocks(file: "EventFile") -> Iterator[dict[str, Any]]:
+    """The events in blocks, and then the other streams, as the datasets of a recording; each dataset is in one."""
+    for events in chain([empty()], file.blocks()):
+        yield {f"events/{column}": getattr(events, column) for column in Events._fields}
+    for stream in file.facts.streams:
+        yield from stream.blocks()
+
+
+def _frame(text: str | None) -> tuple[int, int] | None:
+    """Width and height of --frame-size; InputError if it is not two numbers."""
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}", text.lower()):
+        raise InputError("not a frame size", where="--frame-size", expected="as in 640x480", found=text)
+    return int(width), int(height)

@@ -1,0 +1,230 @@
+"""Trials: which recordings `record` and `grasp` make, from what, and with which seeds.
+
+A trial is a job of one of three types: in a simulated scene that passes as fast as it is computed, with devices in real
+time (real ones, or virtual ones in front of a simulated scene), or on a recording that is replayed.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.commands.trials import Trials
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job
+from evetac_cli.names import Capability
+from evetac_cli.sim.setup.object_file import seed_of
+from evetac_cli.sim.setup.plan import Plan, plans
+from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.stages import one_file
+from evetac_cli.store.recordings.segments import refuse_leftover
+
+OUTPUT = "recording"
+FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset depends on the grid
+
+
+@dataclass(frozen=True)
+class View:
+    """How a trial is shown while it is made.
+
+    where: auto, browser or terminal; model: of the slip detector that is shown, None for the package's; threshold: of
+    its slip, None for the model's own; preset: of the tracker.
+    """
+
+    where: str
+    model: Path | None = None
+    threshold: float | None = None
+    preset: str = "stable"
+
+
+@dataclass(frozen=True)
+class Trial(Job):
+    """One of a series of trials.
+
+    number: of the trial; seed: of the series; plan: of the scene, None where none is simulated; view: None where the
+    trial is not shown.
+    """
+
+    number: int
+    seed: int
+    plan: Plan | None
+    view: View | None = field(default=None, kw_only=True)
+
+    @property
+    def shows_simulation(self) -> bool:
+        """Whether what is seen is, or once was, simulated; for the title of a view."""
+        return self.plan is not None
+
+    def seeds(self) -> np.random.SeedSequence:
+        """The seeds of this trial, which depend on no other trial."""
+        if self.plan is None:
+            return np.random.SeedSequence([self.seed, self.number])
+        tone_mhz = [] if self.plan.tone_hz is None else [round(1000 * self.plan.tone_hz)]
+        return np.random.SeedSequence([self.seed, seed_of(self.plan.called), self.number, *tone_mhz])
+
+
+@dataclass(frozen=True)
+class SimulatedTrial(Trial):
+    """A trial in a simulated scene, whose time passes as its slices are read."""
+
+    plan: Plan
+
+
+@dataclass(frozen=True)
+class DeviceTrial(Trial):
+    """A trial with devices, in real time; each of its cameras fills a file, the first one's has the gripper.
+
+    series: the files of all trials, by trial; taken: those of them that were taken before the first trial.
+    """
+
+    exclusive = True
+    cameras: tuple[NamedCamera, ...]
+    gripper: NamedGripper
+    files: tuple[Path, ...]
+    series: tuple[tuple[Path, ...], ...]
+    taken: tuple[Path, ...]
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """A file for each camera."""
+        return self.files
+
+    @property
+    def shows_simulation(self) -> bool:
+        """Whether what the first camera sees is, or once was, simulated."""
+        return self.cameras[0].shows_simulation()
+
+
+@dataclass(frozen=True)
+class ReplayTrial(Trial):
+    """A trial on a recording, its only input, in which nothing moves."""
+
+    camera: NamedCamera
+
+
+def view_of(params: Trials) -> View | None:
+    """How the trials are shown, if the flags say so."""
+    return None if params.shown_in is None else View(params.shown_in)
+
+
+def simulated_trials(
+    kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str | None = None, prefix: str = ""
+) -> list[SimulatedTrial]:
+    """`count` trials of every object or tone in a scene of one of these kinds.
+
+    They are named <prefix><scene>[-obj<number> or -<name>][-<tone>hz]-s<seed>-<trial>.recording.h5.
+    """
+    trials = []
+    view = view_of(params)
+    named = (params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones)
+    for each in plans(*named, solver=params.solver(), texture=params.texture):
+        called = each.called
+        what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
+        what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"
+        for number in range(params.count):
+            name = f"{prefix}{each.scene.name}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
+            output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
+            plan = each.of_trial((params.seed, seed_of(called), number))
+            trials.append(SimulatedTrial((), output, number, params.seed, plan, view=view))
+    one_file(trials, out)
+    return trials
+
+
+def device_trials(
+    kinds: tuple[str, ...],
+    cameras: tuple[NamedCamera, ...],
+    gripper: NamedGripper,
+    params: Trials,
+    out: Path | None,
+    prefix: str = "",
+) -> list[DeviceTrial]:
+    """`count` trials with these devices; in front of a virtual camera, of every object in a scene of these kinds.
+
+    They are named <prefix><camera>[-<serial or recording>][-<which of the same>]-s<seed>-<trial>.recording.h5, those
+    of a virtual scene virtual-<scene>...
+    """
+    numbered: list[tuple[int, Plan | None]]
+    outputs: list[tuple[Path, ...]]
+    if cameras[0].has(Capability.SCENE):
+        simulated = simulated_trials(kinds, params, out, prefix="virtual-")
+        numbered = [(trial.number, trial.plan) for trial in simulated]
+        outputs = [trial.outputs for trial in simulated]
+    else:
+        numbered = [(number, None) for number in range(params.count)]
+        outputs = [_camera_files(cameras, params.seed, number, out, prefix) for number in range(params.count)]
+        one_file([path for files in outputs for path in files], out)
+    inputs = tuple(path for camera in cameras for path in camera.files)
+    taken = tuple(path for files in outputs for path in files if _is_taken(path))
+    return [
+        DeviceTrial(
+            *(inputs, files[0], number, params.seed, plan, cameras, gripper, files, tuple(outputs), taken),
+            view=view_of(params),
+        )
+        for (number, plan), files in zip(numbered, outputs, strict=True)
+    ]
+
+
+def _camera_files(
+    cameras: Sequence[NamedCamera], seed: int, number: int, out: Path | None, prefix: str
+) -> tuple[Path, ...]:
+    """A file for each camera of a trial."""
+    if out is not None and out.suffix == ".h5":
+        return (out,) * len(cameras)
+    stems = [prefix + camera.file_stem for camera in cameras]
+    numbered = [
+        f"{stem}-{stems[:place].count(stem) + 1}" if stems.count(stem) > 1 else stem for place, stem in enumerate(stems)
+    ]
+    return tuple((out or Path()) / f"{stem}-s{seed}-{number:03d}.{OUTPUT}.h5" for stem in numbered)
+
+
+def _is_taken(output: Path) -> bool:
+    """Whether a recording is at this place, or one that broke off waits there for repair."""
+    try:
+        refuse_leftover(output)
+    except InputError:
+        return True
+    return output.exists()
+
+
+class SolverFigures:
+    """How finely a trial was simulated, for the row of its recording."""
+
+    def __init__(self) -> None:
+        self._slices = 0
+        self._steps = 0
+        self._errors_um: list[float] = []
+        self._half_wavelength = math.inf
+
+    def add(self, rows: Mapping[str, Any]) -> None:
+        """Count rows of the truth: of one slice, or of all; those without mechanics have none."""
+        if "truth/mechanical_steps" not in rows:
+            return
+        steps = np.atleast_1d(rows["truth/mechanical_steps"])
+        self._slices += len(steps)
+        self._steps += int(steps.sum())
+        self._errors_um += np.atleast_1d(rows["truth/estimated_error_um"]).tolist()
+        half = np.atleast_1d(rows["truth/slip_half_wavelength_nodes"])
+        self._half_wavelength = min(self._half_wavelength, float(np.min(half[np.isfinite(half)], initial=math.inf)))
+
+    def figures(self, solver: Solver) -> dict[str, Any]:
+        """Steps a slice, estimated errors of a step, and a warning where nodes are too far apart."""
+        if not self._slices:
+            return {}
+        row: dict[str, Any] = {
+            "mechanical_steps_a_slice": self._steps / self._slices,
+            "estimated_error_um_median": float(np.median(self._errors_um)),
+        }
+        if solver.step_ms is None:
+            row["slices_over_tolerance"] = int((np.array(self._errors_um) > solver.tolerance_um).sum())
+        if self._half_wavelength < FEWEST_NODES:
+            pitch_mm = solver.node_pitch_mm * self._half_wavelength / FEWEST_NODES
+            row["warning"] = (
+                f"onset of slip depends on the gel's grid: unstable slip spans {self._half_wavelength:.1f} nodes,"
+                f" of {FEWEST_NODES} at least; --node-pitch-mm {pitch_mm:.2f} resolves it"
+            )
+        return row

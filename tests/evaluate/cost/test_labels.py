@@ -1,0 +1,72 @@
+"""The part `label`: real labels of a short slip, every method against the reference."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.commands.record import Record
+from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.cost import labels
+from evetac_cli.jobs import silent
+from evetac_cli.store.recordings.read import open_recording
+from tests.conftest import Made
+
+
+@pytest.fixture
+def one_recording(monkeypatch: pytest.MonkeyPatch, made: Made) -> None:
+    """Label one short recording instead of ten long ones."""
+    monkeypatch.setattr(labels, "_record", lambda *_: [made.recordings[0]])
+    monkeypatch.setattr(labels, "AROUND_MS", 20)
+
+
+@pytest.mark.slow
+def test_rows_of_labels(monkeypatch: pytest.MonkeyPatch, one_recording: None) -> None:
+    """Assert a row a setting with errors and run times, the reference first, agreeing with itself."""
+    chosen = [labels.methods()[number] for number in (0, 1, 6, 10)]
+    monkeypatch.setattr(labels, "methods", lambda: chosen)
+    rows = labels.measure(EvaluateCost(part="label"), (), silent)
+    assert [row["setting"] for row in rows] == [setting for setting, _ in chosen]
+    assert all(row["part"] == "label" and row["time_us_p99"] >= row["time_us_median"] > 0 for row in rows)
+    assert rows[0]["speedup"] == 1
+    assert rows[0]["error_ms_reference"] == 0
+    assert rows[1]["error_ms_reference"] <= 1
+    assert [row["trials"] for row in rows] == [1] * 4
+    json.dumps(rows, allow_nan=False)
+    assert {name for name in rows[0] if name.startswith("error_")} == set(cost.PARTS["label"].errors)
+
+
+@pytest.mark.slow
+def test_searching_gives_the_onset_of_every_slice(made: Made, one_recording: None) -> None:
+    """Assert that the reference's onset lies near the true one, and that the search in the same slices agrees."""
+    settings = dict(labels.methods())
+    with open_recording(made.recordings[0]) as recording:
+        true = labels._true_onset(recording)
+        onset, _ = settings["farneback of both regions, every slice"](recording)
+        searched, _ = settings["farneback in the same slices, searched"](recording)
+    assert abs(onset - true) <= 20
+    assert abs(searched - onset) <= 1
+
+
+def test_so_many_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Assert that trials go through all objects, then through them again, each a trial of its own."""
+
+    class Slips:
+        def __enter__(self) -> "Slips":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    monkeypatch.setattr(labels.record, "run", lambda job, params: None)
+    monkeypatch.setattr(labels, "open_recording", lambda path: Slips())
+    monkeypatch.setattr(labels, "true_onset", lambda recording: 5)
+    monkeypatch.setattr(labels.label, "compute", lambda recording, params: None)
+    chosen = Record(scene="slip", objects="1,3,4", seed=10_000)
+    assert [path.name for path in labels._record(chosen, tmp_path, None)] == [
+        f"slip-obj{number:02d}-s10000-000.recording.h5" for number in (1, 3, 4)
+    ]
+    names = [path.name for path in labels._record(chosen, tmp_path, 5)]
+    expected = ((1, 0), (3, 0), (4, 0), (1, 1), (3, 1))
+    assert names == [f"slip-obj{number:02d}-s10000-{trial:03d}.recording.h5" for number, trial in expected]

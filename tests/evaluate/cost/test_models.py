@@ -1,0 +1,194 @@
+"""The part `model`: the Pareto front, what is timed, figures as in evaluate slip, the command."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli import main
+from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import slip
+from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.cost import models
+from evetac_cli.inspect import validate
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.detector import Live
+from evetac_cli.store.files import StageFile
+from tests.evaluate.test_slip import features_file, trained
+from tests.make import run_stage
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
+    """Features to evaluate on, two seeds of one model, and another that predicts every 5th slice."""
+    folder = tmp_path_factory.mktemp("cost")
+    learn = [features_file(folder, number, object_=1) for number in range(2)]
+    return {
+        "features": [features_file(folder, 100 + number, object_=1 + number) for number in range(2)],
+        "seeds": trained(learn, folder / "seeds", seeds=2),
+        "down5": trained(learn, folder / "down5", model="down5"),
+    }
+
+
+def evaluated(files: dict[str, list[Path]], models: list[Path], out: Path) -> Path:
+    """The report of evaluate slip on these models."""
+    params = EvaluateSlip()
+    run_stage(slip, [*files["features"], *models], params, out)
+    return out
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time a few repeats."""
+    whole = models.timed
+    monkeypatch.setattr(models, "timed", lambda act: whole(act, repeats=5, longest_s=0.0))
+
+
+def make(inputs: list[Path], out: Path, **values: Any) -> Any:
+    params = EvaluateCost(part="model", **values)
+    return run_stage(cost, inputs, params, out)[1]
+
+
+def points(*values: tuple[float | None, float], horizon_ms: int = 0) -> list[dict[str, Any]]:
+    task = {"horizon_ms": horizon_ms}
+    return [{**task, "error_share_f1": error, "time_us_median": time_us} for error, time_us in values]
+
+
+def test_front_by_hand() -> None:
+    """Assert the front of a handmade case: equals both count, what is unknown does not, and neither do the beaten."""
+    rows = points((0.5, 1.0), (0.5, 1.0), (0.2, 2.0), (0.2, 3.0), (0.4, 2.0), (None, 0.1), (0.1, 9.0))
+    assert models.front(rows, "error_share_f1") == [True, True, True, False, False, False, True]
+
+
+def test_tasks_have_fronts_of_their_own() -> None:
+    """Assert that a detector of slip now is not beaten by one that warns ahead, and the other way round."""
+    rows = points((0.1, 1.0), (0.5, 2.0)) + points((0.3, 5.0), (0.4, 6.0), horizon_ms=10)
+    assert models.front(rows, "error_share_f1") == [True, False, True, False]
+
+
+def test_front_holds_the_best_of_both() -> None:
+    """Assert that least error and least time are on the front, and that nothing on it is beaten in both."""
+    rng = np.random.default_rng(0)
+    rows = points(*((float(error), float(time_us)) for error, time_us in rng.random((50, 2))))
+    on = [row for row, best in zip(rows, models.front(rows, "error_share_f1"), strict=True) if best]
+    for figure in ("error_share_f1", "time_us_median"):
+        assert min(row[figure] for row in rows) == min(row[figure] for row in on)
+    on.sort(key=lambda row: row["time_us_median"])
+    errors = [row["error_share_f1"] for row in on]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_timed_repeats() -> None:
+    """Assert that fewer repeats are timed where the time is over, but never fewer than the fewest."""
+    calls = []
+    assert len(models.timed(lambda: calls.append(0), repeats=70, longest_s=60.0)) == 70
+    assert len(calls) == 70 + models.WARM_UP
+    assert len(models.timed(lambda: None, repeats=1000, longest_s=0.0)) == models.FEWEST
+
+
+@pytest.fixture(scope="module")
+def untrained() -> list[models.Candidate]:
+    return models._untrained()
+
+
+def test_every_architecture_is_a_candidate(untrained: list[models.Candidate]) -> None:
+    """Assert that without models all architectures are there, with the paper's numbers of parameters."""
+    assert [candidate.setting for candidate in untrained] == list(ARCHITECTURES)
+    parameters = {candidate.setting: candidate.parameters for candidate in untrained}
+    expected = {"no-hist": 14_895, "hist10": 15_125, "hist20": 16_385, "fast-slow": 15_990}
+    assert {name: parameters[name] for name in expected} == expected
+
+
+@pytest.mark.parametrize("name", ["fast-slow", "down5", "disp-xy", "hist10-img-6x6"])
+def test_a_step_is_a_whole_one(untrained: list[models.Candidate], monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Assert that a timed step tracks 500 events, and predicts as often as the network does."""
+    (candidate,) = (one for one in untrained if one.setting == name)
+    seen: list[int] = []
+    said: list[float] = []
+    tracked: list[int] = []
+    inner = Live.step
+
+    def step_live(self: Live, x: Any, y: Any, p: Any) -> float:
+        seen.append(len(x))
+        said.append(inner(self, x, y, p))
+        tracked.append(int(self.tracking.record["slices"][0]))
+        return said[-1]
+
+    step: Callable[[], Any] = models._grasp_step(candidate, np.random.default_rng(0))
+    monkeypatch.setattr(Live, "step", step_live)
+    for _ in range(11):
+        step()
+    assert seen == [500] * 11
+    assert np.diff(tracked).tolist() == [1] * 10
+    assert np.count_nonzero(np.diff(said)) == 10 / candidate.detector.architecture.every
+
+
+def test_figures_are_those_of_evaluate_slip(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
+    """Assert that seeds share a row, whose figures are those of evaluate slip, and one timing for equal networks."""
+    models = [*files["seeds"], *files["down5"]]
+    report = evaluated(files, models, tmp_path / "b.report.h5")
+    outcome = make([report, *models], tmp_path / "a.report.h5")
+    with StageFile(report, "report") as file:
+        expected = [row for row in json.loads(file.read("rows")) if "seeds" in row]
+    for row, other in zip(outcome.rows, expected, strict=True):
+        assert {key: row[key] for key in ("setting", "seeds", "slip_correct", "f1")} == {
+            key: other[key] for key in ("setting", "seeds", "slip_correct", "f1")
+        }
+        assert row["error_share_f1"] == 1 - row["f1"]
+        assert 0 < row["time_us_median"] <= row["time_us_p99"]
+        assert 0 < row["step_us_median"] <= row["step_us_p99"]
+    assert any(row["pareto_f1"] for row in outcome.rows)
+    assert {name for name in outcome.rows[0] if name.startswith("error_")} == set(cost.PARTS["model"].errors)
+    assert [row["faults"] for row in validate.run([tmp_path / "a.report.h5"]).rows] == [None]
+    with StageFile(files["seeds"][0], "model") as model:
+        weights = {name: shape for name, (_, shape) in model.contents().items() if name.startswith("weights/")}
+    trained_numbers = sum(int(np.prod(shape)) for name, shape in weights.items() if "input_" not in name)
+    assert outcome.rows[0]["parameters"] == trained_numbers == 14_895
+
+
+def test_where_reports_go(files: dict[str, list[Path]], tmp_path: Path) -> None:
+    """Assert that the report lies beside that of evaluate slip, or without files in the present folder."""
+    report = evaluated(files, files["seeds"], tmp_path / "unseen.slip.report.h5")
+    (job,) = cost.jobs([report, *files["seeds"]], EvaluateCost(part="model"), None)
+    assert job.output == tmp_path / "unseen.slip.cost.report.h5"
+    (job,) = cost.jobs([], EvaluateCost(part="model"), None)
+    assert (job.inputs, str(job.output)) == ((), "model.cost.report.h5")
+
+
+@pytest.mark.slow
+def test_what_is_refused(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
+    """Assert that files for another part, models without their report, and reports on others are errors."""
+    with pytest.raises(InputError, match="measured without files"):
+        cost.jobs(files["features"], EvaluateCost(part="sim"), tmp_path)
+    with pytest.raises(InputError, match="no model file"):
+        cost.jobs(files["features"], EvaluateCost(part="model"), tmp_path)
+    for others in ([], files["features"]):
+        with pytest.raises(InputError, match="one report of `evaluate slip`"):
+            cost.jobs(others, EvaluateCost(part="model", model=files["seeds"][0]), tmp_path)
+    with pytest.raises(InputError, match="wrong kind of file"):
+        make([files["features"][0], *files["seeds"]], tmp_path / "c.report.h5")
+    report = evaluated(files, files["seeds"], tmp_path / "b.report.h5")
+    for members, shared in ((files["down5"], 0), (files["seeds"][:1], 1), ([*files["seeds"], *files["down5"]], 2)):
+        with pytest.raises(InputError, match=f"on 2 models, {shared} of these"):
+            make([report, *members], tmp_path / "c.report.h5")
+    make([], tmp_path / "d.report.h5")
+    with pytest.raises(InputError, match="evaluate cost, on 0 models"):
+        make([tmp_path / "d.report.h5", *files["seeds"]], tmp_path / "c.report.h5")
+
+
+def test_the_command(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
+    """Assert that `evaluate cost model REPORT --model MODELS` takes the part first, and leaves report and picture."""
+    report = evaluated(files, files["seeds"], tmp_path / "b.report.h5")
+    arguments = [str(report), "--model", *map(str, files["seeds"])]
+    out = tmp_path / "c.report.h5"
+    shown = CliRunner().invoke(main.app, ["evaluate", "cost", "model", *arguments, "-o", str(out), "--json", "--quiet"])
+    answer = json.loads(shown.stdout)
+    assert answer["simulated"]
+    assert [row["seeds"] for row in answer["rows"]] == [2]
+    pytest.importorskip("matplotlib")
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")

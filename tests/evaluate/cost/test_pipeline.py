@@ -1,0 +1,264 @@
+"""The part `pipeline`: errors by hand, the tables, real trials through the whole chain."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli import main
+from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate.cost import chain as pipeline_chain
+from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.cost import pipeline
+from evetac_cli.evaluate.cost.chain import (
+    BALANCE_S,
+    LIFT_S,
+    Chain,
+    Lifted,
+    Trial,
+    run_chain,
+    slip_errors,
+)
+from evetac_cli.evaluate.cost.pipeline import DEFAULTS, ERRORS, Measured, tables, trials
+from evetac_cli.evaluate.labels import true_onsets
+from evetac_cli.evaluate.rows import Extent, Setting, line
+from evetac_cli.kernels.force.models import Regression, apply_regression, fit_regression
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.recordings.read import open_recording
+from tests.make import answer_of
+
+HALF = Setting("fixed step", "0.5 ms", {"step_ms": 0.5})
+
+
+def chain(onset: int | None, label: int | None, detection: int | None, off_px: float = 0.0) -> Chain:
+    """A trial of 100 slices with two dots that are off the truth by so much."""
+    true = np.zeros((100, 2, 2))
+    true[:, :, 0] = np.arange(100)[:, None]
+    force = np.stack([2.0 * np.arange(100), np.zeros(100)], axis=1)
+    return Chain(onset, label, detection, true + (off_px, 0.0), true, np.zeros((2, 2)), force, 100.0, 300.0)
+
+
+def test_errors_by_hand() -> None:
+    """Assert the distances in time, px and N; an onset that is missing counts as one at the end."""
+    twice = Regression(np.diag([2.0, 2.0]), np.zeros(2))
+    errors = slip_errors(chain(52, 47, None, off_px=0.5), chain(50, 50, 50), twice)
+    assert errors == pytest.approx(
+        {
+            "error_ms_gross_slip": 2.0,
+            "error_ms_label": 3.0,
+            "error_ms_detection": 50.0,
+            "error_px_dots": 0.5,
+            "error_n_shear": 1.0,
+        }
+    )
+    assert set(errors) < set(ERRORS)
+    assert all(np.isnan(list(slip_errors(chain(1, 1, 1), chain(None, None, None), twice).values())))
+
+
+def measured(setting: Setting, slow: float, off: float, held: bool = True) -> Measured:
+    entry = Measured(setting)
+    for trial in range(4):
+        errors = dict.fromkeys(pipeline.SLIP_ERRORS, off + 0.01 * trial)
+        one = chain(50, 50, 50)._replace(chain_us=slow + trial, record_us=0.5 * slow)
+        entry.add(Trial(8, 10_000 + trial, 11), one, Lifted(held, 1.0 + off, slow), errors, Lifted(True, 1.0, 1.0))
+    return entry
+
+
+def test_tables() -> None:
+    """Assert flags, means, paired differences from the defaults, and a front only where intervals allow it."""
+    fine, coarse = line("fixed step", "step_ms", (0.25, 1.0), "ms")
+    rows = tables(
+        [
+            measured(Setting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
+            measured(DEFAULTS, 300.0, 20.0),
+            measured(fine, 600.0, 10.0),
+            measured(coarse, 310.0, 21.0, held=False),
+        ]
+    )
+    json.dumps(rows, allow_nan=False, default=str)
+    settings = {row["setting"]: row for row in rows if "flags" in row}
+    assert [row["flags"] for row in settings.values()] == ["--step-ms 0.1", "none", "--step-ms 0.25", "--step-ms 1"]
+    assert settings["reference"]["error_ms_gross_slip"] is None
+    assert settings["reference"]["pareto"] is None
+    assert settings["defaults"]["error_px_dots"] == pytest.approx(20.015)
+    assert "px_dots" in settings["defaults"]["pareto"].split(", ")
+    assert "px_dots" in settings["fixed step, 0.25 ms"]["pareto"].split(", ")
+    assert settings["fixed step, 1 ms"]["pareto"] == "none"
+    assert settings["fixed step, 1 ms"]["error_share_lost"] == 1.0
+    assert settings["fixed step, 1 ms"]["error_mm_moved"] is None
+    apart = {(row["error"], row["setting"]): row for row in rows if "error" in row}
+    assert len(apart) == 2 * len(ERRORS)
+    assert apart["px_dots", "fixed step, 0.25 ms"]["more_than_defaults"] == pytest.approx(-10.0)
+    assert apart["px_dots", "fixed step, 0.25 ms"]["interval_high"] < 0
+    assert apart["px_dots", "fixed step, 0.25 ms"]["trials"] == 4
+    trials = [row for row in rows if "trial_flags" in row]
+    assert len(trials) == 4 * 4
+    assert trials[9]["trial_flags"] == "--object 8 --seed 10001 --step-ms 0.25"
+    assert trials[9]["error_px_dots"] == pytest.approx(10.01)
+    summary = pipeline.summary(rows)
+    assert (summary["settings"], summary["trials"], summary["reference"]) == (4, 4, "--step-ms 0.1")
+
+
+def test_every_setting_has_a_name_of_its_own() -> None:
+    """Assert that settings are told apart by name and by flags, and --full only adds."""
+    for full in (False, True):
+        chosen = [DEFAULTS, pipeline.REFERENCE, *pipeline.CHOICES.pick(full)]
+        assert len({setting.name for setting in chosen}) == len({setting.flags for setting in chosen}) == len(chosen)
+    quick, full_ones = ({one.name for one in pipeline.CHOICES.pick(full)} for full in (False, True))
+    assert quick < full_ones
+
+
+def test_trials_have_seeds_of_their_own() -> None:
+    """Assert that trials go through the objects in turn, and never use a seed of the calibration."""
+    chosen = trials(12, 10_000)
+    assert [trial.seed for trial in chosen] == list(range(10_000, 10_012))
+    assert chosen[10].object == chosen[0].object != chosen[1].object
+    assert not {trial.seed for trial in chosen} & {trial.seed for trial in pipeline.CALIBRATION}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", [DEFAULTS, pytest.param(HALF, marks=pytest.mark.slow)], ids=["defaults", "half"])
+def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setting: Setting) -> None:
+    """Assert that `evetac record` with the flags of a row makes the trial of the chain: the same recipe and onset."""
+    chained = run_chain(Trial(8, 10_000, 11), setting, tmp_path / "chain", str(short_scene))
+    flags = ["--object", "8", "--seed", "10000", *setting.flags.split(), "-o", str(tmp_path / "a.recording.h5")]
+    shown = CliRunner().invoke(main.app, ["record", "--scene", str(short_scene), *flags])
+    assert shown.exit_code == 0, shown.output
+    (recorded,) = (tmp_path / "chain").glob("*.recording.h5")
+    with open_recording(tmp_path / "a.recording.h5") as ours, open_recording(recorded) as other:
+        assert ours.header["id"] == other.header["id"]
+        assert ours.header["parameters"]["scene"]["solver"].get("step_ms") == setting.solver.get("step_ms")
+        assert len(ours) == chained.slices
+        assert true_onsets(ours)["t_s_ms"] == chained.gross_slip_ms
+    assert 0 < chained.record_us < chained.chain_us
+    assert chained.dot_xy_px.shape == chained.true_dot_xy_px.shape == (chained.slices, 56, 2)
+
+
+@pytest.mark.slow
+def test_a_report(short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert the report of two trials with the defaults alone: the same errors as the reference, and no difference."""
+    monkeypatch.setattr(pipeline, "CHOICES", Extent((), ()))
+    monkeypatch.setattr(pipeline, "REFERENCE", Setting("reference"))
+    monkeypatch.setattr(pipeline, "OBJECTS", (8,))
+    monkeypatch.setattr(pipeline, "CALIBRATION", (Trial(8, 9000, 11),))
+    real = run_chain
+    monkeypatch.setattr(pipeline, "run_chain", lambda *given: real(*given, str(short_scene)))
+    monkeypatch.setattr(pipeline, "run_grasp", lambda *_: Lifted(True, 2.0, 400.0))
+    chosen = EvaluateCost(part="pipeline", trials=2)
+    (job,) = cost.jobs([], chosen, tmp_path)
+    assert job.output.name == "pipeline.cost.report.h5"
+    reports: list[tuple[int, int]] = []
+    outcome = cost.run(job, chosen, progress=lambda done, total: reports.append((done, total)))
+    reference, defaults = (row for row in outcome.rows if "flags" in row)
+    assert reports[-1] == (5, 5)
+    assert outcome.simulated
+    assert outcome.summary["trials"] == 2
+    assert defaults["error_ms_gross_slip"] == 0.0
+    assert defaults["error_mm_moved"] == 0.0
+    for name in ("error_ms_label", "error_px_dots", "error_n_shear"):
+        assert defaults[name] == reference[name]
+    assert 0 < defaults["error_px_dots"] < 1
+    assert 0 < defaults["record_us_median"] < defaults["time_us_median"] <= defaults["time_us_p99"]
+
+
+@pytest.mark.slow
+def test_a_grasp(tmp_path: Path) -> None:
+    """Assert that a grasp is made as the command makes it, and held."""
+    lifted = pipeline_chain.run_grasp(Trial(8, 10_000, 11), DEFAULTS, tmp_path)
+    assert lifted.held
+    assert 0 < lifted.moved_mm < 25
+    assert lifted.grasp_us > 0
+
+
+def recorded(folder: Path, flags: str) -> Path:
+    """Record and track the slip trial of these flags by the commands."""
+    path = folder / "a.recording.h5"
+    answer_of("record", "--scene", "slip", *flags.split(), "-o", path, "--quiet")
+    answer_of("track", path, "--quiet")
+    return path
+
+
+def dots_px(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Tracked dots of a recording, and their displacement from rest, (slices, dots, 2)."""
+    with StageFile(output_path(path, "tracks", None), "tracks") as tracks:
+        dot_xy_px = tracks.read("dot_xy_px").astype(float)
+        return dot_xy_px, dot_xy_px - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+
+
+def truth(path: Path) -> tuple[int, np.ndarray, np.ndarray]:
+    """Onset of gross slip, true dots and shear force of a recording."""
+    with open_recording(path) as recording:
+        onset = true_onsets(recording)["t_s_ms"]
+        assert onset is not None
+        return onset, recording.read("truth/dot_xy_px"), recording.read("truth/shear_force_n")
+
+
+@pytest.mark.slow
+def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the flags of three rows, given to the commands, make the same errors in ms, px, N, and mm."""
+    chosen = (*line("fixed step", "step_ms", (1.0,), "ms"), *line("scans", "scans_per_ms", (2,), "a ms"))
+    monkeypatch.setattr(pipeline, "CHOICES", Extent(chosen, chosen))
+    monkeypatch.setattr(pipeline, "REFERENCE", Setting("reference", solver={"step_ms": 0.25}))
+    report = tmp_path / "p.report.h5"
+    rows = answer_of("evaluate", "cost", "pipeline", "--trials", 1, "-o", report)["rows"]
+    reference, *others = (row for row in rows if "trial_flags" in row)
+    assert [row["trial_flags"].partition("10000")[2].strip() for row in others] == [
+        "",
+        "--step-ms 1",
+        "--scans-per-ms 2",
+    ]
+    moved, shear = [], []
+    for at, trial in enumerate(pipeline.CALIBRATION):
+        path = recorded(tmp_path / f"calibration{at}", f"--object {trial.object} --seed {trial.seed}")
+        onset, _, force_n = truth(path)
+        moved.append(dots_px(path)[1][:onset])
+        shear.append(force_n[:onset].astype(float))
+    force = fit_regression(np.concatenate(moved), np.concatenate(shear))
+    onset, true_px, true_n = truth(recorded(tmp_path / "reference", reference["trial_flags"]))
+    for at, row in enumerate(others):
+        path = recorded(tmp_path / str(at), row["trial_flags"])
+        answer_of("label", path, "--quiet")
+        with StageFile(output_path(path, "labels", None), "labels") as labels:
+            label = int(labels.read("onset_slice"))
+        assert row["error_ms_gross_slip"] == abs(truth(path)[0] - onset)
+        assert row["error_ms_label"] == abs(label - onset)
+        dot_xy_px, off = (dots[:onset] for dots in dots_px(path))
+        apart_px, apart_n = dot_xy_px - true_px[:onset], apply_regression(force, off) - true_n[:onset]
+        assert row["error_px_dots"] == pytest.approx(np.sqrt((apart_px**2).sum(-1).mean()), rel=1e-9)
+        assert row["error_n_shear"] == pytest.approx(np.sqrt((apart_n**2).sum(-1).mean()), rel=1e-9)
+        grasp = ["--object", row["grasped_object"], *row["trial_flags"].split()[2:]]
+        timing = ("--lift-s", LIFT_S, "--balance-s", BALANCE_S)
+        (lifted,) = answer_of("grasp", *grasp, *timing, "-o", tmp_path / f"g{at}.recording.h5")["rows"]
+        assert (lifted["balanced"], lifted["moved_mm"]) == (row["held"], row["moved_mm"])
+
+
+@pytest.mark.parametrize("part", ["track", "model"])
+def test_parts_without_trials(part: str) -> None:
+    """Assert that --trials is refused where nothing is made of it."""
+    with pytest.raises(InputError, match="has no trials"):
+        cost.jobs([], EvaluateCost(part=part, trials=3), None)
+
+
+def test_the_picture() -> None:
+    """Assert a panel for each error with a title, a line for each kind of setting, and the front filled."""
+    figure_module = pytest.importorskip("matplotlib.figure")
+    rows = tables(
+        [
+            measured(Setting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
+            measured(DEFAULTS, 300.0, 20.0),
+            *(
+                measured(one, 600.0 / one.solver["step_ms"], 10.0)
+                for one in line("fixed step", "step_ms", (0.5, 1.0), "ms")
+            ),
+        ]
+    )
+    figure = figure_module.Figure()
+    pipeline.draw(figure, rows, ERRORS)
+    shown = [axes for axes in figure.axes if axes.get_title()]
+    assert [axes.get_title() for axes in shown] == [pipeline.TITLES[name] for name in ERRORS if name in pipeline.TITLES]
+    labels = set(shown[0].get_legend_handles_labels()[1])
+    assert {"defaults", "fixed step"} <= labels
+    figure.canvas.draw()

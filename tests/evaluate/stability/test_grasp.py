@@ -1,0 +1,149 @@
+"""The extreme cases of the grasp loop: all are there, one is run for real, and faults would be seen."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.commands.evaluate import EvaluateStability
+from evetac_cli.devices.simulated import SimulatedGripper
+from evetac_cli.errors import DeviceError
+from evetac_cli.evaluate import Rows
+from evetac_cli.evaluate.cost.short_grasps import GraspResult
+from evetac_cli.evaluate.stability import bounds, command
+from evetac_cli.evaluate.stability import grasp as stability
+from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, merge
+from evetac_cli.evaluate.stability.grasp import Case, DyingDetector, UnevenSlices, extreme_cases, grasp_rows
+from evetac_cli.jobs import Job
+from evetac_cli.kernels.grip.control import Control
+from evetac_cli.sim.gripper import Drive
+from evetac_cli.sim.setup.plan import Plan, first_plan
+from tests.evaluate.conftest import CountingDetector
+
+SHORT = (("lift_s", 0.3), ("balance_s", 0.1))
+HELD: Mapping[str, Any] = {"lifted": True, "balanced": True, "moved_mm": 1.0}
+
+
+def not_ok(rows: Rows) -> list[str]:
+    return [row["quantity"] for row in rows if not row["ok"]]
+
+
+def test_what_is_not_ok(short: GraspResult) -> None:
+    """Assert that a lost object, numbers that are not finite, a goal out of range, too much current and swing are not.
+
+    The short grasp does not lift by 50 mm, so that what is held is said by hand.
+    """
+    held = replace(short, figures={**short.figures, **HELD})
+    assert not_ok(stability.check("as it is", "paper", held)) == []
+    swings = short.rows["gripper/position_ticks"].copy()
+    swings[::2] += 9
+    for path, value, quantity in (
+        ("truth/normal_force_n", np.full(2600, np.nan), bounds.FINITE),
+        ("control/goal_ticks", np.full(1300, 741), bounds.GOAL),
+        ("control/goal_ticks", np.full(1300, -1), bounds.GOAL),
+        ("gripper/current_ma", np.full(1300, 700.0), bounds.CURRENT),
+        ("gripper/position_ticks", swings, bounds.SWING),
+    ):
+        wrong = replace(held, rows={**short.rows, path: value})
+        assert not_ok(stability.check("wrong", "paper", wrong)) == [quantity.quantity]
+    for figures, wanted in (
+        ({"balanced": False}, [bounds.HELD.quantity]),
+        ({"moved_mm": 10.5}, [bounds.MOVED.quantity]),
+        ({"lifted": False, "balanced": False, "moved_mm": 25.5}, [bounds.HELD.quantity, bounds.MOVED.quantity]),
+    ):
+        lost = replace(held, figures={**held.figures, **figures})
+        assert not_ok(stability.check("lost", "paper", lost)) == wanted
+    swinging = replace(held, figures={**held.figures, "balanced": False}, rows=wrong.rows)
+    rows = stability.check("lost", "paper", swinging)
+    assert bounds.SWING.quantity not in [row["quantity"] for row in rows]  # fingers that lost their object may close
+    assert rows[0]["outcome"].startswith("lost in balance, with ")
+
+
+def test_the_limit_is_that_of_the_servo() -> None:
+    """Assert that the bound of the current is the limit that is set in the servo."""
+    assert Drive.current_limit_ma == bounds.CURRENT.most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", stability.QUICK_CONTROLLERS)
+def test_a_fault_in_the_controller_is_seen(controller: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that goals of a real short grasp are in range, and not once the controller gives goals beyond it."""
+    assert bounds.GOAL.quantity not in not_ok(grasp_rows(Case("as usual", timing=SHORT), controller, 0))
+    real = Control.step
+    monkeypatch.setattr(Control, "step", lambda *given: real(*given) + 2000)
+    assert bounds.GOAL.quantity in not_ok(grasp_rows(Case("as usual", timing=SHORT), controller, 0))
+
+
+def test_a_grasp_that_breaks_off_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a detector that dies ends the grasp without current, in words, and that one left pressing is seen."""
+    case = Case("dies", wrap_detector=lambda detector, rng: DyingDetector(detector, 50), timing=SHORT)
+    (row,) = grasp_rows(case, "paper", 0)
+    assert (row["quantity"], row["value"], row["ok"]) == (bounds.LET_GO.quantity, 0.0, True)
+    assert row["outcome"] == "let go: the detector died"
+    monkeypatch.setattr(SimulatedGripper, "close", lambda self: None)
+    (row,) = grasp_rows(case, "paper", 0)
+    assert (row["value"], row["ok"]) == (np.inf, False)
+
+
+def test_a_dying_detector() -> None:
+    """Assert that it gives what the detector gives, and then fails."""
+    detector = DyingDetector(CountingDetector(), 2)
+    assert [detector.step(None) for _ in range(2)] == [0.25, 0.25]
+    with pytest.raises(DeviceError, match="died"):
+        detector.step(None)
+
+
+@pytest.mark.parametrize(("lost", "twice", "times"), [(0.2, 0.0, 0.8), (0.0, 0.2, 1.2)])
+def test_slices_that_are_lost_or_come_twice(lost: float, twice: float, times: float) -> None:
+    """Assert that slices are lost and doubled in their shares."""
+    counting = CountingDetector()
+    uneven = UnevenSlices(counting, np.random.default_rng(0), lost, twice)
+    probabilities = [uneven.step(None) for _ in range(5000)]
+    assert counting.slices == pytest.approx(5000 * times, rel=0.03)
+    assert np.isnan(probabilities).mean() == pytest.approx(lost, abs=0.02)
+
+
+def test_every_case_is_another() -> None:
+    """Assert that the suite has all extremes, each once, and more when it is full."""
+    quick, full = extreme_cases(full=False), extreme_cases(full=True)
+    names = [case.name for case in quick]
+    assert len(set(names)) == len(names)
+    assert {"detector never fires", "detector always fires", "friction 0.1", "friction 2",
+            "one slice in five lost", "one slice in five twice",
+            "law's gain x0.1", "law's gain x10", "detector dies while the hand rises",
+            *LIFTS} <= set(names)  # fmt: skip
+    assert len(full) > len(quick)
+    assert len(stability.cases(0, False)) == 2 * len(quick) - sum(case.paper_only for case in quick)
+
+
+def test_a_scene_changes_the_plan() -> None:
+    """Assert that the tables of a scene come into the plan of its case."""
+    usual = merge(first_plan("lift"), {"gripper": {"friction_factor": [0.9, 1.1]}})
+    case = next(case for case in extreme_cases(full=False) if case.name == "gear friction x0.7")
+    assert case.change_plan(usual).scene.gripper.friction_factor == (0.7, 0.7)
+
+
+def test_refusals_are_ok() -> None:
+    """Assert that a case whose plan cannot be simulated is ok, and says why."""
+
+    def without_mass(usual: Plan) -> Plan:
+        assert usual.touched is not None
+        return replace(usual, touched=replace(usual.touched, mass_g=-1.0))
+
+    (row,) = grasp_rows(Case("object of -1 g", without_mass, timing=SHORT), "paper", 0)
+    assert row["ok"]
+    assert row["outcome"].startswith("refused: ")
+
+
+def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert rows of real grasps, what is not ok first, counted by controller in the summary."""
+    monkeypatch.setattr(stability, "extreme_cases", lambda full: [Case("as usual", timing=SHORT)])
+    chosen = EvaluateStability(part="grasp")
+    outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
+    assert {(row["controller"], row["case"]) for row in outcome.rows} == {
+        (controller, "as usual") for controller in stability.QUICK_CONTROLLERS
+    }
+    assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
+    assert outcome.summary["not_ok_by_controller"] == "paper 1 of 1, load-proportional 1 of 1"

@@ -1,0 +1,76 @@
+"""The part `sim`: its extreme cases are there, a finger gone wrong is seen, nonsense is refused, rows by hand."""
+
+import math
+
+import pytest
+
+from evetac_cli.evaluate.rows import Extent
+from evetac_cli.evaluate.stability import bounds
+from evetac_cli.evaluate.stability import gel as gel_stability
+from evetac_cli.evaluate.stability import simulator as simulator_stability
+from evetac_cli.evaluate.stability.bounds import refusal
+from evetac_cli.evaluate.stability.onset import onset_cases
+from evetac_cli.evaluate.stability.simulator import FingerCase, finger_cases, finger_rows
+from evetac_cli.sim import gripper
+
+NONSENSE = dict(simulator_stability.nonsense())
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_is_refused(name):
+    """Assert that NaN, infinite and negative values are refused with the reason."""
+    (row,) = refusal(name, NONSENSE[name])
+    assert row["ok"]
+    assert len(row["outcome"]) > len("refused: ") + 10
+
+
+def test_the_suite_holds_all_that_it_should(monkeypatch):
+    """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
+    monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
+    monkeypatch.setattr(simulator_stability, "CAMERA_SLICES", 1)
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
+    cases = [run() for run in simulator_stability.cases(0, False)]
+    assert all(row["ok"] for rows in cases for row in rows)
+    assert {row["part"] for rows in cases for row in rows} == {"gel", "gripper", "camera", "nonsense"}
+    assert sum(row["quantity"] == bounds.ONSET.quantity for rows in cases for row in rows) == len(onset_cases())
+    names = [rows[0]["case"] for rows in cases]
+    assert len(names) == len(set(names))
+    for wanted in (
+        "mu 0", "mu 1000", "object of 1e-06 kg", "object of 1000 kg", "gel 0.01 times as stiff",
+        "gel 1e+06 times as stiff", "impact at 100 m/s", "impact at 1e4 m/s", "spin of 1e4 rad/s",
+        "grip lost and regained", "grip of 0 N", "grip of 1e+06 N", "time step 1e-07 s", "time step 0.1 s",
+        "force of 498 Hz, time step 1 ms", "force of 498 Hz, time step 0.1 ms", "Maxwell time 1e-09 s",
+        "Maxwell time 1e+09 s", "gel without mass and without losses", "grid of 1 x 1 nodes", "grid of 64 x 48 nodes",
+        "grip falls at 2 N/s, friction falls to 0.75 of it at 5 mm/s", "slides, object of 2 kg",
+        "time step nan s", "object of inf kg", "grip of -1 N", "camera: nothing moves, no noise",
+        "camera: noise of 1e4 Hz a pixel", "camera: all dots jump by 50 px and back", "camera, a dot at nan px",
+    ):  # fmt: skip
+        assert wanted in names
+
+
+@pytest.mark.parametrize("case", finger_cases(), ids=lambda case: case.name)
+def test_extremes_of_the_gripper(case):
+    """Assert that a finger without damping or mass, or however stiff, closes without turning back."""
+    rows = finger_rows(case)
+    assert all(row["ok"] for row in rows), rows
+    assert len(rows) >= 2  # a valid case may not hide behind a refusal
+
+
+@pytest.mark.parametrize(
+    ("speeds", "force_n", "quantity", "value"),
+    [
+        ([1e-3, -1e-3] * 5, 1.0, bounds.TURNS.quantity, 9.0),
+        ([1e-3] * 9 + [math.nan], 1.0, bounds.FINITE.quantity, 1.0),
+        ([0.0] * 10, 24.0 + 2 * 3.87, bounds.SURPLUS.quantity, (3.87 - 0.03 * 31.74) / (3.87 + 0.03 * 31.74)),
+    ],
+)
+def test_a_finger_gone_wrong_is_seen(monkeypatch, speeds, force_n, quantity, value):
+    """Assert that a finger is not ok which chatters, is nowhere, or rests where its friction cannot hold it."""
+    given = iter(speeds)
+
+    def step(state, *_):
+        state.speed_m_s, state.force_n = next(given), force_n
+
+    monkeypatch.setattr(simulator_stability.gripper, "step", step)
+    rows = finger_rows(FingerCase("wrong", gripper.Drive(friction_n=3.87, friction_share=0.03)), 10)
+    assert [(row["quantity"], row["value"]) for row in rows if not row["ok"]] == [(quantity, pytest.approx(value))]

@@ -1,0 +1,118 @@
+"""The extreme cases of the dot tracker in a short form: how far off it is, where it should not be, and faults seen."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.evaluate.cost.tracker import DOTS_PX
+from evetac_cli.evaluate.stability import tracker as stability
+from evetac_cli.evaluate.stability.bounds import P99_DOT, SAME_DOTS, WORST_DOT, refusal
+from evetac_cli.evaluate.stability.tracker import duplicated_rows, extreme_cases, nonsense, scene_rows, track_rows
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.tracker import PRESETS
+
+CASES = {case.name: case for case in extreme_cases()}
+NONSENSE = dict(nonsense())
+DISTANCES = [WORST_DOT.quantity, P99_DOT.quantity]
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("name", CASES)
+def test_extremes_are_measured(name, preset):
+    """Assert that every case is run by every preset, refused by none, and that all distances are finite."""
+    rows = track_rows(CASES[name], preset, slices=13)
+    assert [row["quantity"] for row in rows] == DISTANCES
+    assert np.isfinite([row["value"] for row in rows]).all()
+    assert {row["preset"] for row in rows} == {preset}
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_order_does_not_matter_when_events_come_twice(preset):
+    """Assert that duplicated events in any order give the same bits."""
+    rows = {row["quantity"]: row for row in duplicated_rows(preset, slices=10)}
+    assert rows[SAME_DOTS.quantity]["ok"]
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_is_refused(name):
+    """Assert that nonsense is refused with the reason."""
+    (row,) = refusal(name, NONSENSE[name])
+    assert row["ok"]
+    assert len(row["outcome"]) > len("refused: ") + 10
+
+
+def test_stable_follows_where_it_should():
+    """Assert that under a hand, with one polarity only, and swinging 2 px a slice, `stable` is within its bounds."""
+    for name in (
+        "a hand passes over, 20,000 events a slice",
+        "all events brighter",
+        "1e6 events a slice, for 3 slices",
+        "vibration of 1 px at 498 Hz",
+    ):
+        rows = track_rows(CASES[name], "stable", slices=150)
+        assert all(row["ok"] for row in rows), rows
+        assert "0 of 63 dots flagged lost" in rows[0]["outcome"]
+
+
+def test_a_dot_astray_is_not_ok_unless_it_is_flagged(monkeypatch):
+    """Assert that one dot 30 px off fails the worst distance alone, and nothing where the tracker flags it as lost."""
+
+    def step(state, *columns):
+        state.dot_xy_px[3] = DOTS_PX[3] + (18.0, 24.0)
+        state.lost[3] = flagged
+
+    flagged = False
+    monkeypatch.setattr(stability.tracker, "step", step)
+    worst, p99 = track_rows(CASES["no events"], "paper", slices=3)
+    assert (worst["ok"], worst["value"]) == (False, pytest.approx(30.0))
+    assert "0 of 63 dots flagged lost, 1 others off by more than 5 px at the end" in worst["outcome"]
+    flagged = True
+    rows = track_rows(CASES["no events"], "paper", slices=3)
+    assert [row["value"] for row in rows] == [0.0, 0.0]
+    assert "1 of 63 dots flagged lost, 0 others" in rows[0]["outcome"]
+
+
+@pytest.mark.slow
+def test_a_dot_that_leaves_the_frame_counts():
+    """Assert that dots which leave the frame, and are reported in it, are as far off as they are."""
+    worst, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "stable", slices=200)
+    assert worst["value"] > 300.0
+
+
+def test_faults_are_seen(monkeypatch):
+    """Assert that a place that is no number is within no bound, nor are dots that the order of events moves."""
+    numbers = iter(range(10_000))
+
+    def step(state, *columns):
+        state.dot_xy_px[3] = np.nan
+
+    def by_order(state, *columns):
+        state.dot_xy_px[3, 0] += 1e-9 * next(numbers)
+
+    monkeypatch.setattr(stability.tracker, "step", step)
+    assert [row["ok"] for row in track_rows(CASES["no events"], "paper", slices=2)] == [False, False]
+    monkeypatch.setattr(stability.tracker, "step", by_order)
+    assert [row["value"] for row in duplicated_rows("paper", slices=2)][0] == 1.0
+    monkeypatch.undo()
+    assert tracker.step not in (step, by_order)
+
+
+@pytest.mark.slow
+def test_a_scene_is_simulated_once_for_all_presets(monkeypatch):
+    """Assert that presets follow the same slices of a short slip, from the dots that they are told of."""
+    started = []
+
+    def play(trial):
+        started.append(trial)
+        return real(trial)
+
+    real = stability.play
+    monkeypatch.setattr(stability, "play", play)
+    monkeypatch.setattr(stability, "SLIP_SOON", {"time": {"longest_s": 0.6}})
+    stability._simulated.cache_clear()
+    rows = [row for preset in PRESETS for row in scene_rows("as usual", preset, 3)]
+    stability._simulated.cache_clear()
+    assert [trial.seed for trial in started] == [3]
+    assert [row["quantity"] for row in rows] == DISTANCES * len(PRESETS)
+    assert {row["case"] for row in rows} == {"slip, as usual"}
+    assert rows[-2]["preset"] == "stable"
+    assert rows[-2]["ok"]

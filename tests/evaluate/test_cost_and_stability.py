@@ -1,0 +1,391 @@
+"""The commands evaluate cost and evaluate stability: every part measured for real in small, reports, the picture."""
+
+import importlib.util
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli import main
+from evetac_cli.commands.evaluate import EvaluateCost, EvaluateStability
+from evetac_cli.console import plain
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import picture, plots
+from evetac_cli.evaluate.cost import camera as camera_cost
+from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.cost import gel as gel_cost
+from evetac_cli.evaluate.cost import unloading
+from evetac_cli.evaluate.rows import Extent
+from evetac_cli.evaluate.stability import bounds
+from evetac_cli.evaluate.stability import command as stability
+from evetac_cli.evaluate.stability import gel as gel_stability
+from evetac_cli.evaluate.stability import simulator as simulator_stability
+from evetac_cli.inspect import validate
+from evetac_cli.jobs import Outcome
+from evetac_cli.sim.camera.scanning.camera import CameraModel
+from evetac_cli.sim.gel import gel
+from evetac_cli.store.files import StageFile
+from tests.make import run_stage
+
+needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
+BESIDE = picture.beside
+MECHANICS_ROWS = 3 * 2 + 2 + 1 + 5
+UNLOADING_ROWS = 3  # of each of 2 unloadings and 3 frictions
+CAMERA = [
+    {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_share_count": 0.0,
+     "time_us_median": 100.0 * n, "time_us_p99": 200.0 * n}
+    for n, late in ((1, 5.0), (2, math.inf), (4, 0.3))
+]  # fmt: skip
+STAGES = [("cost", cost, EvaluateCost), ("stability", stability, EvaluateStability)]
+SLOW = {"cost": pytest.mark.slow}  # takes seconds each time
+each = pytest.mark.parametrize(
+    ("name", "stage", "cls"),
+    [pytest.param(*stage, id=stage[0], marks=SLOW.get(stage[0], ())) for stage in STAGES],
+)
+
+
+def tiny_workloads():
+    """Two dots for 5 ms on a circle, before a small camera without noise."""
+    dots = np.array([[20.3, 22.6], [60.8, 23.1]])
+
+    def circle(times_ms):
+        turn = 2.0 * np.pi * times_ms / 8.0
+        return 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    model = CameraModel(frame_px=(84, 48), noise_rate_hz=0.0, hot_pixels=0)
+    return [camera_cost.Workload("circle", model, dots, circle, 5)]
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch, tmp_path):
+    """In a folder of its own, the least that the part sim can measure, and no pictures: those take longer."""
+    trial, cases = gel_cost.draw_trial, stability.PARTS["sim"].cases
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(picture, "beside", lambda outcome, *_: outcome)
+    for name, amount in {
+        "STEPS_US": (10_000, 1_000), "EXPLICIT_US": (1_000, 100), "REFERENCE_US": 100.0, "NODES": ((6, 4),),
+        "FINEST_NODES": (10, 8),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(gel_cost, name, Extent(amount, amount))
+    monkeypatch.setattr(gel_cost, "draw_trial", lambda seed: replace(trial(seed), columns=8, rows=6, seconds=0.05))
+    for name, amount in {
+        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 2.5, "PITCHES_MM": (5.0,),
+        "TRIALS": 1, "TOLERANCES_UM": (),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(unloading, name, Extent(amount, amount))
+    monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
+    monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
+    few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
+    monkeypatch.setitem(stability.PARTS, "sim", few)
+
+
+@pytest.fixture
+def pictures(small, monkeypatch):
+    """With pictures after all."""
+    monkeypatch.setattr(picture, "beside", BESIDE)
+
+
+def evaluate(*arguments):
+    wide = {"COLUMNS": "400", "TERM": "dumb", "NO_COLOR": "1"}
+    return CliRunner().invoke(main.app, ["evaluate", *map(str, arguments)], env=wide)
+
+
+@each
+def test_where_the_report_goes(name, stage, cls, tmp_path):
+    """Assert that a report goes to the present folder, to the folder given, or is the file given."""
+    (job,) = stage.jobs([], cls(), None)
+    assert str(job.output) == f"sim.{name}.report.h5"
+    assert job.inputs == ()
+    assert stage.jobs([], cls(), tmp_path / "a")[0].output == tmp_path / "a" / f"sim.{name}.report.h5"
+    assert stage.jobs([], cls(), tmp_path / "b.h5")[0].output == tmp_path / "b.h5"
+
+
+@each
+def test_the_report_is_valid_and_says_simulated(name, stage, cls):
+    """Assert that the report holds the rows shown, is valid, has no parents, and says simulated and its parameters."""
+    output, outcome = run_stage(stage, [], cls(seed=3))
+    assert outcome.made
+    assert outcome.simulated
+    assert outcome.summary["report"] == str(output)
+    assert [row["faults"] for row in validate.run([output]).rows] == [None]
+    with StageFile(output, "report") as file:
+        assert file.header["simulated"] is True
+        assert file.header["parents"] == []
+        expected = {"command": f"evaluate {name}", "part": "sim", "seed": 3, "full": False}
+        expected |= {"trials": None} if name == "cost" else {}
+        assert file.header["parameters"] == expected
+        assert json.loads(file.read("rows")) == plain(outcome.rows)
+        assert json.loads(file.read("summary")).items() <= plain(outcome.summary).items()
+
+
+@each
+def test_a_report_is_kept(name, stage, cls):
+    """Assert that the same recipe measures nothing again, and another one is refused until forced."""
+    output, first = run_stage(stage, [], cls())
+    before = output.read_bytes()
+    _, again = run_stage(stage, [], cls(), progress=lambda *_: pytest.fail("measured again"))
+    assert not again.made
+    assert again.simulated
+    assert again.rows == plain(first.rows)
+    with pytest.raises(InputError, match="another recipe"):
+        run_stage(stage, [], cls(seed=1))
+    assert output.read_bytes() == before
+    assert run_stage(stage, [], cls(seed=1), force=True)[1].made
+
+
+@each
+def test_progress_ends_at_its_total(name, stage, cls):
+    """Assert that progress rises to the total announced from the start."""
+    reports = []
+    run_stage(stage, [], cls(), progress=lambda done, total: reports.append((done, total)))
+    assert [done for done, _ in reports] == list(range(1, reports[-1][1] + 1))
+    assert len({total for _, total in reports}) == 1
+
+
+@each
+def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
+    """Assert that Ctrl-C while measuring leaves no file."""
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(stage, [], cls(), progress=interrupt)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_cost_of_the_simulator():
+    """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""
+    _, outcome = run_stage(cost, [], EvaluateCost())
+    parts = [row["part"] for row in outcome.rows]
+    assert parts[:MECHANICS_ROWS] == ["mechanics, constant friction"] * MECHANICS_ROWS
+    assert parts[-7:] == ["camera"] * 7
+    unloaded = parts[MECHANICS_ROWS:-7]
+    assert [unloaded.count(part) for part in dict.fromkeys(unloaded)] == [UNLOADING_ROWS] * 6
+    for row in outcome.rows:
+        assert 0 < row["time_us_median"] <= row["time_us_p99"]
+        shown = {*cost.PARTS["sim"].errors, "error_px_before", "error_um_gel_before"}
+        assert {name for name in row if name.startswith("error_")} < shown
+    rows = {row["setting"]: row for row in outcome.rows}
+    for theta in ("1", "0.51", "0.5"):
+        coarse, fine = (rows[f"theta {theta}, dt {dt} ms"]["error_um_object_rms"] for dt in (10, 1))
+        assert fine < coarse
+    substeps = [rows[f"ideal, circle, {n} sub-steps"]["error_us_p95"] for n in camera_cost.SUBSTEPS[:4]]
+    assert substeps == sorted(substeps, reverse=True)
+    assert rows["ideal, circle, 32 sub-steps"]["error_share_count"] < 0.01
+    assert rows["ideal, circle, 32 sub-steps"]["error_us_p95"] < outcome.rows[-1]["error_us_p95"]  # scans are coarser
+    assert outcome.summary["rows"] == len(outcome.rows)
+    assert outcome.summary["explicit_blows_up_at"] == "1 ms, 0.1 ms"
+    assert outcome.summary["reference_um_object_at_most"] == outcome.rows[0]["error_um_object_rms"]
+
+
+def test_every_part_is_a_choice():
+    """Assert that the tables hold the parts that the commands accept, no more and no fewer."""
+    for parts, cls in ((cost.PARTS, EvaluateCost), (stability.PARTS, EvaluateStability)):
+        assert list(parts) == list(cls.__dataclass_fields__["part"].metadata["choices"])
+
+
+@pytest.mark.parametrize("given", [{"part": "track", "model": "a.model.h5"}, {"part": "grasp"}, {"part": "label"}])
+def test_parts_without_files(given, tmp_path):
+    """Assert that files and --model are refused where a part does not take them."""
+    chosen = EvaluateCost(**given)
+    with pytest.raises(InputError):
+        cost.jobs([] if chosen.model else [tmp_path / "a.features.h5"], chosen, None)
+
+
+@needs_matplotlib
+@pytest.mark.slow
+def test_the_picture_lies_beside_the_report(pictures, tmp_path):
+    """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
+    output, outcome = run_stage(cost, [], EvaluateCost(), tmp_path / "here.h5")
+    picture = tmp_path / "here.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert outcome.summary["plot"] == str(picture)
+    written = picture.stat().st_mtime_ns
+    assert "plot" not in run_stage(cost, [], EvaluateCost(), output)[1].summary
+    assert picture.stat().st_mtime_ns == written
+    picture.unlink()
+    run_stage(cost, [], EvaluateCost(), output)
+    assert picture.exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["here.h5", "here.png"]
+
+
+@needs_matplotlib
+def test_a_picture_that_cannot_be_written(tmp_path):
+    """Assert that this is an error in words, and leaves nothing behind."""
+    (tmp_path / "sim.cost.report.png").mkdir()
+    (tmp_path / "sim.cost.report.png" / "x").touch()
+    with pytest.raises(InputError, match="sim.cost.report.png: cannot be written"):
+        BESIDE(Outcome(CAMERA, True), tmp_path / "sim.cost.report.h5", lambda figure: None, (1.0, 1.0))
+    assert [path.name for path in tmp_path.iterdir()] == ["sim.cost.report.png"]
+
+
+@needs_matplotlib
+@pytest.mark.slow
+def test_lines_of_the_picture():
+    """Assert a panel for each error, a line for each integrator, and no points for a blow-up, 0, or infinity."""
+    from matplotlib.figure import Figure
+
+    _, outcome = run_stage(cost, [], EvaluateCost())
+    axes = Figure().subplots()
+    plots.draw_panel(axes, outcome.rows[:MECHANICS_ROWS], "error_um_object_rms")
+    labels = axes.get_legend_handles_labels()[1]
+    assert labels[:2] == ["bound of the reference's own error", "theta 1, dt 10 to 1 ms"]
+    assert not [label for label in labels if "nodes" in label or "layer" in label or "explicit" in label]
+    axes = Figure().subplots()
+    plots.draw_panel(axes, CAMERA, "error_us_median")
+    assert axes.lines[0].get_xydata().tolist() == [[100.0, 5.0], [400.0, 0.3]]
+    assert axes.lines[0].get_label() == "ideal, tone, 1 to 4 sub-steps"
+    assert axes.get_ylabel() == "error [us]"
+    axes = Figure().subplots()
+    plots.draw_panel(axes, CAMERA, "error_share_count")
+    assert axes.get_legend_handles_labels()[1] == ["real time"]
+
+
+def test_a_terminal_gets_the_best_settings():
+    """Assert that of each error the least and the fastest are named."""
+    shown, (late, _) = cost.for_people(CAMERA, EvaluateCost(part="sim"))
+    assert shown == CAMERA
+    least, fastest = late.split("; ")
+    assert "least with ideal, tone, 4 sub-steps, 0.3 in 400 us" in least
+    assert "fastest with ideal, tone, 1 sub-steps, 5 in 100 us" in fastest
+
+
+def test_what_a_line_is_called():
+    """Assert that words which the values of a line have in common are said once."""
+    for first, last, said in (
+        ("dt 5 ms", "dt 0.1 ms", "dt 5 to 0.1 ms"),
+        ("steps of 5 ms", "steps of 20 ms", "steps of 5 to 20 ms"),
+        ("0.5 of them", "0.1 of them", "0.5 to 0.1 of them"),
+        ("1 ms", "1 ms", "1 ms"),
+    ):
+        assert plots._knob_range(first, last) == said
+
+
+@pytest.mark.slow
+def test_without_matplotlib(pictures, monkeypatch, tmp_path):
+    """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    output, outcome = run_stage(cost, [], EvaluateCost())
+    assert "'.[plot]'" in outcome.summary["plot"]
+    assert [path.name for path in tmp_path.iterdir()] == [output.name]
+
+
+def rows_by_hand():
+    """Three cases of the gel: one within its bounds, one that misses one of two, and one that is refused."""
+    residual, energy = (bound._replace(most=1.0) for bound in (bounds.BALANCE, bounds.ENERGY))
+
+    def refuse():
+        raise ValueError("no")
+
+    return [
+        lambda: bounds.case_rows("a", "10 sweeps", [(residual, 0.5), (energy, 0.1)], part="gel"),
+        lambda: bounds.case_rows("b", "400 sweeps", [(residual, 2.0), (energy, 0.1)], part="gripper"),
+        lambda: bounds.refusal("c", refuse, part="gel"),
+    ]
+
+
+@pytest.fixture
+def by_hand(monkeypatch):
+    """The part `sim` with cases by hand."""
+    part = stability.PARTS["sim"]._replace(cases=lambda seed, full: rows_by_hand())
+    monkeypatch.setitem(stability.PARTS, "sim", part)
+
+
+def test_stability_counts_what_is_ok(by_hand):
+    """Assert that the summary counts cases, refusals and what is not ok, and that rows that are not ok come first."""
+    outcome = run_stage(stability, [], EvaluateStability())[1]
+    counts = {"cases": 3, "refused": 1, "cases_not_ok": 1, "not_ok_by_part": "gel 0 of 2, gripper 1 of 1"}
+    assert outcome.summary.items() >= {**counts, "not_ok": "gripper: b"}.items()
+    assert [(row["case"], row["ok"]) for row in outcome.rows] == [
+        ("b", False), ("a", True), ("a", True), ("b", True), ("c", True)
+    ]  # fmt: skip
+    columns = ("part", "case", "ok", "quantity", "value", "bound", "unit", "outcome", "reason")
+    assert {tuple(row) for row in outcome.rows} == {columns}
+
+
+def test_strict(by_hand, tmp_path):
+    """Assert that a case that is not ok is printed with exit 0, and with --strict with 1, also from an old report."""
+    assert evaluate("stability").exit_code == 0
+    for _ in range(2):
+        result = evaluate("stability", "--strict")
+        assert result.exit_code == 1
+        assert "sim: cases outside their bounds" in result.stderr
+        assert "1 of 3 that are not ok" in result.stderr
+        assert "force left unbalanced" in result.stdout
+        (tmp_path / "sim.stability.report.h5").unlink(missing_ok=True)
+    shown = json.loads(evaluate("stability", "--strict", "--json").stdout)
+    assert shown["error"]["exit_status"] == 1
+    assert [row["case"] for row in shown["rows"] if not row["ok"]] == ["b"]
+
+
+def test_strict_is_satisfied(tmp_path):
+    """Assert that where all is ok, --strict exits with 0."""
+    assert evaluate("stability", "--strict").exit_code == 0
+
+
+def test_a_fault_in_the_gel_is_reported(monkeypatch):
+    """Assert that all real cases are ok, and that a step which gives the object energy turns some to not ok."""
+    assert run_stage(stability, [], EvaluateStability())[1].summary["not_ok"] is None
+    real = gel.step
+
+    def step(state, *given, **changes):
+        info = real(state, *given, **changes)
+        state.twist += 1.0
+        return info
+
+    monkeypatch.setattr(gel, "step", step)
+    faulty = run_stage(stability, [], EvaluateStability(seed=1), force=True)[1]
+    assert bounds.ENERGY.quantity in [row["quantity"] for row in faulty.rows if not row["ok"]]
+    assert faulty.summary["cases_not_ok"] > 0
+
+
+@pytest.mark.parametrize("name", [pytest.param("cost", marks=pytest.mark.slow), "stability"])
+def test_commands(name):
+    """Assert that `evaluate cost sim` prints one JSON object, and that the part may be left out."""
+    result = evaluate(name, "sim", "--json")
+    assert result.exit_code == 0, result.output
+    shown = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert (shown["command"], shown["simulated"]) == (f"evaluate {name}", True)
+    assert len(shown["rows"]) > 10
+    result = evaluate(name)
+    assert result.exit_code == 0
+    assert f"evaluate {name} (simulated)" in result.stdout
+    assert "up to date" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["cost", "stability"])
+@pytest.mark.parametrize("given", [["simm"], ["sim", "sim"], ["sim", "--seed", "-1"], ["--part", "sim"]])
+def test_wrong_arguments(name, given, tmp_path):
+    """Assert that another part, two parts, and a part as a flag are refused before any work."""
+    result = evaluate(name, *given)
+    assert result.exit_code == 2
+    assert (result.stdout, list(tmp_path.iterdir())) == ("", [])
+    if given == ["simm"]:
+        assert "PART: unknown value" in result.stderr
+        assert "did you mean sim?" in result.stderr
+
+
+def test_help_names_the_part():
+    """Assert that the help lists PART as an argument, which is not a flag."""
+    text = evaluate("cost", "--help").output
+    assert "[PART]" in text
+    assert "--part" not in text
+
+
+def test_config_file(tmp_path):
+    """Assert that part, seed and full come from a config file too, and a flag goes before it."""
+    config = tmp_path / "c.toml"
+    config.write_text('[evaluate.stability]\npart = "sim"\nseed = 5\n')
+    assert evaluate("stability", "--config", config).exit_code == 0
+    with StageFile(tmp_path / "sim.stability.report.h5") as file:
+        assert file.header["parameters"]["seed"] == 5
+    assert evaluate("stability", "--config", config, "--seed", 6, "--force").exit_code == 0
+    with StageFile(tmp_path / "sim.stability.report.h5") as file:
+        assert file.header["parameters"]["seed"] == 6

@@ -1,0 +1,198 @@
+"""evaluate data-rate: shares of an RGB sensor's rate, where contact and slip are known from, what is refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from evetac_cli.cli import main
+from evetac_cli.commands.evaluate import EvaluateDataRate
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import data_rate
+from evetac_cli.inspect import validate
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
+from tests.make import event_arrays, events_at, run_stage, truth_arrays, write_recording
+
+TOUCH, LOST, ONSET, SLICES = 200, 1400, 1000, 2000
+RGB_BYTES_S = 540 * 480 * 3 * 25
+
+
+def recording_file(
+    path: Path,
+    per_slice: NDArray[np.int64],
+    *,
+    truth: bool = False,
+    onset: int = ONSET,
+    touched: bool = True,
+    scene: str | None = None,
+) -> Path:
+    """A recording with so many events in each slice; with truth, in contact from TOUCH to LOST and slip from onset."""
+    slices = len(per_slice)
+    arrays = event_arrays(events_at(np.repeat(np.arange(slices) * 1000, per_slice)), slices)
+    if truth:
+        at = np.arange(slices)
+        loaded = (at >= TOUCH) & (at < LOST) & touched
+        slips = (at >= onset) & (at < onset + 20)
+        arrays |= truth_arrays(np.zeros((slices, 1, 2)), slips, np.where(loaded, 2.0, 0.0))
+    parameters = {} if scene is None else {"scene": {"name": scene}}
+    return write_recording(path, arrays, simulated=truth, **parameters)
+
+
+def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
+    with open_recording(of or recording) as source:
+        header, slices = source.header, len(source)
+    label = np.zeros(slices, np.int8)
+    label[onset:] = onset >= 0
+    arrays = {
+        "label": label,
+        "relative_flow_px": np.zeros(slices, np.float32),
+        "onset_slice": np.int64(onset),
+        "confidence": np.float64("nan"),
+        "flow_pairs_computed": np.int64(0),
+    }
+    path = recording.with_name(recording.name.replace(".recording.", ".labels."))
+    write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays)
+
+
+@pytest.fixture(autouse=True)
+def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures but in the test of the command: they take longest."""
+    if request.node.name != "test_the_command":
+        monkeypatch.setattr(data_rate.picture, "beside", lambda outcome, *_: outcome)
+
+
+def evaluated(*files: Path, **values: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows of recordings, and of intervals."""
+    params = EvaluateDataRate(**values)
+    rows = run_stage(data_rate, list(files), params, files[0].with_name("a.report.h5"), force=True)[1].rows
+    return [row for row in rows if "file" in row], [row for row in rows if "interval" in row]
+
+
+def steps() -> NDArray[np.int64]:
+    """1 event a slice at rest, 10 in contact, 100 in the 0.5 s about the onset."""
+    at = np.arange(SLICES)
+    return np.where((at >= 750) & (at < 1250), 100, np.where((at >= TOUCH) & (at < LOST), 10, 1))
+
+
+def test_shares_in_closed_form(tmp_path: Path) -> None:
+    """Assert the share of each interval for events that come in steps: 5 bytes each, against 19.44 MB/s."""
+    path = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
+    ((row,), intervals) = evaluated(path)
+    counts = {"whole": (800 + 700 * 10 + 500 * 100) / 2000, "contact": (7000 + 50000) / 1200, "slip": 100}
+    for name, a_slice in counts.items():
+        assert row[f"share_{name}"] == pytest.approx(a_slice * 5 * 1000 / RGB_BYTES_S)
+        assert row[f"bytes_s_{name}"] == pytest.approx(a_slice * 5 * 1000)
+    assert (row["contact_from_ms"], row["contact_to_ms"], row["slip_ms"]) == (TOUCH, LOST, ONSET)
+    assert row["not_answered"] is None
+    assert [interval["paper_share_mean"] for interval in intervals] == [0.017, 0.028, 0.119]
+    assert [interval["share_sd"] for interval in intervals] == [None] * 3
+
+
+def test_the_papers_figures_are_about_its_own_motions(tmp_path: Path) -> None:
+    """Assert that beside a simulation of another scene stands none of the paper's figures, and that this is said."""
+    own = recording_file(tmp_path / "a.recording.h5", steps(), truth=True, scene="data-rate")
+    other = recording_file(tmp_path / "b.recording.h5", 2 * steps(), truth=True, scene="slip")
+    rows, intervals = evaluated(own)
+    assert [row["paper_share_mean"] for row in intervals] == [0.017, 0.028, 0.119]
+    assert len(data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1]) == 3
+    for files in ((other,), (own, other)):
+        rows, intervals = evaluated(*files)
+        for row in intervals:
+            assert {row[name] for name in row if "paper" in name} == {None}
+        assert "other motions" in data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1][-1]
+
+
+def test_sizes_are_settable(tmp_path: Path) -> None:
+    """Assert that the share is as the bytes of an event, and inversely as frame, pixel and frame rate."""
+    path = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
+    ((usual,), _) = evaluated(path)
+    ((other,), _) = evaluated(path, event_bytes=10, rgb_frame="270x480x1", rgb_hz=50.0)
+    assert other["share_whole"] == pytest.approx(usual["share_whole"] * 2 * 2 * 3 / 2)
+    ((about,), _) = evaluated(path, around_s=1.0)
+    assert about["bytes_s_slip"] == pytest.approx((500 * 100 + 400 * 10 + 100) / 1000 * 5000)
+
+
+def test_mean_and_sd_over_trajectories(tmp_path: Path) -> None:
+    """Assert mean and sd over recordings, of those alone that have an answer."""
+    one = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
+    two = recording_file(tmp_path / "b.recording.h5", 3 * steps(), truth=True)
+    plain = recording_file(tmp_path / "c.recording.h5", steps())
+    rows, intervals = evaluated(one, two, plain)
+    assert [interval["trajectories"] for interval in intervals] == [3, 2, 2]
+    for interval in intervals:
+        shares = [row[f"share_{interval['interval']}"] for row in rows if row[f"share_{interval['interval']}"]]
+        assert interval["share_mean"] == pytest.approx(np.mean(shares))
+        assert interval["share_sd"] == pytest.approx(np.std(shares, ddof=1))
+
+
+def test_slip_from_labels(tmp_path: Path) -> None:
+    """Assert that without truth the onset is that of the labels beside it, and contact is refused in words."""
+    path = recording_file(tmp_path / "a.recording.h5", steps())
+    labels_file(path, ONSET)
+    ((row,), _) = evaluated(path)
+    assert row["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
+    assert row["share_contact"] is None
+    assert row["not_answered"] == "contact: no truth, and contact is known in simulations alone"
+    with StageFile(tmp_path / "a.report.h5") as report:
+        kinds = {report.header["history"][parent]["kind"] for parent in report.header["parents"]}
+    assert kinds == {"recording", "labels"}
+
+
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [
+        ({}, "slip: neither truth nor labels beside the recording"),
+        ({"labels": -1}, "slip: no slip in the labels"),
+        ({"labels": 1900}, "slip: 0.35 s of 0.5 s about the onset at 1900 ms are recorded"),
+        ({"truth": True, "onset": SLICES}, "slip: no slip"),
+        ({"truth": True, "touched": False}, "contact: nothing was touched"),
+    ],
+)
+def test_what_cannot_be_answered_is_said(tmp_path: Path, how: dict[str, Any], reason: str) -> None:
+    """Assert that an interval that is not known is left out with its reason, and the whole is answered all the same."""
+    labels = how.pop("labels", None)
+    path = recording_file(tmp_path / "a.recording.h5", steps(), **how)
+    if labels is not None:
+        labels_file(path, labels)
+    ((row,), intervals) = evaluated(path)
+    assert reason in row["not_answered"]
+    assert row[f"share_{reason.partition(':')[0]}"] is None
+    assert row["share_whole"] > 0
+    assert intervals[0]["share_mean"] == row["share_whole"]
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    """Assert that foreign labels, an empty recording, and a frame that is none are errors, and nothing is written."""
+    path = recording_file(tmp_path / "a.recording.h5", steps())
+    other = recording_file(tmp_path / "b.recording.h5", 2 * steps())
+    empty = recording_file(tmp_path / "empty.recording.h5", np.empty(0, np.int64))
+    labels_file(path, ONSET, of=other)
+    before = set(tmp_path.iterdir())
+    for file, values, match in (
+        (path, {}, "belong to another recording"),
+        (empty, {}, "no slices"),
+        (other, {"rgb_frame": "540x480"}, "not the size of a frame"),
+        (other, {"rgb_frame": "0x480x3"}, "not the size of a frame"),
+    ):
+        with pytest.raises(InputError, match=match):
+            evaluated(file, **values)
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_the_command(tmp_path: Path) -> None:
+    """Assert that the command prints one JSON object, leaves report and picture, and says simulated."""
+    path = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
+    shown = CliRunner().invoke(main.app, ["evaluate", "data-rate", str(path), "--json", "--quiet"])
+    answer = json.loads(shown.stdout)
+    assert (answer["command"], answer["simulated"]) == ("evaluate data-rate", True)
+    assert answer["summary"]["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
+    report = tmp_path / "a.data-rate.report.h5"
+    assert [row["faults"] for row in validate.run([report]).rows] == [None]
+    pytest.importorskip("matplotlib")
+    assert report.with_suffix(".png").read_bytes().startswith(b"\x89PNG")

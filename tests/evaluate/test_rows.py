@@ -1,0 +1,47 @@
+"""What the rows of `evaluate cost` have in common: extents, progress, run times, settings and their flags."""
+
+from dataclasses import fields
+
+import numpy as np
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.parameter import flag_of
+from evetac_cli.commands.record import Record
+from evetac_cli.evaluate.rows import Extent, Setting, collect, line, run_times
+
+
+def test_an_extent_is_picked():
+    """Assert that --full picks the full amount."""
+    assert [Extent(2, 20).pick(full) for full in (False, True)] == [2, 20]
+
+
+def test_rows_are_collected_with_progress():
+    """Assert that progress is reported after each row."""
+    reports = []
+    rows = [{"setting": "a"}, {"setting": "b"}]
+    assert collect(iter(rows), 2, lambda done, total: reports.append((done, total))) == rows
+    assert reports == [(1, 2), (2, 2)]
+
+
+def test_run_times_by_hand():
+    """Assert median and 99th percentile, and None where nothing was timed."""
+    assert run_times(np.arange(101.0)) == {"time_us_median": 50.0, "time_us_p99": 99.0}
+    assert run_times(np.empty(0), "step") == {"step_us_median": None, "step_us_p99": None}
+
+
+def test_names_and_flags() -> None:
+    """Assert that a setting is named by its line and value, and says the flags that choose it."""
+    quarter, tenth = line("fixed step", "step_ms", (0.25, 0.1), "ms")
+    assert (quarter.name, quarter.flags) == ("fixed step, 0.25 ms", "--step-ms 0.25")
+    assert (tenth.name, tenth.flags) == ("fixed step, 0.1 ms", "--step-ms 0.1")
+    (both,) = line("node pitch", "node_pitch_mm", (0.625,), "mm", step_ms=0.25)
+    assert (both.name, both.flags) == ("node pitch, 0.625 mm", "--node-pitch-mm 0.625 --step-ms 0.25")
+    assert Setting("tolerance", solver={"tolerance_um": 0.05}).flags == "--tolerance 0.05"
+    assert Setting("defaults").flags == ""
+
+
+def test_flags_are_those_of_both_commands() -> None:
+    """Assert that record and grasp have the flags under the same names."""
+    for command in (Record, Grasp):
+        flags = {flag_of(item) for item in fields(command)}
+        assert {"--step-ms", "--tolerance", "--theta", "--node-pitch-mm", "--camera-substeps"} <= flags

@@ -1,0 +1,391 @@
+"""evaluate slip: several models at once, means over objects and seeds, the paper's figures, what is refused."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evetac_cli.commands.evaluate import EvaluateSlip
+from evetac_cli.commands.train import Train
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import slip, slip_models, slip_tables
+from evetac_cli.evaluate.slip_models import Model, check
+from evetac_cli.inspect import validate
+from evetac_cli.jobs import silent
+from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.inputs import Series
+from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.stages import slip_detectors, train
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.layout.provenance import Recipe
+from tests.make import run_stage
+
+SLICES, ONSET = 260, 180
+
+
+def features_file(
+    folder: Path, number: int, *, object_: int, method: str = "event-flow", scene: str | None = None
+) -> Path:
+    """Features of a made-up trial in which dots move and blink more when it slips."""
+    rng = np.random.default_rng(number)
+    label = (np.arange(SLICES) >= ONSET).astype(np.int8)
+    events = rng.poisson(np.where(label, 8, 1)[:, None], (SLICES, 56)).astype(np.int32)
+    total = events.sum(axis=1).astype(np.int32)
+    arrays: dict[str, Any] = {
+        "displacement_px": rng.exponential(np.where(label, 3.0, 0.3)[:, None], (SLICES, 56)).astype(np.float32),
+        "events_per_dot": events,
+        "events_total": total,
+        "events_outside": total,
+        "label": label,
+        "onset_slice": np.int64(ONSET),
+        "dot_shape": np.array([7, 8], np.int32),
+    }
+    chosen = {"object": object_} | ({"scene": {"name": scene}} if scene else {})
+    recording = Recipe("recording", 1, chosen, seed=number, simulated_source=True).header()
+    labels = Recipe("labels", 1, {"method": method}, parents=(recording,)).header()
+    path = folder / f"trial-{number:03d}.features.h5"
+    write_stage(path, Recipe("features", 2, {}, parents=(recording, labels)), arrays)
+    return path
+
+
+def trained(files: list[Path], folder: Path, **values: Any) -> list[Path]:
+    params = Train(**({"model": "no-hist", "epochs": 1000, "max_steps": 20, "preset": "adam"} | values))
+    jobs = train.jobs(files, params, folder)
+    for job in jobs:
+        train.run(job, params)
+    return [job.output for job in jobs]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Trials to learn from (objects 1, 2) and to be judged on (1, 2, 10); models of two seeds, ahead, and of truth."""
+    folder = tmp_path_factory.mktemp("slips")
+    learn = [features_file(folder, number, object_=1 + number // 2) for number in range(4)]
+    truth = [features_file(folder, 50 + number, object_=1, method="truth") for number in range(2)]
+    return {
+        "learn": learn,
+        "known": [features_file(folder, 100 + number, object_=1 + number % 2) for number in range(4)],
+        "unseen": [features_file(folder, 200 + number, object_=10) for number in range(2)],
+        "seeds": trained(learn, folder / "now", seeds=2),
+        "ahead": trained(learn, folder / "ahead", horizon_ms=10),
+        "truth": trained(truth, folder / "truth"),
+        "fast-slow": trained(learn, folder / "fast", model="fast-slow", horizon_ms=10),
+    }
+
+
+@pytest.fixture(autouse=True)
+def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures but in the test of the report: they take longest."""
+    if request.node.name != "test_the_report":
+        monkeypatch.setattr(slip.picture, "beside", lambda outcome, *_: outcome)
+
+
+def evaluated(files: Sequence[Path], out: Path, **values: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    params = EvaluateSlip(**values)
+    _, outcome = run_stage(slip, list(files), params, out)
+    return outcome.rows, outcome.summary
+
+
+def table_of(rows: list[dict[str, Any]], key: str, without: str = "none") -> list[dict[str, Any]]:
+    return [row for row in rows if key in row and without not in row]
+
+
+def test_models_among_the_files(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that models are found behind --model, among the files, in a folder and by a glob, each once."""
+    first, second = world["seeds"]
+    expected = (*world["known"], first, second)
+    for files, given in (
+        ([second, *world["known"]], first),
+        ([first, second, *world["known"]], first),
+        (world["known"], first.parent),
+        (world["known"], first.parent / "*-s?.model.h5"),
+    ):
+        (job,) = slip.jobs(files, EvaluateSlip(model=given), tmp_path)
+        assert job.inputs == expected
+        assert job.output == tmp_path / f"{world['known'][0].resolve().parent.name}.slip.report.h5"
+
+
+def test_a_model_counts_once(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that a copy of a model under another name is no second seed."""
+    first = world["seeds"][0]
+    copy = tmp_path / "copy.model.h5"
+    shutil.copy(first, copy)
+    (job,) = slip.jobs([copy, *world["known"]], EvaluateSlip(model=first), tmp_path)
+    assert job.inputs == (*world["known"], first)
+
+
+def test_what_is_missing_is_said(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that no model, no features, and a model that is not there are errors in words."""
+    with pytest.raises(InputError, match="no model file"):
+        slip.jobs(world["known"], EvaluateSlip(), tmp_path)
+    with pytest.raises(InputError, match="no features files"):
+        slip.jobs(world["seeds"], EvaluateSlip(), tmp_path)
+    with pytest.raises(InputError, match="wrong kind"):
+        slip.jobs(world["known"][1:], EvaluateSlip(model=world["known"][0]), tmp_path)
+    with pytest.raises(InputError, match="no such file"):
+        evaluated(world["known"], tmp_path, model=tmp_path / "no.model.h5")
+
+
+def test_seeds_are_one_setting(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that models that differ in their seed alone share a row, with means and sd over objects and seeds."""
+    rows, summary = evaluated([*world["known"], *world["seeds"], *world["ahead"]], tmp_path)
+    settings = table_of(rows, "seeds")
+    assert [(row["setting"], row["seeds"]) for row in settings] == [("no-hist", 2), ("no-hist, 10 ms ahead", 1)]
+    by_model = table_of(rows, "slips")
+    assert [row["file"] for row in by_model] == [path.name for path in (*world["seeds"], *world["ahead"])]
+    mean = np.mean([row["f1"] for row in by_model[:2]])
+    assert settings[0]["f1"] == pytest.approx(mean)  # f1 of a model is the mean over objects, as many in each
+    assert settings[0]["f1_sd_seeds"] == pytest.approx(np.std([row["f1"] for row in by_model[:2]], ddof=1))
+    assert settings[1]["f1_sd_seeds"] is None
+    assert (summary["models"], summary["settings"], summary["trajectories"]) == (3, 2, 4)
+
+
+def test_every_object_counts_the_same(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that a setting's figures are the means of its objects' rows, however many trajectories each has."""
+    files = [world["known"][0], *world["unseen"], *world["seeds"]]
+    rows, _ = evaluated(files, tmp_path)
+    (setting,), objects = table_of(rows, "seeds"), table_of(rows, "object", "file")
+    assert [(row["object"], row["trajectories"]) for row in objects] == [("1", 1), ("10", 2)]
+    for figure in ("slip_early", "slip_correct", "slip_late", "f1"):
+        assert setting[figure] == pytest.approx(np.mean([row[figure] for row in objects]))
+
+
+def test_a_single_model_keeps_its_summary(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that with one model the summary is its score, at its own threshold or the one that is given."""
+    (path,) = world["ahead"]
+    _, summary = evaluated(world["known"], tmp_path / "a", model=path)
+    with StageFile(path, "model") as model:
+        assert summary["threshold"] == model.read("threshold")
+    assert {"slip_early", "slip_correct", "slip_late", "f1"} <= summary.keys()
+    _, at = evaluated(world["known"], tmp_path / "b", model=path, threshold=0.975)
+    assert at["threshold"] == 0.975
+
+
+def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that t_c of a model trained ahead is the labels' onset, and its F1 that of labels shifted by 10 ms."""
+    (path,) = world["ahead"]
+    rows, _ = evaluated(world["known"][:1], tmp_path, model=path)
+    (row,) = table_of(rows, "t_c_ms")
+    assert row["t_c_ms"] == ONSET
+    model = Model.read(path)
+    trajectory = slip_detectors.read_trajectory(world["known"][0], model.architecture)
+    detected = is_slip(model.detector().over(trajectory.series), model.threshold)
+    label = np.arange(SLICES) >= ONSET - 10
+    selected = slice(0, ONSET + 20)
+    sklearn = pytest.importorskip("sklearn.metrics")
+    assert row["f1"] == pytest.approx(sklearn.f1_score(label[selected], detected[selected]))
+
+
+def test_truth_is_a_setting_of_its_own(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that a model trained on labels from truth is named so, and has its own row."""
+    rows, _ = evaluated([*world["known"], *world["seeds"], *world["truth"]], tmp_path)
+    assert [row["labels"] for row in table_of(rows, "seeds")] == ["event-flow", "truth"]
+    assert table_of(rows, "seeds")[1]["setting"] == "no-hist, labels truth, 1 trajectories"
+
+
+def test_other_scenes_are_a_setting_of_their_own(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that a model is named by the scenes that it was trained on, not by those it was validated on."""
+    slips, lifts = (features_file(tmp_path, 700 + n, object_=1, scene=name) for n, name in enumerate(("slip", "lift")))
+    validate_on = str(features_file(tmp_path, 702, object_=1, scene="shear"))
+    models = [
+        *trained([slips], tmp_path / "slips.model.h5", validate=validate_on),
+        *trained([slips, lifts], tmp_path / "both.model.h5", validate=validate_on),
+    ]
+    rows, _ = evaluated([*world["known"], *models], tmp_path)
+    assert [row["scenes"] for row in table_of(rows, "seeds")] == ["slip", "lift + slip"]
+    assert table_of(rows, "seeds")[1]["setting"] == "no-hist, 2 trajectories, scenes lift + slip"
+
+
+def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that the paper's figures stand beside the same model, by whether the objects were trained on."""
+    known, _ = evaluated([*world["known"], *world["seeds"]], tmp_path / "known")
+    (row,) = table_of(known, "seeds")
+    assert (row["paper_slip_correct"], row["paper_f1"]) == (0.87, 0.59)
+    unseen, _ = evaluated([*world["unseen"], *world["fast-slow"]], tmp_path / "unseen")
+    (row,), (timing_bins,) = table_of(unseen, "seeds"), table_of(unseen, "never_detected")
+    assert (row["paper_slip_correct"], row["paper_f1"]) == (0.88, None)
+    assert timing_bins["paper_10_to_0_ms_ahead"] == 0.57
+    both, _ = evaluated([*world["known"], *world["unseen"], *world["seeds"]], tmp_path / "both")
+    assert table_of(both, "seeds")[0]["paper_slip_correct"] is None
+
+
+@pytest.mark.parametrize(
+    ("late_by", "name"),
+    [
+        (-51, "over_50_ms_ahead"),
+        (-50, "50_to_31_ms_ahead"),
+        (-30, "30_to_11_ms_ahead"),
+        (-10, "10_to_0_ms_ahead"),
+        (0, "10_to_0_ms_ahead"),
+        (20, "1_to_20_ms_after"),
+        (21, "over_20_ms_after"),
+    ],
+)
+def test_timing_bins_at_their_borders(late_by: int, name: str) -> None:
+    """Assert that each first detection is counted in one place, and those without one are never."""
+    shares = slip_tables._timing_bins([late_by, None])
+    assert shares[name] == 0.5
+    assert shares["never_detected"] == 0.5
+    assert sum(value for key, value in shares.items() if key != "t_m_minus_t_c_ms_median") == 1
+    assert shares["t_m_minus_t_c_ms_median"] == late_by
+
+
+def prediction(detected: NDArray[np.bool_], onset: int, object_: str) -> Prediction:
+    label = (np.arange(len(detected)) >= onset).astype(np.int8) if onset >= 0 else np.zeros(len(detected), np.int8)
+    return Prediction(detected.astype(np.float32), label, onset, object_)
+
+
+def test_an_object_that_never_slips_has_no_timing(world: dict[str, Any]) -> None:
+    """Assert that means leave out the timing of an object without an onset, but not its F1."""
+    at = np.arange(200)
+    cell = slip_tables.by_object([prediction(at >= 100, 100, "1"), prediction(at >= 300, -1, "2")], 0.5)
+    row = slip_tables.setting_row("a", Model.read(world["seeds"][0]), [cell])
+    assert row["slip_correct"] == 1.0
+    assert row["f1"] == 0.5
+
+
+def test_a_shared_recording_is_named(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that a recording that one of several models has seen is refused, naming the file and the model."""
+    files = [*world["known"], world["learn"][2], *world["truth"], *world["seeds"]]
+    with pytest.raises(InputError, match="both trained on and evaluated on") as refused:
+        evaluated(files, tmp_path)
+    assert str(world["learn"][2]) in str(refused.value)
+    assert str(world["seeds"][0]) in str(refused.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_report(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that the report holds all rows, is valid, has a picture beside it, and is kept."""
+    files, out = [*world["known"], *world["seeds"]], tmp_path / "a.report.h5"
+    rows, summary = evaluated(files, out)
+    assert [row["faults"] for row in validate.run([out]).rows] == [None]
+    with StageFile(out, "report") as file:
+        assert json.loads(file.read("rows")) == rows
+        assert file.header["simulated"]
+    pytest.importorskip("matplotlib")
+    assert summary["plot"] == str(tmp_path / "a.report.png")
+    picture = tmp_path / "a.report.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    picture.unlink()
+    evaluated(files, out)
+    assert picture.exists()
+
+
+def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert few columns, every trajectory where there are few and a row a setting elsewhere, all tables on demand."""
+    rows, _ = evaluated([*world["unseen"], world["seeds"][0]], tmp_path / "one.report.h5")
+    shown, verdict = slip.for_people(rows, EvaluateSlip())
+    assert [row["file"] for row in shown] == [path.name for path in world["unseen"]]
+    assert len({tuple(row) for row in shown}) == 1
+    (setting,) = (row for row in rows if "seeds" in row)
+    assert f"correct {setting['slip_correct']:.0%}" in verdict[0] and "2 trajectories" in verdict[0]
+    assert "50 ms before" in verdict[1] and "20 ms after" in verdict[1]
+    assert slip.for_people(rows, EvaluateSlip(all_tables=True))[0] == rows
+
+    files = [*world["known"], *world["unseen"], *world["seeds"], *world["ahead"]]
+    rows, _ = evaluated(files, tmp_path / "many.report.h5")
+    shown, verdict = slip.for_people(rows, EvaluateSlip())
+    assert [row["setting"] for row in shown] == [row["setting"] for row in rows if "seeds" in row]
+    assert {"early", "correct", "late", "f1"} <= set(shown[0]) and len(shown[0]) <= 9
+    assert [line.split(":")[0] for line in verdict[: len(shown)]] == [row["setting"] for row in shown]
+
+
+def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The architectures of the detectors that are run on a trajectory from now on."""
+    calls: list[str] = []
+
+    def counted(detector: Detector, series: Series, first: int) -> NDArray[np.float32]:
+        calls.append(detector.architecture.name)
+        return slip_detectors.probabilities(detector, series, first)
+
+    monkeypatch.setattr(slip_models, "probabilities", counted)
+    return calls
+
+
+def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a model, then a trajectory more costs what is new alone, and the report is as if made at once."""
+    calls = judged(monkeypatch)
+    report, both = tmp_path / "r.report.h5", world["seeds"]
+    known, more = world["known"][:3], world["known"]
+
+    def judged_again(files: list[Path], out: Path) -> tuple[list[dict[str, Any]], int]:
+        before = len(calls)
+        return run_stage(slip, files, EvaluateSlip(), out, force=True)[1].rows, len(calls) - before
+
+    assert judged_again([*known, both[0]], report)[1] == 3
+    assert judged_again([*known, *both], report)[1] == 3
+    rows, times = judged_again([*more, *both], report)
+    assert times == 2
+    assert rows == judged_again([*more, *both], tmp_path / "new" / "r.report.h5")[0]
+    assert len(list((tmp_path / "r.judged").iterdir())) == 4
+    renamed = replace(Model.read(both[0]), key="of another graph with the same recipe")
+    (predictions,) = slip_models.predict_all([renamed], known, check([renamed], known), silent, tmp_path / "r.judged")
+    assert len(calls) == 3 + 3 + 2 + 8 + 3
+    assert len(predictions) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", ["cut", "nonsense", "short", "packed", "large", "unlikely"])
+def test_what_was_kept_and_is_damaged_is_judged_again(
+    world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    """Assert that a broken or made up archive changes no figure."""
+    files = [*world["known"], world["seeds"][0]]
+    rows, _ = evaluated(files, tmp_path / "r.report.h5")
+    (kept, *_) = sorted((tmp_path / "r.judged").iterdir())
+    with ZipFile(kept) as archive:
+        ((key, values),) = {name: archive.read(name) for name in archive.namelist()}.items()
+    if damage == "cut":
+        kept.write_bytes(kept.read_bytes()[:-30])
+    elif damage == "nonsense":
+        kept.write_bytes(b"PK nonsense")
+    else:
+        other = {"short": values[:-4], "large": bytes(10**6), "unlikely": np.full(len(values) // 4, 2.0, np.float32)}
+        with ZipFile(kept, "w", ZIP_DEFLATED if damage in ("packed", "large") else ZIP_STORED) as archive:
+            archive.writestr(key, bytes(other.get(damage, values)))
+    calls = judged(monkeypatch)
+    (tmp_path / "r.report.h5").unlink()
+    assert evaluated(files, tmp_path / "r.report.h5")[0] == rows
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("model", ["fast-slow", "down5"])
+def test_piece_by_piece_as_a_whole(
+    world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: str
+) -> None:
+    """Assert that a long trajectory is judged as it is in one piece, whatever the number of slices in memory."""
+    files = [*world["known"], *trained(world["learn"], tmp_path / "models", model=model)]
+    rows, _ = evaluated(files, tmp_path / "whole.report.h5")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "whole.judged").iterdir()}
+    calls = judged(monkeypatch)
+    monkeypatch.setattr(slip_models, "MOST_SLICES", 37)
+    assert evaluated(files, tmp_path / "pieces.report.h5")[0] == rows
+    assert len(calls) > len(world["known"])
+    for path in (tmp_path / "pieces.judged").iterdir():
+        with ZipFile(path) as archive, ZipFile(BytesIO(before[path.name])) as whole:
+            assert {name: archive.read(name) for name in archive.namelist()} == {
+                name: whole.read(name) for name in whole.namelist()
+            }
+
+
+def test_parts_of_a_report(world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a report finds what its parts judged, in whatever order."""
+    monkeypatch.setattr(slip, "AT_ONCE", 3)
+    files = [*world["known"], *world["seeds"]]
+    rows, _ = evaluated(files, tmp_path / "whole.report.h5")
+    (job,) = slip.jobs(files, EvaluateSlip(), tmp_path / "r.report.h5")
+    parts = slip.parts(job, EvaluateSlip())
+    assert [len(part.inputs) for part in parts] == [5, 3]
+    for part in reversed(parts):
+        assert slip.run(part, EvaluateSlip()).rows == []
+    monkeypatch.setattr(slip_models, "probabilities", None)
+    assert slip.run(job, EvaluateSlip()).rows == rows

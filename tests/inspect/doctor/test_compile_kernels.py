@@ -1,0 +1,114 @@
+"""doctor --compile: afterwards no command compiles anything, and a command that fails is named."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from evetac_cli.errors import EvetacError
+from evetac_cli.inspect.doctor import compile_kernels
+from evetac_cli.resources import PACKAGE
+
+# Runs evetac, and prints on stderr the functions that it compiled.
+COUNTED = """
+import runpy, sys
+from numba.core import event
+compiled = []
+class Listener(event.Listener):
+    def on_start(self, happens):
+        function = happens.data["dispatcher"].py_func
+        compiled.append(f"{function.__module__}.{function.__qualname__}{happens.data['args']}")
+    def on_end(self, happens):
+        pass
+event.register("numba:compile", Listener())
+try:
+    runpy.run_module("evetac_cli", run_name="__main__", alter_sys=True)
+except SystemExit as end:
+    assert not end.code, end.code
+print("compiled", len(compiled), *compiled[:3], file=sys.stderr)
+"""
+COMMANDS = (
+    "record --scene slip --object 3,8 --seed 5 --out .",
+    "record --scene slip --object 8 --seed 6 --out unseen.recording.h5",
+    "track slip-obj03-s5-000.recording.h5 slip-obj08-s5-000.recording.h5 unseen.recording.h5",
+    "label slip-obj03-s5-000.recording.h5 slip-obj08-s5-000.recording.h5 unseen.recording.h5",
+    "featurize slip-obj03-s5-000.recording.h5 slip-obj08-s5-000.recording.h5 unseen.recording.h5",
+    "train slip-obj03-s5-000.features.h5 --validate slip-obj08-s5-000.features.h5 --preset adam --epochs 1"
+    " --out m.model.h5",
+    "evaluate slip unseen.features.h5 --model m.model.h5",
+    "evaluate labels unseen.labels.h5",
+    "evaluate tracking unseen.tracks.h5",
+    "grasp --object 17 --lift-s 2 --balance-s 1 --out g.recording.h5",
+    "evaluate grasp g.recording.h5",
+)
+
+
+@pytest.mark.slow
+def test_after_it_no_command_compiles(tmp_path: Path) -> None:
+    """Assert that it leaves nothing to compile for the commands of the README's first tour, on other trials."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(PACKAGE.parent)}
+
+    def compiled(command: str) -> list[str]:
+        run = [sys.executable, "-c", COUNTED, *command.split()]
+        done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+        return done.stderr.splitlines()[-1].split(maxsplit=2)[1:]
+
+    assert compiled("track --help") == ["0"]
+    subprocess.run([sys.executable, "-m", "evetac_cli", "doctor", "--compile"], env=environment, check=True)
+    assert [(command, what) for command in COMMANDS if (what := compiled(command)) != ["0"]] == []
+
+
+@pytest.mark.slow
+def test_a_command_that_compiles_is_seen(tmp_path: Path) -> None:
+    """Assert that the test above would see what is compiled: everything, in an empty folder."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(PACKAGE.parent)}
+    run = [sys.executable, "-c", COUNTED, "evaluate", "stability", "track", "--out", str(tmp_path / "s.report.h5")]
+    done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert int(done.stderr.splitlines()[-1].split()[1]) > 0
+
+
+def test_a_command_that_fails_is_named() -> None:
+    """Assert that an error names the command and says why it failed."""
+    with pytest.raises(EvetacError, match="evetac record --scene nowhere") as error:
+        compile_kernels.run(steps=((("record --scene nowhere",),),))
+    assert "nowhere" in str(error.value).split("--scene nowhere", 1)[1]
+
+
+def test_each_command_is_said_as_it_begins() -> None:
+    """Assert a line for each command with its number, the number of all, and how far it is where one takes long."""
+    said: list[str] = []
+    importing = "record --from events.txt --frame-size 640x480 --calibration grid.json --out {}.recording.h5"
+    steps = (((importing.format("a"), importing.format("b")),), ((importing.format("c"),), (importing.format("d"),)))
+    done: list[tuple[float, float]] = []
+    outcome = compile_kernels.run(lambda *how: done.append(how[:2]), steps, said.append, again_s=0.01)
+    assert "once after installing: 4 commands" in said[0]
+    begun = [line for line in said if line.startswith("compiling ") and line.endswith("...")]
+    assert begun == [f"compiling {number} of 4: record ..." for number in (1, 2, 3, 4)]
+    waiting = [line for line in said[1:] if line not in begun]
+    assert waiting and all(" of 4 are compiled; at work: record for " in line for line in waiting)
+    assert [row["command"] for row in outcome.rows] == ["record"] * 4
+    assert done == [(number, 4) for number in range(5)]
+
+
+def test_an_error_is_not_waited_for_in_words() -> None:
+    """Assert that a command that fails ends the others' telling too, and that its error is the one that is raised."""
+    said: list[str] = []
+    with pytest.raises(EvetacError, match="evetac trim nothing"):
+        compile_kernels.run(steps=((("trim nothing",),),), say=said.append)
+    assert said[1:] == ["compiling 1 of 1: trim ..."]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("record --scene slip", "record"),
+        ("evaluate slip a.features.h5 --model m", "evaluate slip"),
+        ("track a.h5", "track"),
+    ],
+)
+def test_commands_are_called_as_on_the_command_line(command: str, name: str) -> None:
+    """Assert that an evaluation is named with its subject."""
+    assert compile_kernels.name_of(command) == name

@@ -1,0 +1,147 @@
+"""doctor --speed, on computers made up of figures: what is asked of each part, and what is advised where it is slow."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.commands.doctor import Doctor
+from evetac_cli.errors import InputError
+from evetac_cli.inspect.doctor import speed
+from evetac_cli.inspect.doctor.speed import Computer, WakeUps, Written
+
+
+class Made(Computer):
+    """A computer of known figures, all of them within their limits by a little."""
+
+    def __init__(self, **figures: Any) -> None:
+        given = {
+            "cores": [0, 1],
+            "late_us": {0: [50.0, 2000.0, *[499.0] * 998], 1: [10.0] * 100},
+            "scheduling": "real-time 30",
+            "governor": "performance",
+            "steps_us": {500: [*[100.0] * 995, *[500.0] * 5], 5000: [*[1000.0] * 6, *[9e4] * 5]},
+            "decoded_per_s": 10e6,
+            "written": Written(1e6, 75.0),
+        }
+        self.figures: dict[str, Any] = {**given, **figures}
+
+    def cores(self) -> list[int]:
+        return self.figures["cores"]  # type: ignore[no-any-return]
+
+    def wake_ups_us(self, core: int, seconds: float) -> WakeUps:
+        return WakeUps(np.array(self.figures["late_us"][core]), self.figures["scheduling"])
+
+    def governor(self) -> str | None:
+        return self.figures["governor"]  # type: ignore[no-any-return]
+
+    def steps_us(self, events: int) -> NDArray[np.float64]:
+        return np.array(self.figures["steps_us"][events])
+
+    def decoded_per_s(self) -> float:
+        return self.figures["decoded_per_s"]  # type: ignore[no-any-return]
+
+    def written(self, folder: Path) -> Written:
+        written = self.figures["written"]
+        if isinstance(written, Exception):
+            raise written
+        return written  # type: ignore[no-any-return]
+
+
+def wrong(**figures: Any) -> dict[str, dict[str, Any]]:
+    """The checks that are not passed by a computer that differs so from one within all limits."""
+    result = speed.run(Doctor(speed=True), Made(**figures))
+    failed = {row["check"]: row for row in result.rows if row["ok"] is False}
+    assert result.summary == {"wrong": len(failed)}
+    return failed
+
+
+def test_at_the_limits_a_computer_is_fast_enough(capsys: pytest.CaptureFixture[str]) -> None:
+    assert wrong() == {}
+    speed.show(speed.run(Doctor(speed=True), Made()))
+    shown = capsys.readouterr().out
+    assert "WRONG" not in shown
+    assert "all that was found is fine" in shown
+    assert "camera found" not in shown  # nothing was looked for
+
+
+@pytest.mark.parametrize(
+    ("figures", "check", "words"),
+    [
+        ({"late_us": {0: [10.0] * 100, 1: [501.0] * 100}}, "core 1 wakes", "501 us late"),
+        ({"late_us": {0: [*[10.0] * 999, 2001.0], 1: [10.0]}}, "core 0 wakes", "all at most 2001 us"),
+        ({"cores": [1]}, "for this program", "1"),
+        ({"steps_us": {500: [501.0] * 100, 5000: [1.0]}}, "500 events", "501 us"),
+        ({"steps_us": {500: [1.0], 5000: [1001.0]}}, "5000 events", "1001 us"),
+        ({"decoded_per_s": 9.9e6}, "decoding", "9.9 million"),
+        ({"written": Written(0.9e6, 10.0)}, "writes", "0.9 million"),
+        ({"written": Written(5e6, 76.0)}, "segments", "76 ms"),
+        ({"written": InputError("no room")}, "writes", "no room"),
+    ],
+)
+def test_a_part_that_is_too_slow_is_named(figures: dict[str, Any], check: str, words: str) -> None:
+    failed = wrong(**figures)
+    assert list(failed) == [check]
+    assert words in failed[check]["found"]
+    assert failed[check]["expected"]
+    assert failed[check]["fix"]
+
+
+def test_late_wake_ups_are_blamed_on_what_can_be_changed() -> None:
+    late = {0: [10.0], 1: [3000.0] * 10}
+    assert wrong(late_us=late)["core 1 wakes"]["fix"] == speed.CLOSE
+    figures = {"late_us": late, "scheduling": "as usual", "governor": "powersave"}
+    assert wrong(**figures)["core 1 wakes"]["fix"] == "; ".join([speed.CLOSE, speed.PERMIT, speed.SET_GOVERNOR])
+
+
+def test_priority_and_clock_rate_are_wrong_for_nobody_who_wakes_in_time() -> None:
+    assert wrong(scheduling="nice -10", governor="powersave") == {}
+    rows = speed.run(Doctor(speed=True), Made(scheduling="nice -10", governor="powersave")).rows
+    fixes = {row["check"]: row["fix"] for row in rows if row["ok"] is None}
+    assert fixes == {"priority": speed.PERMIT, "clock rate": speed.SET_GOVERNOR}
+    rows = speed.run(Doctor(speed=True), Made(governor=None)).rows
+    assert "clock rate" not in {row["check"] for row in rows}
+
+
+def test_this_computer_is_measured_and_left_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that there are figures of every part, and that neither files nor the cores of this thread change."""
+    for name, value in (("STEPS", 3), ("FIRST_STEPS", 1), ("DIFFERENT_SLICES", 2), ("DECODING_S", 0.0)):
+        monkeypatch.setattr(speed, name, value)
+    for name, value in (("SEGMENTS", 2), ("SEGMENT_SLICES", 3)):
+        monkeypatch.setattr(speed, name, value)
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
+    computer = Computer(tmp_path)
+    woken = computer.wake_ups_us(computer.cores()[-1], 0.005)
+    assert len(woken.late_us) >= 1
+    assert (woken.late_us > -1000.0).all()
+    assert cores is None or os.sched_getaffinity(0) == cores
+    assert computer.steps_us(20).shape == (3,)
+    assert computer.decoded_per_s() > 0
+    assert computer.written(tmp_path).events_per_s > 0
+    assert list(tmp_path.iterdir()) == []
+    assert computer.governor() is None
+    file = tmp_path / "devices/system/cpu/cpu0/cpufreq/scaling_governor"
+    file.parent.mkdir(parents=True)
+    file.write_text("schedutil\n")
+    assert computer.governor() == "schedutil"
+
+
+def test_the_command_measures_and_ends_with_3_where_something_is_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "Computer", Made)
+    fine = CliRunner().invoke(app, ["doctor", "--speed", "--json"])
+    assert (fine.exit_code, json.loads(fine.stdout)["summary"]) == (0, {"wrong": 0})
+    monkeypatch.setattr(speed, "Computer", lambda: Made(decoded_per_s=1e6))
+    slow = CliRunner().invoke(app, ["doctor", "--speed"])
+    assert slow.exit_code == 3
+    assert "WRONG decoding" in slow.stdout
+
+
+@pytest.mark.parametrize("other", [["--hardware"], ["--gripper", "/dev/ttyUSB0"], ["--print-udev"]])
+def test_speed_goes_with_no_other_examination(other: list[str]) -> None:
+    assert CliRunner().invoke(app, ["doctor", "--speed", *other]).exit_code == 2

@@ -1,0 +1,89 @@
+"""The report over a large study in a headless Chromium, where one is installed."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from evetac_cli.commands.report import Report
+from evetac_cli.pages import report, shared
+from tests.browser import Browser
+from tests.pages.report.studies import slip_rows, write_report, write_trials
+from tests.pages.view.trials import ONSET
+
+TRIALS = 300
+SHOWN = "[...document.querySelectorAll('#all-trials tbody tr')].filter((row) => !row.hidden)"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on 300 trajectories."""
+    folder = tmp_path_factory.mktemp("many")
+    features = write_trials(folder, [(7 * number) % 11 - 5 for number in range(TRIALS)], ONSET + 60)
+    late_by = [None if number % 50 == 0 else (37 * number) % 120 - 80 for number in range(TRIALS)]
+    write_report(folder / "s.slip.report.h5", "evaluate slip", slip_rows(features, late_by), {}, tuple(features))
+    report.run([folder], Report(), None)
+    return folder / "report.html"
+
+
+@pytest.mark.slow
+def test_report_in_a_browser(browser: Browser, page: Path, record_property: Callable[[str, object], None]) -> None:
+    """Assert that the page is small, draws without complaint at any width, is sorted and searched by key or click.
+
+    How long it takes to open is a property of the computer: it is kept with the test's record, not judged.
+    """
+    assert page.stat().st_size < shared.LARGEST_BYTES
+    for width in (420, 1300, 2560):
+        browser.resize(width)
+        begin = time.monotonic()
+        browser.open(page)
+        record_property(f"opened_s_{width}", time.monotonic() - begin)
+        assert browser.run("document.documentElement.scrollWidth <= innerWidth"), width
+        assert browser.complaints() == []
+    browser.resize(1300)
+    assert browser.run(f"{SHOWN}.length") == TRIALS
+    browser.key("/", text="/")
+    assert browser.run("document.activeElement.id") == "find"
+    for letter in "slip-007":
+        browser.call("Input.dispatchKeyEvent", type="char", text=letter)
+    browser.until(f"{SHOWN}.length === 1")
+    browser.key("Escape")
+    browser.until(f"{SHOWN}.length === {TRIALS}")
+    browser.run("document.getElementById('outliers').click()")
+    outliers = browser.run(f"{SHOWN}.length")
+    assert 0 < outliers < TRIALS
+    browser.run("document.getElementById('outliers').click()")
+    head = "[...document.querySelectorAll('#all-trials th button')].find((one) => one.textContent === 't_m - t_c [ms]')"
+    column = browser.run(f"{head}.closest('th').cellIndex")
+    browser.run(f"{head}.focus()")
+    browser.key("Enter", text="\r")
+    values = f"{SHOWN}.map((row) => Number(row.cells[{column}].dataset.v))"
+    sorted_up = browser.until(f"{head}.closest('th').ariaSort === 'ascending' && {values}")
+    assert sorted_up == sorted(sorted_up)
+    browser.run(f"{head}.click()")
+    assert browser.run(values) == sorted(sorted_up, reverse=True)
+    choice = "document.querySelector('select[data-by=object]')"
+    browser.run(f"(() => {{ {choice}.value = '3'; {choice}.dispatchEvent(new Event('input')); }})()")
+    assert browser.run(f"{SHOWN}.every((row) => row.dataset.object === '3')")
+    assert browser.complaints() == []
+
+
+@pytest.mark.slow
+def test_a_point_shows_its_trial(browser: Browser, page: Path) -> None:
+    """Assert that a click on a point of the first chart marks the trial of that point."""
+    browser.open(page)
+    browser.run("document.querySelector('.chart').scrollIntoView()")
+    x, y = browser.run(
+        "(() => { const figure = Bokeh.documents[0].roots()[0], view = Bokeh.index.get_one(figure);"
+        " const source = figure.renderers[0].data_source, box = view.el.getBoundingClientRect();"
+        " return [box.left + view.frame.x_scale.compute(source.get_array('x')[0]),"
+        " box.top + view.frame.y_scale.compute(source.get_array('y')[0])]; })()"
+    )
+    browser.mouse(x, y, "mouseMoved", "mousePressed", "mouseReleased")
+    browser.until("document.querySelector('tr.chosen') !== null")
+    row = browser.run("document.querySelector('tr.chosen').dataset.row")
+    sources = "Bokeh.documents[0].roots()[0].renderers.map((glyph) => glyph.data_source)"
+    at = "(source) => source.selected.indices.map((at) => source.get_array('row')[at])"
+    assert row in browser.run(f"{sources}.flatMap({at})")
+    assert browser.complaints() == []

@@ -1,0 +1,219 @@
+"""report: what is read of a folder, what stands out, the paper beside it, and the page as a file."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli.commands.report import Report
+from evetac_cli.commands.view import View
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.jobs import silent
+from evetac_cli.pages import report, shared, view
+from evetac_cli.pages.report import figures
+from evetac_cli.pages.report.figures import TIMING_MS
+from evetac_cli.pages.report.study import Study, read_study, remark
+from evetac_cli.pages.report.tables import figure_text
+from tests.make import evetac
+from tests.pages.report.studies import slip_rows, write_report, write_trials
+from tests.pages.view.trials import NASTY, ONSET, write_recording
+
+
+def page_of(folder: Path, out: Path, **chosen: Any) -> str:
+    report.run([folder], Report(**chosen), out, force=True)
+    return out.read_text(encoding="utf-8")
+
+
+def test_trials_have_their_onsets(study: Study) -> None:
+    """Assert that truth, labels and detections of each trial are its own, also where files have the same name."""
+    assert [trial.name for trial in study.trials] == [f"slip-00{number}" for number in range(5)]
+    assert {trial.t_s for trial in study.trials} == {ONSET}
+    assert [trial.label_error_ms for trial in study.trials] == [2, -1, None, 3, 40]
+    assert [trial.late_by for trial in study.trials] == [[0], [-120], [5], [None], [4]]
+    assert all(trial.thumbnail is not None and trial.events == 1200 for trial in study.trials)
+    assert [path for path, _ in study.unreadable] == ["broken.labels.h5"]
+    assert study.files == {"recording": 5, "labels": 5, "report": 2}
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The page of the study."""
+    return page_of(folder, tmp_path_factory.mktemp("page") / "r.html")
+
+
+def test_outliers_come_first(study: Study, text: str) -> None:
+    """Assert that a trial stands out by what is wrong with it, and that the table begins with the worst."""
+    remarks = [remark(trial, TIMING_MS)[1] for trial in study.trials]
+    assert remarks == [
+        "",
+        "model 120 ms early",
+        "slips, and the labels find no onset",
+        "slip not found by the model",
+        "labels 40 ms late",
+    ]
+    rows = re.findall(r"<tr data-row='0-(\d)'", text)
+    assert rows == ["2", "3", "1", "4", "0"]
+    assert "4 of 5 stand out and come first, by how far: an onset in the labels that is missing, or not -4" in text
+    assert "a lost object" not in text  # nothing here is a grasp
+
+
+def test_the_page_is_whole(text: str) -> None:
+    """Assert that the page has trials, models beside the paper with a mark, cases, and what is missing; no network."""
+    assert "default-src 'none'" in text and "@@" not in text and "\0" not in text
+    assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)='?\"?(?!data:)[a-z]+:", text) == []
+    assert "0.5 <small class='paper'>(0.73, other method)</small>" in text
+    assert text.index("<td>thick") < text.index("<td>thin")  # the case that is not ok comes first
+    assert "&lt;b&gt;forces&lt;/b&gt; are balanced" in text
+    assert "broken.labels.h5" in text
+    assert "5 of 5 trials have no tracks. <code class='command'>evetac track " in text
+    assert "95 % interval" in text and '"name":"Whisker"' in text
+    for present in ("id='slip'", "id='stability'", ">simulated<"):
+        assert present in text, present
+    assert "id='grasp'" not in text
+
+
+def test_a_page_of_its_own_is_linked(tmp_path: Path) -> None:
+    """Assert that a trial leads to its page of view, from wherever the report lies, and to no other HTML file."""
+    (tmp_path / "data").mkdir()
+    recording = tmp_path / "data" / "a b.recording.h5"
+    write_recording(recording)
+    (tmp_path / "data" / "a b.html").write_text("of somebody else")
+    assert "<a href='data/" not in page_of(tmp_path / "data", tmp_path / "r.html")
+    view.run([recording], View(images=2), None, force=True)
+    assert "<a href='data/a%20b.html'>" in page_of(tmp_path / "data", tmp_path / "r.html")
+    assert "<a href='a%20b.html'>" in page_of(tmp_path / "data", tmp_path / "data" / "report.html")
+
+
+def test_one_trial_and_none(tmp_path: Path) -> None:
+    """Assert that one recording without truth makes a page, and so does a lone report."""
+    write_recording(tmp_path / "a.recording.h5", 7, truth=False)
+    text = page_of(tmp_path, tmp_path / "r.html")
+    assert "stand out and" not in text and "come first" not in text and ">simulated<" not in text
+    assert "t_s [ms]</button>" not in text  # a column in which nothing is known is left out
+    (tmp_path / "a.recording.h5").unlink()
+    write_report(tmp_path / "g.cost.report.h5", "evaluate cost", [{"setting": "a", "error_ms": 1.0}], {})
+    text = page_of(tmp_path, tmp_path / "r.html")
+    assert "There are no trials here" in text and "id='cost'" in text
+
+
+def test_text_from_files_is_escaped(tmp_path: Path) -> None:
+    """Assert that names, scenes and texts of reports which look like markup stay text."""
+    write_recording(tmp_path / "a\"'<img src=x onerror=alert(1)>@@BODY@@ü.recording.h5", 20, scene=NASTY)
+    features = write_trials(tmp_path, [1])
+    write_report(
+        tmp_path / "s.report.h5", "evaluate slip", slip_rows(features, [1], setting=NASTY), {}, tuple(features)
+    )
+    text = page_of(tmp_path, tmp_path / "r.html")
+    assert "document.title='owned'" not in text.replace("\\u003c", "<")
+    assert "<img src=x" not in text
+
+
+def test_headline(study: Study) -> None:
+    """Assert that figures of the whole study are those of its trials."""
+    values = {figure.name: figure.value for figure in figures.headline(study)}
+    assert values["trials"] == 5
+    assert (values["events"], values["recorded"]) == (6000, pytest.approx(1.5))
+    assert values["onsets that have a label"] == pytest.approx(4 / 5)
+    assert values["labels within -4..+3 ms of the truth"] == pytest.approx(3 / 5)
+    assert values["t_c - t_s, median [ms]"] == pytest.approx(2.5)
+    assert values["timing correct, all models"] == pytest.approx(3 / 5)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "words"),
+    [
+        (9.5, "time", "9.5 s"),
+        (0.02, "time", "0.02 s"),
+        (119.0, "time", "119 s"),
+        (1234.0, "time", "20.6 min"),
+        (36_000.0, "time", "10 h"),
+        (-600.0, "time", "-10 min"),
+        (9193, "count", "9,193"),
+        (1_277_530, "count", "1.28 million"),
+        (4.5e9, "count", "4.5 billion"),
+        (0.125, "share", "12%"),
+        (0.165, "", "0.165"),
+    ],
+)
+def test_figures_have_the_unit_of_their_size(value: float, kind: str, words: str) -> None:
+    """Assert that times and counts are written in the unit that people would use."""
+    assert figures.in_words(value, kind) == words
+
+
+@pytest.mark.parametrize(
+    ("errors_ms", "said"),
+    [
+        ([1, 2, -3], "None of the 3 trials stands out. What would: an onset in the labels that is missing"),
+        ([1], "The trial does not stand out"),
+        ([1, 50], "1 of 2 stands out and comes first, by how far: an onset"),
+        ([None, 50], "2 of 2 stand out and come first"),
+    ],
+)
+def test_what_stands_out_is_said_as_it_is(tmp_path: Path, errors_ms: list[int | None], said: str) -> None:
+    """Assert that the sentence over the table speaks of what is there: of no outlier where there is none."""
+    write_trials(tmp_path, errors_ms)
+    text = page_of(tmp_path, tmp_path / "r.html")
+    assert said in text
+    assert ("come first" in text or "comes first" in text) == ("first" in said)
+    assert "a first detection" not in text and "t_m the first" not in text  # no model judged
+    assert "No trial has a page of its own yet: <code class='command'>evetac view " in text
+
+
+@pytest.mark.slow
+def test_two_side_by_side(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that trials of the same recipe are matched, that changes come first, and that the name says both."""
+    other = tmp_path / "other"
+    other.mkdir()
+    write_trials(other, [2, -1, 9], names="again-{}")
+    monkeypatch.chdir(tmp_path)
+    row = report.run([folder, other], Report(compare=True), None).rows[0]
+    assert (row["page"], row["trials"]) == ("study-other.report.html", 8)
+    text = Path("study-other.report.html").read_text()
+    assert "3 trials; those whose outcome" in text
+    both = text[text.index("id='both'") : text.index("id='trials'")]
+    assert re.findall(r"<tr><td>(slip-00\d)</td>", both) == ["slip-002", "slip-000", "slip-001"]
+    pairs = figures.matched([read_study(folder, silent), read_study(other, silent)])
+    assert [(one.name, two.name) for one, two in pairs] == [(f"slip-00{n}", f"again-{n}") for n in range(3)]
+
+
+def test_command(folder: Path, tmp_path: Path) -> None:
+    """Assert that the command writes the page, says so in the one shape, and keeps what exists."""
+    page = tmp_path / "r.html"
+    result = evetac("report", folder, "--json", "-o", page)
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    (row,) = answer["rows"]
+    assert (answer["command"], answer["simulated"], row["page"]) == ("report", True, str(page))
+    assert (row["trials"], row["outliers"], row["reports"], row["unreadable"]) == (5, 4, 2, 1)
+    assert row["size_bytes"] == page.stat().st_size < shared.LARGEST_BYTES
+    result = evetac("report", folder, "-o", page)
+    assert (result.exit_code, "the output exists" in result.stderr) == (2, True)
+
+
+def test_refusals(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what cannot be shown is refused before anything is written, with what to do."""
+    (tmp_path / "notes.txt").write_text("no")
+    for folders, chosen, message in (
+        ([tmp_path / "gone"], {}, "no such folder"),
+        ([folder / "slip-000.recording.h5"], {}, "not a folder"),
+        ([tmp_path], {}, "no evetac files there"),
+        ([folder, folder], {}, "another number of folders"),
+        ([folder], {"compare": True}, "another number of folders"),
+    ):
+        with pytest.raises(InputError, match=message):
+            report.run(folders, Report(**chosen), tmp_path / "r.html")
+    monkeypatch.setattr(shared, "find_spec", lambda name: None)
+    with pytest.raises(EvetacError, match="is not installed") as raised:
+        report.run([folder], Report(), None)
+    assert "'.[plot]'" in raised.value.hint
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "-"), (float("nan"), "-"), (float("inf"), "never"), (True, "yes"), (0.12345, "0.123"), (12345, "12,345")],
+)
+def test_cells(value: Any, text: str) -> None:
+    assert figure_text(value) == text

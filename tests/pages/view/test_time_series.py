@@ -1,0 +1,234 @@
+"""Series and stretches of slip: decimated without losing extremes, and the output of a model."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evetac_cli.commands.view import View
+from evetac_cli.kernels.sensitivity import UNKNOWN
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.pages.view import collect_view, time_series
+from evetac_cli.pages.view.trial_files import open_trial
+from evetac_cli.pages.view.view_data import Panel, ViewData
+from evetac_cli.store.layout import schema
+from evetac_cli.store.recordings.read import open_recording
+from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_forces, write_labels, write_tracks
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 40_000), st.integers(0, 2**32 - 1), st.booleans())
+def test_extremes_are_kept(length: int, seed: int, holes: bool) -> None:
+    """Assert that decimated series are values of the series in order of time, few, and hold both extremes."""
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(length, 2)).astype(np.float32)
+    if holes:
+        rows[rng.random(rows.shape) < 0.3] = np.nan
+        rows[rng.random(rows.shape) < 0.01] = np.inf
+    read_rows: list[int] = []
+
+    def read(start: int, stop: int) -> np.ndarray:
+        read_rows.append(stop - start)
+        return rows[start:stop]
+
+    for column, (at, value) in zip(rows.T, time_series.extremes(length, read), strict=True):
+        assert len(at) == len(value) <= 2 * time_series.BINS
+        assert (np.diff(at) > 0).all()
+        finite = np.isfinite(value)
+        np.testing.assert_array_equal(value[finite], column[at][finite])
+        assert not np.isfinite(column[at][~finite]).any()
+        known = column[np.isfinite(column)]
+        if len(known):
+            assert (np.nanmin(value), np.nanmax(value)) == (known.min(), known.max())
+    assert max(read_rows) <= time_series.BLOCK_ROWS
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 20_000), st.integers(0, 2**32 - 1))
+def test_no_slip_is_lost(length: int, seed: int) -> None:
+    """Assert that every slice of slip lies in a stretch of slip, exactly where there are no more slices than bins."""
+    rng = np.random.default_rng(seed)
+    states = rng.choice(np.array([-1, 0, 1], np.int8), length, p=[0.3, 0.6, 0.1])
+    states = np.repeat(states, 3)[:length]
+    slip, unknown = time_series.stretches(length, lambda first, last: states[first:last, None])
+    covered = np.zeros(length, np.int8)
+    for value, rows in ((1, slip), (-1, unknown)):
+        for first, last in rows:
+            assert first < last
+            assert (covered[first:last] == 0).all()
+            covered[first:last] = value
+    assert (covered[states == 1] == 1).all()
+    if length <= time_series.BINS:
+        np.testing.assert_array_equal(covered, states)
+
+
+def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a model named beside features gives a series, a lane and an onset, the same in blocks as at once."""
+
+    class Fake:
+        architecture = ARCHITECTURES["hist10"]
+
+        def over(self, series: np.ndarray, first: int) -> np.ndarray:
+            mean = np.convolve(series[:, 0, 0], np.full(10, 0.1), "valid")
+            return np.concatenate((np.full(min(9, len(series)), np.nan), mean)).astype(np.float32)
+
+    monkeypatch.setattr("evetac_cli.stages.slip_detectors.load_detector", lambda model: Fake())
+    displacement = np.linspace(0, 1, SLICES, dtype=np.float32)[:, None]
+    features = SimpleNamespace(
+        length=lambda path: SLICES,
+        read=lambda path, start=0, stop=None: displacement[start:stop],
+        has=lambda path: False,
+        sensitivity=UNKNOWN,
+    )
+    model = SimpleNamespace(read=lambda path: 0.5)
+    with open_trial([trial]) as real:
+        real.features, real.model = features, model  # type: ignore[assignment]
+        real_files = [file for file in real.files if file not in (features, model)]
+        monkeypatch.setattr(type(real), "files", real_files)
+        whole = collect_view(real, View(), lambda done, total: None)
+        monkeypatch.setattr(time_series, "BLOCK_ROWS", 7)
+        part = time_series.model_output(real, (40, 90))
+    (panel,) = [panel for panel in whole.panels if panel.title == "Slip probability, model"]
+    lane = whole.lanes[-1]
+    np.testing.assert_allclose(part, panel.lines[0].value[40:90], rtol=1e-6)
+    expected = int(np.flatnonzero(panel.lines[0].value >= 0.5)[0])
+    assert whole.onsets["model"] == expected
+    assert (lane.slip, lane.unknown) == ([(expected / 1000, 0.3)], [(0.0, 0.009)])
+    assert panel.levels == {"threshold": 0.5}
+
+
+def panel_of(data: ViewData, title: str) -> Panel:
+    """The panel whose title begins so."""
+    (panel,) = [panel for panel in data.panels if panel.title.startswith(title)]
+    return panel
+
+
+@pytest.mark.parametrize(
+    ("method", "after", "onset", "words"),
+    [
+        (
+            {"method": "event-flow", "slip_distance_px": 0.3},
+            12_428.0,
+            ONSET,
+            "while no dot follows, exceeds 0.3",
+        ),
+        ({"method": "event-flow", "slip_distance_px": 1.5}, 640.0, ONSET - 40, "exceeds 1.5 px"),
+        ({"method": "farneback", "look_ahead_ms": 7}, 30.0, ONSET, "in 7 ms"),
+        ({"method": "dis", "threshold_px": 12.0, "look_ahead_ms": 4}, 25.0, ONSET, "12 px"),
+        ({}, 11.0, ONSET, "over the look-ahead"),
+    ],
+)
+def test_flow_is_no_larger_than_it_means(
+    trial: Path, method: dict[str, Any], after: float, onset: int, words: str
+) -> None:
+    """Assert that the axis ends near the limit, however far the flow runs away after the onset, that what labels do not
+    examine is another line, and that words say what is summed.
+    """
+    with open_recording(trial) as recording:
+        header = recording.header
+    flow = np.full(SLICES, -0.003, np.float32)
+    flow[onset : onset + 20] = np.linspace(0.1, 3.0, 20)
+    flow[onset + 20 :] = after
+    write_labels(trial.with_name("a.labels.h5"), header, onset, onset + 20, relative_flow_px=flow, **method)
+    panel = panel_of(shown(trial, images=1), "Flow that labels slip")
+    assert panel.ends is not None
+    low, high = panel.ends
+    (limit,) = panel.levels.values()
+    assert low < 0.02 and limit <= high / 3 and high <= 100  # at most four decades
+    examined, rest = panel.lines
+    assert (examined.name, rest.name) == ("window against gel", "not examined")
+    assert np.nanmax(examined.value) == pytest.approx(3.0) and np.isnan(examined.value[:50]).all()
+    assert np.nanmax(rest.value) == pytest.approx(after) and np.isnan(rest.value[50 : onset + 20]).all()
+    assert words in panel.says
+    assert ("lost" in panel.says) == (after > high)
+
+
+def test_flow_without_an_onset(trial: Path) -> None:
+    """Assert that where every slice is examined there is one line of flow, and no word of others."""
+    with open_recording(trial) as recording:
+        header = recording.header
+    write_labels(trial.with_name("a.labels.h5"), header, SLICES, begins=0, method="event-flow", slip_distance_px=0.3)
+    panel = panel_of(shown(trial, images=1), "Flow that labels slip")
+    assert [line.name for line in panel.lines] == ["window against gel"]
+    assert "not examined" not in panel.says
+
+
+KNOWN = {"shear_modulus_pa": 5e4, "normal_modulus_pa": 2e5}
+FORCES = {
+    "shear_n": np.stack((np.full(SLICES, 3.0), np.linspace(0.0, 4.0, SLICES)), axis=1).astype(np.float32),
+    "shear_sd_n": np.stack((np.full(SLICES, 0.2), np.linspace(0.1, 0.5, SLICES)), axis=1).astype(np.float32),
+    "normal_n": np.linspace(0.0, 5.0, SLICES).astype(np.float32),
+    "normal_sd_n": np.linspace(0.3, 2.5, SLICES).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize(
+    ("model", "known", "words"),
+    [
+        ("gel", {}, "stiffness of this gel is not known"),
+        ("gel", {"known": KNOWN}, "stiffness of this gel is taken as known"),
+        ("gel", {"known": {"shear_modulus_pa": 5e4}}, "normal stiffness of this gel is not known"),
+        ("gel, adapted", {}, "adapted to this sensor"),
+    ],
+)
+@pytest.mark.parametrize("bins", [3000, 20])
+def test_forces_have_their_deviation(
+    trial: Path, model: str, known: dict[str, Any], words: str, bins: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that estimated forces have the standard deviation of the slices that are drawn, that no band goes below 0,
+    and that words say how well the gel is known.
+    """
+    monkeypatch.setattr(time_series, "BINS", bins)
+    monkeypatch.setattr(time_series, "BLOCK_ROWS", 64)
+    unknown = {name: values.copy() for name, values in FORCES.items()}
+    for values in unknown.values():
+        values[100:110] = np.nan  # too few dots are tracked
+    write_forces(trial, unknown, model, **known)
+    panel = panel_of(shown(trial, images=1), "Forces on the gel, estimated")
+    assert words in panel.says
+    shear, normal = panel.lines
+    for line, value, sd in (
+        (shear, np.hypot(*unknown["shear_n"].T), unknown["shear_sd_n"].max(axis=1)),
+        (normal, unknown["normal_n"], unknown["normal_sd_n"]),
+    ):
+        at = np.rint(line.t_s * 1000).astype(int)
+        assert line.sd is not None and len(at) <= 2 * bins
+        np.testing.assert_allclose(line.value, value[at], rtol=1e-6)
+        np.testing.assert_allclose(line.sd, sd[at], rtol=1e-6)
+        low, high = line.band
+        np.testing.assert_allclose(high, (value + sd)[at], rtol=1e-6)
+        np.testing.assert_allclose(low, np.maximum(value - sd, 0)[at], rtol=1e-6)
+
+
+def test_every_deviation_in_a_file_is_drawn(trial: Path) -> None:
+    """Assert that no dataset of a trial that is a standard deviation is left out of what view draws."""
+    kinds = ("recording", "tracks", "labels", "features", "forces")
+    of_files = {f"{kind} {row.path}" for kind in kinds for row in schema.load(kind).datasets if "_sd" in row.path}
+    assert of_files == {f"forces {name}" for name in FORCES if "_sd" in name}, "draw the new one too"
+    write_forces(trial, FORCES)
+    data = shown(trial, images=1)
+    drawn = [line.name for panel in data.panels for line in panel.lines if line.sd is not None]
+    assert drawn == ["shear", "normal"]
+    write_forces(trial, {"network_n": FORCES["shear_n"], "regression_n": FORCES["shear_n"]}, "paper")
+    panel = panel_of(shown(trial, images=1), "Forces on the gel, estimated")
+    assert panel.lines[0].sd is None and "no standard deviation" in panel.says
+
+
+@pytest.mark.parametrize("away_px", [5.0, 40.0, 600.0])
+def test_lost_dots_are_no_displacement(trial: Path, away_px: float) -> None:
+    """Assert that a dot counts while it is tracked alone, in the mean as in the farthest."""
+    with open_recording(trial) as recording:
+        header = recording.header
+    dots, lost = moving(), np.zeros((SLICES, 6), np.uint8)
+    dots[100:, 2] += away_px
+    lost[100:, 2] = 1
+    lost[250:] = 1
+    write_tracks(trial.with_name("a.tracks.h5"), header, dots, lost)
+    panel = panel_of(shown(trial, images=1), "Dots, distance from rest")
+    for line in panel.lines:
+        np.testing.assert_allclose(line.value[:250], np.linspace(0, 4, SLICES)[:250], atol=1e-5)
+        assert np.isnan(line.value[250:]).all()

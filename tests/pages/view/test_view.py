@@ -1,0 +1,448 @@
+"""view: what is shown of a trial, which files belong to it, and the page as a file."""
+
+import base64
+import html
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from evetac_cli.commands.view import View
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.pages import shared, view
+from evetac_cli.pages.view import event_images, time_series
+from evetac_cli.pages.view.trial_files import open_trial
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.streams import Stream
+from tests import small_files
+from tests.make import evetac
+from tests.pages.view.trials import (
+    GRIPPED,
+    NASTY,
+    ONSET,
+    SLICES,
+    moving,
+    page_data,
+    shown,
+    write_labels,
+    write_recording,
+    write_tracks,
+)
+
+
+def test_everything_of_a_trial(trial: Path) -> None:
+    """Assert that panels, lanes, onsets and dots are there, and that truth says simulated."""
+    data = shown(trial)
+    assert [panel.title for panel in data.panels] == [
+        "Events per millisecond",
+        "Gripper, current",
+        "Gripper, width between the fingers",
+        "Forces on one pad, truth",
+        "Share of the contact that slips, truth",
+        "Dots, distance from rest",
+        "Flow that labels slip",
+    ]
+    assert [panel.simulated for panel in data.panels] == [False, True, True, True, True, False, False]
+    events, current, _, forces, shares, dots, flow = data.panels
+    assert [line.name for line in shares.lines] == ["that the camera sees", "whole"]
+    assert (events.lines[0].value == 4).all()
+    assert current.lines[0].t_s[-1] == pytest.approx(0.298)
+    np.testing.assert_allclose(forces.lines[1].value, np.sqrt(2), rtol=1e-6)
+    np.testing.assert_allclose(dots.lines[1].value, np.linspace(0, 4, SLICES), atol=1e-5)
+    assert flow.levels == {"threshold": 0.3}
+    assert data.onsets == {"truth": ONSET, "label": ONSET + 3}
+    truth, label = data.lanes
+    assert truth.slip == [(0.2, 0.3)]
+    assert (label.slip, label.unknown) == ([(0.203, 0.3)], [(0.0, 0.05)])
+    assert data.frame_times.tolist() == list(range(SLICES - 4))
+    assert data.dot_xy_px is not None
+    np.testing.assert_allclose(data.dot_xy_px, moving()[4:].astype(np.float32))
+
+
+def test_estimated_forces(trial: Path) -> None:
+    """Assert that forces beside the trial are shown, as far as the model tells them, and those of another are not."""
+    with open_trial([trial]) as opened:
+        assert opened.tracks is not None
+        of_tracks = opened.tracks.header
+    shear = np.full((SLICES, 2), 3.0, np.float32)
+    more = {"normal_n": np.linspace(0, 5, SLICES).astype(np.float32), "shear_n": shear}
+    path = trial.with_name("a.forces.h5")
+    for arrays, names in ((more, ["shear", "normal"]), ({"network_n": shear, "regression_n": shear}, ["shear"])):
+        write_stage(path, Recipe("forces", 1, {}, parents=(of_tracks,)), arrays)
+        (panel,) = [panel for panel in shown(trial).panels if panel.title == "Forces on the gel, estimated"]
+        assert [line.name for line in panel.lines] == names
+        np.testing.assert_allclose(panel.lines[0].value, 3 * np.sqrt(2), rtol=1e-6)
+    assert shown(path).slices == SLICES
+    other = write_recording(trial.with_name("b.recording.h5"), seed=2)
+    tracks = write_tracks(trial.with_name("b.tracks.h5"), other, moving())
+    write_stage(path, Recipe("forces", 1, {}, parents=(tracks,)), more)
+    assert "Left out: a.forces.h5 was made from another recording." in shown(trial).notes
+
+
+def test_a_part(trial: Path) -> None:
+    """Assert that --start-s and --stop-s bound images and series, and that nothing is found before the start."""
+    data = shown(trial, start_s=0.22, stop_s=0.25)
+    assert data.span == (220, 250)
+    assert (data.frame_times[0], data.frame_times[-1]) == (220, 245)
+    assert all(0.22 <= t < 0.25 for panel in data.panels for line in panel.lines for t in line.t_s)
+    assert data.onsets == {"truth": 220, "label": 220}
+    assert shown(trial, stop_s=99.0).span == (0, SLICES)
+    for wrong in ({"start_s": 0.3}, {"start_s": 0.2, "stop_s": 0.2}, {"start_s": 9.0, "stop_s": 8.0}):
+        with pytest.raises(InputError, match="no time is left"):
+            shown(trial, **wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "levels"), [("dis", 1), ("event-flow", 1), ("truth", 0), ("<b>", 0)])
+def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
+    """Assert that a page names the method of labels, escaped, draws a threshold of flow, and notes copied truth."""
+    with open_recording(trial) as recording:
+        header = recording.header
+    write_labels(trial.with_name("a.labels.h5"), header, method=method, slip_distance_px=0.3)
+    data = shown(trial, images=1)
+    assert data.panels[-1].logarithmic  # after slip the flow is thousands of times the threshold
+    assert data.panels[-1].title == f"Flow that labels slip, {method}"
+    assert len(data.panels[-1].levels) == levels
+    assert ("The labels were copied from the truth (simulated)." in data.notes) == (method == "truth")
+    view.run([trial], View(images=1), None)
+    assert f"Flow that labels slip, {html.escape(method)} " in trial.with_name("a.html").read_text(encoding="utf-8")
+
+
+def test_neighbours_are_found_from_any_file(trial: Path) -> None:
+    """Assert that each file of a trial leads to the others, also to a recording of another name."""
+    for kind in ("recording", "tracks", "labels"):
+        with open_trial([trial.with_name(f"a.{kind}.h5")]) as opened:
+            assert [file.kind for file in opened.files] == ["recording", "tracks", "labels"]
+    trial.rename(trial.with_name("renamed.recording.h5"))
+    with open_trial([trial.with_name("a.labels.h5")]) as opened:
+        assert opened.recording is not None
+        assert opened.recording.path.name == "renamed.recording.h5"
+
+
+def test_without_the_recording(trial: Path) -> None:
+    """Assert that tracks alone show dots and their series, and say that there are no event images."""
+    trial.unlink()
+    data = shown(trial.with_name("a.tracks.h5"))
+    assert data.pictures == []
+    assert data.dot_xy_px is not None
+    assert "not beside these files" in data.notes[0]
+    data = shown(trial.with_name("a.labels.h5"))
+    assert [panel.title for panel in data.panels][-1] == "Flow that labels slip"
+    view.run([trial.with_name("a.labels.h5")], View(), None)
+
+
+def test_strangers_beside_are_left_out(trial: Path, tmp_path: Path) -> None:
+    """Assert that labels of another recording and truncated tracks beside a recording are left out, with a note."""
+    other = write_recording(tmp_path / "b.recording.h5", scene="other")
+    (tmp_path / "a.labels.h5").unlink()
+    write_labels(tmp_path / "a.labels.h5", other)
+    tracks = tmp_path / "a.tracks.h5"
+    os.truncate(tracks, tracks.stat().st_size // 2)
+    with open_trial([trial]) as opened:
+        assert [file.kind for file in opened.files] == ["recording"]
+        assert sorted(note.split(":")[1].split()[0] for note in opened.notes) == ["a.labels.h5", "a.tracks.h5"]
+    with pytest.raises(InputError, match="two trials"):
+        view.run([trial, tmp_path / "a.labels.h5"], View(), None)
+    with pytest.raises(InputError, match="truncated"):
+        view.run([tracks], View(), None)
+    with pytest.raises(InputError, match="two recording files"):
+        shutil.copy(trial, tmp_path / "c.recording.h5")
+        view.run([trial, tmp_path / "c.recording.h5"], View(), None)
+    assert list(tmp_path.glob("*.html")) == []
+
+
+def test_tracks_that_are_short(trial: Path) -> None:
+    """Assert that tracks which end early make a page, and that it says where they end."""
+    with open_recording(trial) as recording:
+        header = recording.header
+    dots = moving(120)
+    tracks = trial.with_name("a.tracks.h5")
+    tracks.unlink()
+    write_tracks(tracks, header, dots)
+    data = shown(trial)
+    assert "tracks end at 0.120 s, 180 ms before" in data.notes[0]
+    assert data.dot_xy_px is not None
+    assert np.isnan(data.dot_xy_px[116:]).all()
+    assert np.isfinite(data.dot_xy_px[100:116]).all()
+    outcome = view.run([trial], View(film=trial.with_name("a.gif"), images=30), None)
+    assert outcome.rows[0]["images"] > 10
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e30])
+def test_tracks_that_are_impossible_are_left_out(trial: Path, value: float) -> None:
+    """Assert that tracks beside the recording with a dot that is nowhere are left out, and that the page says so."""
+    with open_recording(trial) as recording:
+        header = recording.header
+    dots = moving()
+    dots[40, 1, 0] = value
+    tracks = trial.with_name("a.tracks.h5")
+    tracks.unlink()
+    with small_files.nonsense_is_written():
+        write_tracks(tracks, header, dots)
+    assert "Left out: a.tracks.h5: dot_xy_px is impossible" in shown(trial).notes
+
+
+@pytest.mark.parametrize("slices", [0, 1, 2, 7])
+def test_next_to_nothing(tmp_path: Path, slices: int) -> None:
+    """Assert that recordings without a slice, with one, and without events make a page; the empty one says so."""
+    path = tmp_path / "a.recording.h5"
+    write_recording(path, slices, rate=0, truth=False)
+    outcome = view.run([path], View(), None)
+    text = (tmp_path / "a.html").read_text()
+    assert ("This recording is empty" in text) == (slices == 0)
+    assert ("There is not one event" in text) == (slices > 0)
+    assert outcome.rows[0]["images"] == min(slices, max(1, slices - 4))
+    if slices == 0:
+        with pytest.raises(InputError, match="nothing to animate"):
+            view.run([path], View(film=tmp_path / "a.gif"), None, force=True)
+
+
+def test_nothing_long_is_read_at_once(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that dots and forces, which are gigabytes in an hour, are read in blocks."""
+    from evetac_cli.store.files import StageFile
+    from evetac_cli.store.layout import contents
+
+    monkeypatch.setattr(contents, "SMALL_VALUES", 0)  # opening reads what is small, as all is in this trial
+    longest: dict[str, int] = {}
+    read = StageFile.read
+
+    def spy(self: StageFile, path: str, start: int = 0, stop: int | None = None) -> Any:
+        value = read(self, path, start, stop)
+        if np.ndim(value):
+            longest[f"{self.kind} {path}"] = max(longest.get(f"{self.kind} {path}", 0), len(value))
+        return value
+
+    monkeypatch.setattr(StageFile, "read", spy)
+    for name, value in {"BINS": 20, "BLOCK_ROWS": 40}.items():
+        monkeypatch.setattr(time_series, name, value)
+    data = shown(trial, images=5)
+    assert all(len(line.value) <= 40 for panel in data.panels for line in panel.lines)
+    for path in ("recording truth/normal_force_n", "labels relative_flow_px", "recording gripper/current_ma"):
+        assert longest[path] <= 60, path
+
+
+def test_command(trial: Path) -> None:
+    """Assert that the command writes NAME.html beside the file, says so in the one shape, and keeps what exists."""
+    few = ("--images", "5")
+    result = evetac("view", trial, "--json", "--film", trial.with_name("film.gif"), *few)
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    (row,) = answer["rows"]
+    page = trial.with_name("a.html")
+    assert (answer["command"], answer["simulated"], row["page"]) == ("view", True, str(page))
+    assert row["size_bytes"] == page.stat().st_size < shared.LARGEST_BYTES
+    assert (row["images"], row["files"]) == (5, "a.recording.h5 a.tracks.h5 a.labels.h5")
+    before = page.read_bytes()
+    result = evetac("view", trial)
+    assert result.exit_code == 2
+    assert "the output exists" in result.stderr
+    assert page.read_bytes() == before
+    assert evetac("view", trial, "--force", "-q", "--images", "4").output == ""
+    assert page.read_bytes() != before
+    assert sorted(path.name for path in trial.parent.glob(".*")) == []
+
+
+def test_where_the_page_goes(tmp_path: Path) -> None:
+    """Assert that -o takes a file or a folder, and that the default is NAME.html beside the input."""
+    (tmp_path / "dotted.d").mkdir()
+    file = tmp_path / "a.b.recording.h5"
+    write_recording(file, 0, truth=False)
+    for out, expected in (
+        (None, tmp_path / "a.b.html"),
+        (tmp_path / "new", tmp_path / "new" / "a.b.html"),
+        (tmp_path / "dotted.d", tmp_path / "dotted.d" / "a.b.html"),
+        (tmp_path / "c.HTML", tmp_path / "c.HTML"),
+    ):
+        assert view.run([file], View(), out).rows[0]["page"] == str(expected)
+        assert expected.is_file()
+
+
+def test_outputs_that_are_refused(trial: Path) -> None:
+    """Assert that a page never takes the place of a stage file or a folder, and that a failed write leaves nothing."""
+    for flags in (["-o", trial], ["-o", trial.with_name("x.h5")], ["--film", trial.with_name("a.labels.h5")]):
+        result = evetac("view", trial, "--force", *flags)
+        assert result.exit_code == 2
+        assert "wrong kind of output" in result.stderr
+    trial.with_name("folder.html").mkdir()
+    (trial.with_name("folder.html") / "a.html").mkdir()
+    assert "the output is a folder" in evetac("view", trial, "-f", "-o", trial.with_name("folder.html")).stderr
+    with pytest.raises(EvetacError, match="the output folder is a file"):
+        view.run([trial], View(images=1), trial / "below-a-file.html")
+    assert sorted(path.name for path in trial.parent.iterdir()) == [
+        "a.labels.h5",
+        "a.recording.h5",
+        "a.tracks.h5",
+        "folder.html",
+    ]
+
+
+def test_libraries_that_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a missing library is named before any file is opened, with how to get it."""
+    monkeypatch.setattr(shared, "find_spec", lambda name: None if name == "bokeh" else object())
+    with pytest.raises(EvetacError, match="bokeh.*is not installed") as raised:
+        view.run([tmp_path / "missing.recording.h5"], View(), None)
+    assert "[plot]" in raised.value.hint
+
+
+def test_page_needs_no_network(page: Path) -> None:
+    """Assert that the page loads nothing: no address in an attribute, and a policy that forbids it."""
+    text = page.read_text()
+    assert "default-src 'none'" in text
+    assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=", text) == []
+    assert "@@" not in text
+
+
+def test_text_from_files_is_escaped(tmp_path: Path) -> None:
+    """Assert that names and scenes which look like markup stay text."""
+    path = tmp_path / "a\"'<img src=x onerror=alert(1)>@@DATA@@ü.recording.h5"
+    write_recording(path, 20, scene=NASTY)
+    view.run([path], View(), tmp_path / "p.html")
+    text = (tmp_path / "p.html").read_text(encoding="utf-8")
+    assert "document.title='owned'" not in text
+    assert "<img" not in text
+    assert html.escape(path.name) in text
+    assert len(page_data(tmp_path / "p.html")["frame_times"]) == 16
+
+
+def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that images are thinned evenly where they would be too many bytes, with a note; else it is refused."""
+    whole = shown(trial)
+    size = sum(map(len, whole.pictures))
+    monkeypatch.setattr(event_images, "IMAGE_BYTES", size // 3)
+    data = shown(trial)
+    assert sum(map(len, data.pictures)) <= size // 3
+    assert data.frame_times.tolist() == whole.frame_times.tolist()[::4]
+    assert "only every 4th" in data.notes[-1]
+    assert len(data.events) == len(data.pictures) == len(data.frame_times)
+    monkeypatch.setattr(shared, "LARGEST_BYTES", 1_000_000)
+    with pytest.raises(EvetacError, match="too large"):
+        view.run([trial], View(images=1), None)
+
+
+def test_page_says_what_it_shows(page: Path) -> None:
+    """Assert that file, scene, object, recipe id and origin are in the page, and the data that its script draws."""
+    text = page.read_text()
+    with open_recording(page.with_name("a.recording.h5")) as recording:
+        assert recording.header["id"] in text
+    for words in (">simulated<", "scene <b>slip</b>", "object <b>8</b>", "a.tracks.h5", "0.200 s", "+3 ms"):
+        assert words in text, words
+    data = page_data(page)
+    tracked = np.frombuffer(base64.b64decode(data["tracked"]), "<f4").reshape(-1, 6, 2)
+    np.testing.assert_allclose(tracked, moving()[4:].astype(np.float32))
+    assert data["onsets"] == {"truth": ONSET, "label": ONSET + 3}
+
+
+def test_every_chart_has_its_times_and_every_colour_its_meaning(trial: Path, tmp_path: Path) -> None:
+    """Assert that below each chart of a slip and of a grasp stand times in s, and what the image's greys and marks mean
+    is said, each where it is drawn.
+    """
+    write_recording(tmp_path / "g.recording.h5", grasp=True)
+    write_recording(tmp_path / "own.recording.h5", 20, truth=False)
+    for path, charts in ((trial, 8), (tmp_path / "g.recording.h5", 10), (tmp_path / "own.recording.h5", 1)):
+        view.run([path], View(images=2), None, force=True)
+        text = path.with_name(path.name.replace(".recording.h5", ".html")).read_text(encoding="utf-8")
+        assert text.count("<section class='chart'>") == text.count('"name":"PrintfTickFormatter"') == charts
+        for drawn, words in (("pictures", "brighter"), ("pictures", "darker"), ("tracked", "lost dot")):
+            assert re.search(f'data-for="{drawn}"[^>]*>{words}<', text), words
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "marks"),
+    [
+        ("", [6, 7, 9, 8], True),  # sources of triggers
+        ("", [0, 1, np.nan, 1], True),
+        ("", [2.5, 2.5, 2.5, 3.0], False),
+        ("", range(300), False),  # a counter
+        ("mm", [0, 1, 1, 0], False),
+    ],
+)
+def test_codes_are_marks(trial: Path, unit: str, values: Any, marks: bool) -> None:
+    """Assert that whole numbers without a unit, few of them, are drawn each by itself, and quantities as a line."""
+    column = np.resize(np.asarray(list(values), float), 300)
+    stream = Stream("box", np.arange(300, dtype=np.int64) * 1000, {"state": column}, units={"state": unit})
+    recording = trial.with_name("s.recording.h5")
+    write_recording(recording, truth=False, more=stream.datasets())
+    (panel,) = [panel for panel in shown(recording, images=1).panels if panel.title == "box, state"]
+    assert panel.marks == marks
+
+
+def test_film(trial: Path) -> None:
+    """Assert that the animation has at most 300 frames that differ, in the width promised."""
+    film = trial.with_name("a.gif")
+    outcome = view.run([trial], View(film=film, images=20), None)
+    with Image.open(film) as image:
+        assert image.size[0] == 480
+        assert 2 < image.n_frames <= 20  # type: ignore[attr-defined]
+        first = np.asarray(image.convert("RGB")).copy()
+        image.seek(image.n_frames - 1)  # type: ignore[attr-defined]
+        assert (np.asarray(image.convert("RGB")) != first).any(axis=2).mean() > 0.001
+    assert outcome.rows[0]["film_bytes"] == film.stat().st_size
+
+
+@pytest.mark.parametrize("flag", ["page", "film"])
+def test_a_name_that_is_too_long_is_refused_before_the_work(
+    trial: Path, flag: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a page or an animation of a name that no file system takes is refused before anything is drawn."""
+    monkeypatch.setattr(view, "open_trial", lambda files: pytest.fail("worked"))
+    long = trial.with_name("a" * 240)
+    out, film = (long.with_suffix(".html"), None) if flag == "page" else (None, long.with_suffix(".gif"))
+    with pytest.raises(InputError, match="name is too long"):
+        view.run([trial], View(film=film), out)
+
+
+def test_a_grasp(tmp_path: Path) -> None:
+    """Assert that a grasp shows goal and position, height, distance moved, phases, outcome and side view, in units."""
+    path = tmp_path / "g.recording.h5"
+    write_recording(path, grasp=True)
+    data = shown(path)
+    panels = {panel.title: panel for panel in data.panels}
+    motion = panels["Gripper, goal and position (up closes)"]
+    assert [line.name for line in motion.lines] == ["goal", "position"]
+    assert motion.lines[0].value.tolist() == [310.0] * (SLICES // 2)
+    height = panels["Object, height above the table, truth"]
+    assert (height.unit, height.lines[0].value[-1]) == ("mm", pytest.approx(60.0))
+    moved = panels["Object, moved in the gripper since the grip, truth"].lines[0]
+    assert np.isnan(moved.value[:GRIPPED]).all()
+    assert moved.value[-1] == pytest.approx(0.05 * (SLICES - 1 - GRIPPED) / 100, abs=1e-3)  # 0.05 mm a px
+    assert {lane.name: lane.slip for lane in data.phases} == {
+        "contact": [(0.0, 0.102)],
+        "lift": [(0.102, 0.2)],
+        "balance": [(0.2, 0.3)],
+    }
+    assert panels["Slip probability, detector while grasping"].levels == {"threshold": 0.4}
+    assert data.onsets == {"truth": None, "detector": 250}  # what it says in the light contact is no slip
+    assert data.contact_times["gripped"] == GRIPPED
+    assert data.side is not None
+    np.testing.assert_allclose(data.side.height_mm[[0, -1]], [60 * 4 / 299, 60.0], rtol=1e-5)
+    view.run([path], View(), None)
+    text = path.with_name("g.html").read_text()
+    for words in ("grasp <b>held to the end", "moved <b>1.2 mm", "object&#x27;s material <b>paper"):
+        assert words.replace("&#x27;", "'") in text, words
+
+
+def test_a_page_opens_where_something_is_seen(tmp_path: Path) -> None:
+    """Assert that the first image shown is the onset's, else the grip's, and never one without an event."""
+    write_recording(tmp_path / "g.recording.h5", grasp=True)
+    data = shown(tmp_path / "g.recording.h5")
+    assert data.frame_times[data.opens_at] == 250
+    data.onsets = {"truth": None}
+    assert data.frame_times[event_images.telling_frame(data)] == GRIPPED
+    data.events = [0] * len(data.events)
+    data.events[7] = 3
+    assert event_images.telling_frame(data) == 7
+
+
+def test_a_folder_is_for_report(trial: Path) -> None:
+    """Assert that a folder is refused with the command that shows one."""
+    with pytest.raises(InputError, match="one trial") as raised:
+        view.run([trial.parent], View(), None)
+    assert f"evetac report {trial.parent}" in raised.value.hint

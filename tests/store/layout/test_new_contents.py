@@ -1,0 +1,177 @@
+"""Files are refused before they take their place where their contents make no sense, wherever blocks are cut."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.commands.track import Track
+from evetac_cli.errors import SchemaError
+from evetac_cli.inspect import validate
+from evetac_cli.stages import track
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.layout import contents
+from evetac_cli.store.layout.new_contents import HINT
+from evetac_cli.store.layout.provenance import Recipe
+from tests import small_files
+
+LABELS = Recipe("labels", 1, {})
+RECORDING = Recipe("recording", 1, {}, seed=1)
+EVENTS, SLICES = 60, 6
+
+
+def labels(**changes: Any) -> dict[str, Any]:
+    """Labels of 100 slices with slip from 70 on."""
+    arrays = {
+        "label": (np.arange(100) >= 70).astype(np.int8),
+        "relative_flow_px": np.full(100, np.nan, np.float32),
+        "onset_slice": np.int64(70),
+        "confidence": np.float64(1.0),
+        "flow_pairs_computed": np.int64(3),
+    }
+    return {**arrays, **changes}
+
+
+def everything(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"label": np.where(np.arange(100) < 70, 0, 2).astype(np.int8)}, "label is impossible"),
+        ({"relative_flow_px": np.full(100, np.inf, np.float32)}, "relative_flow_px is impossible"),
+        ({"onset_slice": np.int64(100)}, "onset_slice is impossible"),
+        ({"onset_slice": np.int64(71)}, "70, the first slice of slip"),
+        ({"confidence": np.float64(1.5)}, "confidence is impossible"),
+        ({"flow_pairs_computed": np.int64(-1)}, "flow_pairs_computed is impossible"),
+    ],
+)
+def test_arrays_without_sense_leave_nothing(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    """Assert that each limit and rule of the schema is held before anything is written, a folder included."""
+    path = tmp_path / "new" / "a.labels.h5"
+    with pytest.raises(SchemaError, match=words) as refused:
+        write_stage(path, LABELS, labels(**changes))
+    assert str(refused.value).startswith(f"{path}: ")
+    assert refused.value.hint == HINT
+    assert everything(tmp_path) == []
+    write_stage(path, LABELS, labels())
+
+
+def text_without_sense(rows: str) -> dict[str, Any]:
+    return {"command": "evaluate slip", "rows": rows, "summary": "{}"}
+
+
+def test_texts_are_held_to_their_limits(tmp_path: Path) -> None:
+    """Assert that a text that has to be JSON is refused where it is none."""
+    with pytest.raises(SchemaError, match="rows is impossible"):
+        write_stage(tmp_path / "a.report.h5", Recipe("report", 1, {}), text_without_sense("[1]"))
+    assert everything(tmp_path) == []
+
+
+def columns() -> dict[str, Any]:
+    """Events of a few slices, all in order."""
+    return {
+        "events/t": np.arange(EVENTS, dtype=np.int64) * (1000 * SLICES // EVENTS),
+        "events/x": np.arange(EVENTS, dtype=np.uint16),
+        "events/y": np.arange(EVENTS, dtype=np.uint16),
+        "events/p": (np.arange(EVENTS) % 2).astype(np.uint8),
+    }
+
+
+def blocks(arrays: dict[str, Any], size: int) -> Iterator[dict[str, Any]]:
+    for first in range(0, EVENTS, size):
+        yield {name: rows[first : first + size] for name, rows in arrays.items()}
+
+
+def write_events(path: Path, size: int, starts: Any = None, **changes: tuple[int, int]) -> None:
+    """Write a recording in blocks of events, with other values at some places of its columns."""
+    arrays = columns()
+    for name, (place, value) in changes.items():
+        arrays[f"events/{name}"][place] = value
+    whole = {
+        "ms_to_idx": np.arange(SLICES + 1, dtype=np.int64) * (EVENTS // SLICES) if starts is None else starts,
+        "t_offset": np.int64(0),
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/name": "unknown",
+    }
+    write_stage(path, RECORDING, whole, blocks(arrays, size), dict.fromkeys(arrays, EVENTS))
+
+
+@pytest.mark.parametrize("size", [1, 7, 10, 30, EVENTS])
+@pytest.mark.parametrize("place", [0, 9, 10, 29, 30, EVENTS - 1])
+@pytest.mark.parametrize(("name", "value"), [("x", 640), ("y", 480), ("p", 2), ("t", -1)])
+def test_a_block_without_sense_leaves_the_old_file(
+    tmp_path: Path, name: str, value: int, place: int, size: int
+) -> None:
+    """Assert that one bad event is found in whichever block it comes, and the file that was there stays."""
+    path = tmp_path / "a.recording.h5"
+    write_events(path, size)
+    assert validate.run([path]).summary["invalid"] == 0
+    before = path.read_bytes()
+    with pytest.raises(SchemaError, match=f"events/{name} is impossible") as refused:
+        write_events(path, size, **{name: (place, value)})
+    assert refused.value.hint == HINT
+    assert path.read_bytes() == before
+    assert everything(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize("size", [1, 10, 15, EVENTS])
+def test_order_is_held_from_one_block_to_the_next(tmp_path: Path, size: int) -> None:
+    """Assert that a time before the last one of the block before is refused."""
+    with pytest.raises(SchemaError, match=r"events/t is impossible(.|\n)*never decreasing"):
+        write_events(tmp_path / "a.recording.h5", size, t=(30, 2850))
+    assert everything(tmp_path) == []
+
+
+@pytest.mark.parametrize("middle", [[20, 30, 40, 50, 59], [20, 30, 40, 61, 60], [30, 20, 40, 50, 60]])
+def test_indices_are_held_to_what_they_count(tmp_path: Path, middle: list[int]) -> None:
+    """Assert that an index of rows that come in blocks is refused where there are no such rows."""
+    with pytest.raises(SchemaError, match="ms_to_idx is impossible"):
+        write_events(tmp_path / "a.recording.h5", 7, np.array([0, 10, *middle], np.int64))
+    assert everything(tmp_path) == []
+
+
+def test_indices_that_come_in_blocks_are_held_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the starts of images, written before it is known how many pixels there are, are held to these."""
+    monkeypatch.setattr(contents, "BLOCK_VALUES", 2)
+    monkeypatch.setattr(contents, "SMALL_VALUES", 0)
+    with StageFile(small_files.every_kind(tmp_path)["features"]) as file:
+        arrays = {name: file.read(name) for name in file.contents()}
+        header = file.header
+    image = {name: arrays.pop(name) for name in ("image/start", "image/pixel", "image/sign")}
+    recipe = Recipe("features", 1, {}, parents=(header,))
+    path = tmp_path / "b.features.h5"
+    write_stage(path, recipe, arrays, [image], {})
+    path.unlink()
+    image["image/start"][5] = 10_000
+    with pytest.raises(SchemaError, match=r"image/start is impossible(.|\n)*an index of image/pixel"):
+        write_stage(path, recipe, arrays, [image], {})
+    assert not path.exists()
+
+
+def test_a_dataset_that_the_limits_need_is_missing(tmp_path: Path) -> None:
+    """Assert that blocks whose limits need what was not given are refused in words."""
+    whole = {"ms_to_idx": np.zeros(1, np.int64), "t_offset": np.int64(0), "sensor/name": "unknown"}
+    with pytest.raises(SchemaError, match=r"sensor/frame_px is missing"):
+        write_stage(tmp_path / "a.recording.h5", RECORDING, whole, blocks(columns(), EVENTS), {})
+    assert everything(tmp_path) == []
+
+
+def test_a_stage_that_computes_nonsense_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a tracker that goes wrong ends in words that name the tracks, and leaves no file of them."""
+    recording = tmp_path / "a.recording.h5"
+    small_files.recording(recording)
+
+    def lose(state: Any, *events: Any) -> None:
+        state.dot_xy_px[...] = np.nan
+
+    monkeypatch.setattr(track.tracker, "step", lose)
+    (job,) = track.jobs([recording], Track(), None)
+    with pytest.raises(SchemaError, match="dot_xy_px is impossible") as refused:
+        track.run(job, Track())
+    assert refused.value.where == str(job.output)
+    assert "evetac validate" in str(refused.value)
+    assert everything(tmp_path) == [recording.name]

@@ -1,0 +1,229 @@
+"""The reading API: a recording by slice, by iteration and by range is the same; windows of features for training."""
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.events import Events, concatenate
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings import read
+from evetac_cli.store.recordings.read import SlipWindows, open_recording
+from tests.make import event_arrays
+
+DOTS = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 15.0]), axis=-1)
+
+
+def pieces_of(counts: list[int]) -> list[Events]:
+    """One Events per slice, with running numbers in x to tell them apart."""
+    done, pieces = 0, []
+    for k, count in enumerate(counts):
+        x = np.arange(done, done + count, dtype=np.uint16)
+        t = np.sort(np.random.default_rng(k).integers(1000 * k, 1000 * k + 1000, count))
+        pieces.append(Events(t, x, x + 1, (x % 2).astype(np.uint8)))
+        done += count
+    return pieces
+
+
+def write_recording(path: Path, counts: list[int], **more: Any) -> Path:
+    """A recording with so many events in each slice."""
+    events = concatenate(pieces_of(counts))
+    arrays = event_arrays(events, len(counts), (2000, 1900)) | more
+    write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays)
+    return path
+
+
+def equal(ours: Events, theirs: Events) -> bool:
+    """Whether two Events are the same, dtypes included."""
+    return all(a.dtype == b.dtype and np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+@given(
+    st.lists(st.sampled_from([0, 0, 1, 3, 80]), max_size=20),
+    st.integers(1, 7),
+    st.lists(st.integers(-20, 19), max_size=10),
+)
+@settings(max_examples=30, deadline=None)
+def test_slices_by_index_iteration_and_range_are_equal(counts: list[int], block: int, jumps: list[int]) -> None:
+    """Assert that every way to a slice gives the same events, in any order, across the borders of blocks."""
+    slices, pieces = len(counts), pieces_of(counts)
+    with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(read, "BLOCK_SLICES", block)
+        with open_recording(write_recording(Path(folder) / "a.recording.h5", counts)) as recording:
+            assert len(recording) == slices
+            assert recording.event_count == sum(counts)
+            iterated = list(recording)
+            assert len(iterated) == slices
+            for k in [*range(slices), *(jump for jump in jumps if -slices <= jump < slices)]:
+                assert equal(recording[k], pieces[k])
+                assert equal(iterated[k], pieces[k])
+                assert equal(recording.between(k % slices, k % slices + 1), pieces[k])
+            for start in range(slices + 1):
+                for stop in range(start, slices + 1):
+                    assert equal(recording.between(start, stop), concatenate(pieces[start:stop]))
+
+
+def test_slices_outlive_their_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that slices that were handed out stay valid when other blocks are read and the file is closed."""
+    monkeypatch.setattr(read, "BLOCK_SLICES", 2)
+    counts = [3, 0, 5, 2, 7]
+    with open_recording(str(write_recording(tmp_path / "a.recording.h5", counts))) as recording:
+        picked = [recording[k] for k in (4, 0, 3, 1, 2)]
+    for k, events in zip((4, 0, 3, 1, 2), picked, strict=True):
+        assert equal(events, pieces_of(counts)[k])
+
+
+@pytest.mark.parametrize("slices", [0, 3])
+def test_out_of_range(tmp_path: Path, slices: int) -> None:
+    """Assert that a slice that is not there is an IndexError, as in a list, and a range that is not there is named."""
+    with open_recording(write_recording(tmp_path / "a.recording.h5", [2] * slices)) as recording:
+        for index in (slices, slices + 100, -slices - 1):
+            with pytest.raises(IndexError):
+                recording[index]
+        for start, stop in ((-1, 0), (0, slices + 1), (2, 1), (slices + 1, slices + 1)):
+            with pytest.raises(InputError, match=f"expected: 0 <= start <= stop <= {slices}"):
+                recording.between(start, stop)
+        assert recording.between(slices, slices).size == 0
+
+
+def test_sensor(tmp_path: Path) -> None:
+    """Assert that frame, window and dots are there if stored, and None if not."""
+    with open_recording(write_recording(tmp_path / "a.recording.h5", [1])) as recording:
+        assert recording.frame_px == (2000, 1900)
+        assert recording.window_px is None
+        assert recording.dot_xy_px is None
+    more = {"sensor/window_px": np.array([40, 0, 60, 80], np.int32), "sensor/dot_xy_px": DOTS}
+    with open_recording(write_recording(tmp_path / "b.recording.h5", [1], **more)) as recording:
+        assert recording.window_px == (40, 0, 60, 80)
+        np.testing.assert_array_equal(recording.dot_xy_px, DOTS)
+
+
+def test_other_kinds_are_refused(tmp_path: Path) -> None:
+    """Assert that a report is not opened as a recording."""
+    path = tmp_path / "a.report.h5"
+    write_stage(path, Recipe("report", 1, {}), {"command": "", "rows": "[]", "summary": "{}"})
+    with pytest.raises(InputError, match="wrong kind of file"):
+        open_recording(path)
+
+
+LIES: dict[str, Callable[[NDArray[np.int64]], NDArray[np.int64]]] = {
+    "starts late": lambda starts: starts + (starts == 0),
+    "ends early": lambda starts: np.minimum(starts, starts[-1] - 1),
+    "ends late": lambda starts: starts + (starts == starts[-1]),
+    "goes back": lambda starts: np.array([starts[0], starts[2], starts[1], starts[3]]),
+    "negative": lambda starts: np.array([starts[0], -5, starts[2], starts[3]]),
+}
+
+
+@pytest.mark.parametrize("lie", LIES.values(), ids=LIES)
+def test_index_that_does_not_count_the_events(tmp_path: Path, lie: Callable[..., NDArray[np.int64]]) -> None:
+    """Assert that a recording whose index does not count its events is refused, not read with events cut off."""
+    path = write_recording(tmp_path / "a.recording.h5", [2, 3, 4])
+    with h5py.File(path, "r+") as h5:
+        h5["ms_to_idx"][...] = lie(h5["ms_to_idx"][()])
+    with pytest.raises(SchemaError, match="ms_to_idx is impossible"):
+        open_recording(path)
+    path.unlink()
+
+
+def test_damaged_events(tmp_path: Path) -> None:
+    """Assert that damage in the events of one block is an error in words for its slices."""
+    path = write_recording(tmp_path / "a.recording.h5", [100, 100])
+    with h5py.File(path) as h5:
+        chunk = h5["events/x"].id.get_chunk_info(0)
+    damaged = bytearray(path.read_bytes())
+    damaged[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+    path.write_bytes(damaged)
+    with pytest.raises(InputError, match=r"events/x cannot be read(.|\n)*damaged"), open_recording(path) as recording:
+        list(recording)
+
+
+LABEL = [0] * 20 + [1] * 6 + [-1] * 4
+
+
+def write_features(path: Path, label: list[int] | None = None, onset: int = -1) -> tuple[Path, dict[str, Any]]:
+    """Features of 6 dots whose numbers are all different."""
+    slices = len(label or LABEL)
+    numbers = np.arange(slices * 6).reshape(slices, 6)
+    arrays: dict[str, Any] = {
+        "displacement_px": numbers.astype(np.float32),
+        "events_per_dot": (numbers + 10_000).astype(np.int32),
+        "events_total": np.zeros(slices, np.int32),
+        "events_outside": np.zeros(slices, np.int32),
+        "dot_shape": np.array([2, 3], np.int32),
+    }
+    if label is not None:
+        arrays |= {"label": np.array(label, np.int8), "onset_slice": np.int64(onset)}
+    write_stage(path, Recipe("features", 1, {}), arrays)
+    return path, arrays
+
+
+@pytest.mark.parametrize(
+    ("label", "onset", "history", "after", "slices"),
+    [
+        (LABEL, 20, 10, 15, [*range(9, 26)]),  # the examined ones, from where the history is full
+        (LABEL, 20, 10, 3, [*range(9, 23)]),
+        (LABEL, 20, 10, 0, [*range(9, 20)]),
+        (LABEL, 20, 1, 15, [*range(26)]),
+        (LABEL, 20, 26, 15, [25]),
+        (LABEL, 20, 27, 15, []),
+        ([0] * 12, -1, 10, 15, [9, 10, 11]),
+        ([0, -1, 0, -1, 0], -1, 2, 15, [2, 4]),
+        ([-1] * 12, -1, 1, 15, []),
+    ],
+)
+def test_windows_are_cut_where_they_can_be_learned_from(
+    tmp_path: Path, label: list[int], onset: int, history: int, after: int, slices: list[int]
+) -> None:
+    """Assert that items are the slices with a label, a full history and not long after the onset, newest first."""
+    path, arrays = write_features(tmp_path / "a.features.h5", label, onset)
+    data = SlipWindows([path], history, after)
+    assert len(data) == len(slices)
+    for index, slice_ in enumerate(slices):
+        window, wanted = data[index]
+        assert window.dtype == np.float32
+        assert wanted.dtype == np.float32
+        assert wanted == label[slice_]
+        back = slice_ - np.arange(history)
+        np.testing.assert_array_equal(window[:, :history], arrays["displacement_px"][back].T)
+        np.testing.assert_array_equal(window[:, history:], arrays["events_per_dot"][back].T)
+
+
+def test_windows_of_several_files(tmp_path: Path) -> None:
+    """Assert that files follow each other, and no window reaches from one into another."""
+    first, _ = write_features(tmp_path / "a.features.h5", [0] * 11)
+    second, arrays = write_features(tmp_path / "b.features.h5", [0] * 5 + [1] * 8, 5)
+    data = SlipWindows([str(first), second], history=10)
+    assert [float(data[index][1]) for index in range(len(data))] == [0, 0, 1, 1, 1, 1]
+    np.testing.assert_array_equal(data[2][0][:, 9], arrays["displacement_px"][0])
+    assert len(SlipWindows([])) == 0
+
+
+def test_windows_need_labels(tmp_path: Path) -> None:
+    """Assert that features without labels are refused, with what to do."""
+    path, _ = write_features(tmp_path / "a.features.h5")
+    with pytest.raises(InputError, match=r"(?s)have no labels.*evetac label"):
+        SlipWindows([path])
+
+
+def test_windows_are_the_same_in_a_worker(tmp_path: Path) -> None:
+    """Assert that windows travel to another process as the names of their files."""
+    path, _ = write_features(tmp_path / "a.features.h5", [0] * 5 + [1] * 8, 5)
+    data = SlipWindows([path], 3, 4)
+    state = pickle.dumps(data)
+    assert len(state) < 1000
+    copy = pickle.loads(state)
+    assert len(copy) == len(data) == 7
+    for one, other in zip([data[index] for index in range(7)], [copy[index] for index in range(7)], strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1] == other[1]

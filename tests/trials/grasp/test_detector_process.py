@@ -1,0 +1,171 @@
+"""The detector's loop: a status for every slice, and every slice for the recorder."""
+
+import multiprocessing
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import DeviceError
+from evetac_cli.events import Events, empty
+from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.realtime import processes
+from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
+from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
+from evetac_cli.trials.grasp.detector_process import BATCH_MS, SliceBatch, detect, noise
+from tests.devices.stand_ins import StillCamera
+
+
+class Camera(StillCamera):
+    """Slices of noise, every fifth of them empty; its clock is 7 s behind the host's."""
+
+    def __init__(self, slices: int) -> None:
+        rng = np.random.default_rng(1)
+        self.slices = [empty() if k % 5 == 4 else noise(rng, k) for k in range(slices)]
+        self.read_so_far = 0
+        self.counted = {"late_events": 2}
+
+    def read(self) -> Events | None:
+        if self.read_so_far == len(self.slices):
+            return None
+        self.read_so_far += 1
+        return self.slices[self.read_so_far - 1]
+
+    def host_us(self, device_us: float) -> float:
+        return 7e6 + device_us
+
+    def now_us(self) -> int:
+        return 1000 * self.read_so_far
+
+    def close(self) -> None:
+        pass
+
+
+class Detector:
+    """Detects slip in every third slice."""
+
+    def __init__(self) -> None:
+        self.steps = self.slips = 0
+
+    def step(self, events: Events) -> float:
+        self.steps += 1
+        self.slips += self.steps % 3 == 0
+        return 0.25 * (self.steps % 3)
+
+    @property
+    def signal(self) -> SlipSignal:
+        return SlipSignal(self.slips, 0.25 * (self.steps % 3), 1.0, -2.0)
+
+
+class SpiedStatus(SharedStatus):
+    """Shared memory that remembers all that was published."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.published: list[DetectorStatus] = []
+
+    def publish(self, status: DetectorStatus) -> None:
+        super().publish(status)
+        self.published.append(status)
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[MessageReader, MessageWriter]]:
+    reading, writing = multiprocessing.Pipe(duplex=False)
+    yield MessageReader(reading), MessageWriter(writing)
+    reading.close()
+    writing.close()
+
+
+def batches_in(inbox: MessageReader, outbox: MessageWriter) -> list[SliceBatch]:
+    batches: list[SliceBatch] = []
+    while outbox.waiting_bytes:
+        batches += inbox.take()
+        outbox.send()
+    return batches + list(inbox.take())
+
+
+def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that every slice gives a status, with the host's time of the first event of slip, and is handed over."""
+    camera, shared, most = Camera(4 * BATCH_MS), SpiedStatus(), 2 * BATCH_MS + 3
+    detect(camera, Detector(), shared, pipe[1], most)
+    assert [status.slices for status in shared.published] == list(range(1, most + 1))
+    assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(1, most + 1)]
+    assert {status.zero_us for status in shared.published} == {7e6}
+    began = [7e6 + (float(camera.slices[k].t[0]) if camera.slices[k].size else 1e3 * k) for k in range(2, most, 3)]
+    assert list(shared.published[-1].slip_us) == began[-len(shared.published[-1].slip_us) :]
+    assert all(
+        status.heard_us == shared.published[k - 1].heard_us for k, status in enumerate(shared.published) if k % 5 == 4
+    )
+    batches = batches_in(*pipe)
+    assert [len(batch.counts) for batch in batches] == [BATCH_MS, BATCH_MS, 3]
+    assert [count for batch in batches for count in batch.counts] == [part.size for part in camera.slices[:most]]
+    t_us = np.concatenate([batch.events.t for batch in batches])
+    np.testing.assert_array_equal(t_us, np.concatenate([part.t for part in camera.slices[:most]]))
+    assert [p for batch in batches for p in batch.probability] == [0.25 * (k % 3) for k in range(1, most + 1)]
+
+
+def test_slices_before_the_order_are_evaluated_and_not_published(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that the gripper's controller hears nothing before it may move, and then nothing that is old."""
+    shared, asked = SpiedStatus(), iter([False] * 6 + [True])
+    detect(Camera(20), Detector(), shared, pipe[1], 12, may_move=lambda: next(asked))
+    assert [status.slices for status in shared.published] == list(range(7, 13))
+    assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(7, 13)]
+    assert sum(len(batch.counts) for batch in batches_in(*pipe)) == 12
+
+
+def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that slices are recorded, and a status published, where there is no detector."""
+    shared = SpiedStatus()
+    detect(Camera(20), None, shared, pipe[1], 10)
+    assert shared.published[-1].slices == 10
+    assert shared.published[-1].signal.slips == 0
+    assert np.isnan(batches_in(*pipe)[0].probability).all()
+
+
+def test_ends(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that an order to stop ends it, and that a stream which ends too early is an error."""
+    shared = SpiedStatus()
+    shared.stop()
+    detect(Camera(20), Detector(), shared, pipe[1], 10)
+    assert shared.published == []
+    with pytest.raises(DeviceError, match="stream ended"):
+        detect(Camera(20), Detector(), SpiedStatus(), pipe[1], 30)
+
+
+def test_a_recorder_that_does_not_read() -> None:
+    """Assert that slices which are not fetched are an error once too much is waiting, and not silently lost."""
+    reading, writing = multiprocessing.Pipe(duplex=False)
+    with pytest.raises(DeviceError, match="cannot keep up"):
+        detect(Camera(500), Detector(), SpiedStatus(), MessageWriter(writing, most_bytes=3_000_000), 500)
+    reading.close()
+    writing.close()
+
+
+def test_priority_as_far_as_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what is not permitted is not asked for again but left, and that what came of it is said."""
+    asked: list[tuple[str, Any]] = []
+
+    def refuse(*what: Any) -> None:
+        asked.append(("real-time", what))
+        raise PermissionError
+
+    permitted = SimpleNamespace(
+        SCHED_FIFO=1,
+        sched_param=lambda rank: rank,
+        sched_setscheduler=lambda *what: asked.append(("real-time", what)),
+        PRIO_PROCESS=0,
+        setpriority=lambda *what: asked.append(("nice", what)),
+    )
+    monkeypatch.setattr(processes, "os", permitted)
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="linux"))
+    assert processes.set_realtime_priority(20) == "real-time 20"
+    permitted.sched_setscheduler = refuse
+    assert processes.set_realtime_priority(20, 4711) == "nice -10"
+    assert asked[-1] == ("nice", (0, 4711, -10))
+    permitted.setpriority = refuse
+    assert processes.set_realtime_priority(20) == "as usual"
+    monkeypatch.setattr(processes, "sys", SimpleNamespace(platform="darwin"))
+    assert processes.set_realtime_priority(20) == "as usual"

@@ -1,0 +1,228 @@
+"""grasp: which detector and controller, their timing, a closed gel, and the outcome."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.errors import InputError
+from evetac_cli.inspect import validate
+from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
+from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.resources import MODEL
+from evetac_cli.sim import gripper
+from evetac_cli.stages.slip_detectors import load_detector, read_horizon_ms
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.trial_writer import TrialBuffer
+from evetac_cli.trials import grasp
+from evetac_cli.trials.grasp.loop import Timing, run_grasp
+from evetac_cli.trials.grasp.online_detector import known_dots
+from evetac_cli.trials.grasp.settings import GraspSettings
+from tests.devices.stand_ins import StillCamera, StillGripper
+
+SHORT = {"lift_s": 1.0, "balance_s": 0.1}
+
+
+def made(tmp_path: Path, name: str = "a", **chosen):
+    params = Grasp(**{**SHORT, **chosen})
+    (job,) = grasp.jobs([], params, tmp_path / f"{name}.recording.h5")
+    return job.output, grasp.run(job, params).rows[0]
+
+
+def test_the_package_has_a_detector() -> None:
+    """Assert that a grasp needs no --model: the package's is whole, runs, and its report is of this very file."""
+    assert (detector := GraspSettings.of(Grasp()).detector) is not None
+    assert detector.path == MODEL
+    assert [row["faults"] for row in validate.run([MODEL]).rows] == [None]
+    made = json.loads(MODEL.with_name("slip-10ms.json").read_text())
+    with StageFile(MODEL, "model") as model:
+        assert load_detector(model).architecture.name == made["model"]
+        assert read_horizon_ms(model) == made["horizon_ms"] == 10
+        assert float(model.read("threshold")) == made["threshold"]
+        assert model.header["id"] == made["id"]
+    assert made["simulated"]
+    assert made["unseen_objects"]["trajectories"] > 0
+
+
+@pytest.mark.parametrize("controller", ["none", "fixed:6"])
+def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
+    """Assert that what belongs to a detector is refused where none is used, and that no model is taken then."""
+    assert GraspSettings.of(Grasp(controller=controller)).detector is None
+    for name, value in (("model", tmp_path / "slip.model.h5"), ("slip_threshold", 0.5), ("tracker", "paper")):
+        asked = Grasp(controller=controller, **{name: value})
+        with pytest.raises(InputError, match=f"--{name.replace('_', '-')}: no detector is used"):
+            grasp.jobs([], asked, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "said"),
+    [({"controller": "papers"}, "--controller"), ({"controller": "fixed:x"}, "fixed:1"),
+     ({"controller": "load-proportional", "gain": 2.0}, "--gain"), ({"control_hz": 300.0}, "--control-hz")],
+)  # fmt: skip
+def test_refusals(tmp_path: Path, chosen, said: str) -> None:
+    """Assert that a controller, gain or rate that cannot be is refused before anything is made, naming its flag."""
+    with pytest.raises(InputError, match=said):
+        grasp.jobs([], Grasp(**chosen), tmp_path)
+
+
+@pytest.mark.slow
+def test_dry_run_refuses_what_a_run_does(tmp_path: Path) -> None:
+    """Assert that a file made by another recipe, and a model that is not there, are refused by a dry run too."""
+    out = tmp_path / "a.recording.h5"
+    out.touch()
+    for params, said in ((Grasp(), "the output exists"), (Grasp(model=tmp_path / "nope.h5"), "no such file")):
+        jobs = grasp.jobs([], params, out)
+        words = []
+        for try_ in (
+            lambda jobs=jobs, params=params: grasp.dry_run(jobs, params),
+            lambda jobs=jobs, params=params: grasp.run(jobs[0], params),
+        ):
+            with pytest.raises(InputError, match=said) as refused:
+                try_()
+            words.append(str(refused.value))
+        assert words[0] == words[1]
+    assert grasp.dry_run(grasp.jobs([], Grasp(), out), Grasp(), force=True).summary["files"] == 1
+
+
+def test_the_outcome_is_in_the_file(tmp_path: Path) -> None:
+    """Assert that the row's figures are those of the file, which is whole, and that contact alone lifts nothing."""
+    path, row = made(tmp_path, controller="none", lift_s=1.5)
+    with StageFile(path, "recording") as recording:
+        stored = json.loads(recording.read("control/outcome"))
+        assert recording.header["parameters"]["law"] == {"beyond": 0}
+    assert stored == {name: row[name] for name in stored}
+    assert not row["lifted"]
+    assert row["force_end_n"] == pytest.approx(row["force_touch_n"], rel=0.05)
+    assert [each["faults"] for each in validate.run([path]).rows] == [None]
+
+
+def test_a_fixed_grip_closes_by_its_ticks(tmp_path: Path) -> None:
+    """Assert that fixed:9 ends within the band of friction of 9 ticks, and holds harder than fixed:5."""
+    forces = []
+    for ticks in (5, 9):
+        _, row = made(tmp_path, str(ticks), controller=f"fixed:{ticks}", lift_s=1.0)
+        band_ticks = gripper.Drive().friction_n / 2.0
+        assert ticks - band_ticks - 2 <= -row["opening_after_lift_ticks"] <= ticks
+        forces.append(row["force_lift_n"])
+    assert forces[1] > forces[0] + 0.3
+
+
+@pytest.mark.slow
+def test_load_proportional_grips_as_the_object_pulls(tmp_path: Path) -> None:
+    """Assert that ours lifts off with a grip that holds, and that the displacement that it reacts to is in the file."""
+    path, row = made(tmp_path, controller="load-proportional", lift_s=1.2, balance_s=0.0)
+    with StageFile(path, "recording") as recording:
+        mean_displacement_px, gap_mm = (
+            recording.read("control/mean_displacement_px"),
+            recording.read("truth/table_gap_mm"),
+        )
+        shear_n = recording.read("truth/shear_force_n")
+    assert gap_mm[-1] > 5.0
+    load_px = np.linalg.norm(mean_displacement_px[-1] - mean_displacement_px[700])
+    assert load_px == pytest.approx(2.8 * np.linalg.norm(shear_n[-1]), rel=0.25)  # H / G over the gel, in px/N
+    assert row["force_lift_n"] > 0.5
+
+
+def test_known_dots() -> None:
+    """Assert that of a closed gel the column where the window would be is left out, and of a cut one nothing."""
+    x, y = np.meshgrid(np.arange(9) * 62.0 + 60, np.arange(7) * 62.0 + 40)
+    closed = np.stack([x, y], axis=-1)
+    known = known_dots(closed, 7, 8).reshape(7, 9)
+    assert known[:, :8].all()
+    assert not known[:, 8].any()
+    assert not known_dots(closed[:, ::-1], 7, 8).reshape(7, 9)[:, 0].any()
+    assert known_dots(closed[:, :8], 7, 8).all()
+    worn = np.where(np.arange(9)[:, None] == 2, np.nan, closed)
+    assert (~known_dots(worn, 7, 8).reshape(7, 9)).all(axis=0).tolist() == [column == 2 for column in range(9)]
+    for rows, columns in ((7, 7), (6, 8), (7, 10)):
+        with pytest.raises(ValueError, match="dots"):
+            known_dots(closed, rows, columns)
+
+
+@pytest.mark.slow
+def test_a_closed_gel_is_felt_by_the_network_for_a_cut_one(tmp_path: Path) -> None:
+    """Assert that 63 dots are tracked and evaluated: the file has them all, and a probability for every slice."""
+    path, row = made(tmp_path, gel="closed")
+    with StageFile(path, "recording") as recording:
+        assert recording.read("sensor/dot_xy_px").shape == (7, 9, 2)
+        assert not recording.has("sensor/window_px")
+        probability = recording.read("control/probability")
+    assert np.isfinite(probability[100:]).all()
+    assert row["slices_with_slip"] > 0
+
+
+class Silence(StillCamera):
+    """A camera of so many empty slices."""
+
+    def __init__(self, slices: int) -> None:
+        self.most = slices
+
+    def read(self):
+        return None if self.slices == self.most else super().read()
+
+
+class Still(StillGripper):
+    """A gripper whose fingers do not move, with a log of its commands."""
+
+    def __init__(self, camera: Silence) -> None:
+        self.camera, self.goals = camera, []
+
+    def read(self) -> GripperReading:
+        return GripperReading(0.0, 100)
+
+    def write_position(self, goal_ticks: int) -> None:
+        self.goals.append((self.camera.slices, goal_ticks))
+
+
+class SlipsAt:
+    """A detector that detects slip in one slice."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.slices, self.signal = at, 0, SlipSignal()
+
+    def step(self, events) -> float:
+        self.slices += 1
+        self.signal = SlipSignal(int(self.slices >= self.at), 1.0)
+        return float(self.slices == self.at)
+
+
+def held(timing: Timing, slips_at: int) -> list[tuple[int, int]]:
+    camera = Silence(timing.end_ms)
+    still = Still(camera)
+    buffer = TrialBuffer()
+    control = Control(make_law("paper"), timing.control_hz)
+    slices = run_grasp(Rig(camera, still), SlipsAt(slips_at), control, timing, buffer.append, lambda _: None)
+    assert slices == timing.end_ms == len(buffer.events)
+    assert len(buffer.rows["control/t_us"]) == len(still.goals)
+    return still.goals
+
+
+@pytest.mark.parametrize("hz", [50, 100, 250, 500, 1000])
+def test_the_controller_steps_at_its_rate(hz: int) -> None:
+    """Assert that a command is written in every slice in which one is due, and in no other."""
+    goals = held(Timing(10, 90, 100, float(hz)), 10_000)
+    assert [ms for ms, _ in goals] == list(range(1, 201, 1000 // hz))
+
+
+@pytest.mark.parametrize("latency_ms", [0, 1, 2, 7, 50])
+def test_the_controller_reacts_after_the_latency(latency_ms: int) -> None:
+    """Assert that slip in a slice changes the goal in the first step of control after the latency."""
+    timing = Timing(10, 190, 0, 500.0, latency_ms)
+    goals = held(timing, 51)
+    closed = next(ms for ms, goal in goals if ms > 10 and goal > 100)
+    due = 51 + latency_ms
+    assert closed == due + (due + 1) % 2  # slices 1, 3, 5 ... are followed by a step
+
+
+def test_phases_follow_the_clock() -> None:
+    """Assert that phases change at the slices that the timing names."""
+    timing = Timing(10, 20, 30)
+    assert [timing.phase(k) for k in (0, 9, 10, 29, 30, 59)] == [
+        Phase.CONTACT, Phase.CONTACT, Phase.LIFT, Phase.LIFT, Phase.BALANCE, Phase.BALANCE,
+    ]  # fmt: skip
+    assert timing.end_ms == 60
+    assert replace(timing, control_hz=250.0).every_ms == 4

@@ -1,0 +1,152 @@
+"""What a live view shows is what track and grasp would say of the same slices."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import Events
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials.grasp.online_detector import open_view_detector
+from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower
+from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
+from tests.conftest import Made
+
+SLICES = 200
+
+
+def refuse(sensor: object) -> None:
+    raise InputError("the model is for another dot grid")
+
+
+def of_pixels(xyp: list[tuple[int, int, int]]) -> Events:
+    x, y, p = np.array(xyp).reshape(-1, 3).T
+    return Events(np.zeros(len(x), np.int64), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+
+
+@pytest.mark.parametrize("by", [1, 7, 50])
+def test_dots_and_slip_are_those_of_the_detector(made: Made, by: int) -> None:
+    """Assert dots and probability as of the detector on the same slices, however many come at a time."""
+    open_detector = partial(open_view_detector, made.model, "stable", 0.4)
+    with open_recording(made.recordings[0]) as recording:
+        slices, sensor = [recording[k] for k in range(SLICES)], recording.sensor_datasets()
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin(sensor, open_detector)
+    expected = open_detector(sensor)
+    for k, events in enumerate(slices):
+        shared.add_slice(events)
+        expected.step(events)
+        if (k + 1) % by == 0:
+            sample = follower.sample()
+            assert sample["slices"] == k + 1
+    follower.sample()
+    dots = np.array(follower.dots())
+    tracking = expected.tracking
+    np.testing.assert_allclose(dots[:, :2], tracking.dot_xy_px, atol=0.006)
+    np.testing.assert_allclose(dots[:, 2:4], tracking.dot_xy_px - tracking.rest_xy_px, atol=0.006)
+    assert follower.left_out == 0
+    assert follower.threshold == 0.4
+    if by == 1:
+        assert sample["probability"] == pytest.approx(expected.probability, rel=1e-4)
+        assert sample["normal_n"] is not None
+        assert sample["normal_n"] >= 0
+
+
+def test_the_loops_own_probability_goes_first(made: Made) -> None:
+    """Assert that where the loop knows the probability, its highest since the last sample is shown."""
+    with open_recording(made.recordings[0]) as recording:
+        sensor = recording.sensor_datasets()
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin(sensor, partial(open_view_detector, made.model, "stable", 0.4))
+    for probability in (0.25, 0.75, float("nan"), 0.5):
+        shared.add_slice(of_pixels([]), 1500.0 * (1 + (probability == 0.5)), probability)
+    shared.set_gripper(GripperNumbers(400, 402, 20.0, float("nan"), 3, 2))
+    sample = follower.sample()
+    assert sample["probability"] == 0.75
+    assert (sample["late_ms"], sample["late_most_ms"]) == (1.5, 3.0)
+    assert (sample["position_ticks"], sample["goal_ticks"], sample["goal_ma"], sample["missed"]) == (400, 402, None, 3)
+
+
+def test_without_a_grid_there_are_events_and_a_reason() -> None:
+    """Assert that a camera of which no dots are known shows its events, and says what it cannot show."""
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin({"sensor/frame_px": np.array([640, 480], np.int32)}, refuse)
+    shared.add_slice(of_pixels([(1, 2, 1)]))
+    sample = follower.sample()
+    assert sample["events_per_s"] == 1000.0
+    assert sample["probability"] is None
+    assert follower.dots() == []
+    assert "--calibration" in follower.notes[0]
+
+
+def test_another_grid_is_tracked_without_slip(made: Made) -> None:
+    """Assert that dots are shown where the model is for another grid, and that this is said."""
+    with open_recording(made.recordings[0]) as recording:
+        sensor = recording.sensor_datasets()
+    follower = Follower(SharedView())
+    follower.begin(sensor, refuse)
+    assert len(follower.dots()) == np.isfinite(sensor["sensor/dot_xy_px"][..., 0]).sum()
+    assert follower.notes == ["no slip: the model is for another dot grid"]
+    assert follower.sample()["probability"] is None
+
+
+def test_forces_are_of_a_frame_whose_scale_is_known(made: Made) -> None:
+    """Assert that on another frame than an Evetac's no force is shown, which is said."""
+    with open_recording(made.recordings[0]) as recording:
+        sensor = recording.sensor_datasets()
+    for frame_px, shown in (((640, 480), True), ((800, 600), False)):
+        follower = Follower(SharedView())
+        follower.begin({**sensor, "sensor/frame_px": np.array(frame_px, np.int32)}, refuse)
+        assert ("normal_n" in follower.sample()) == shown
+        assert any("no force" in note for note in follower.notes) != shown
+
+
+def test_a_picture_counts_the_events_of_each_polarity() -> None:
+    """Assert each pixel's counts, clipped, of the latest SHOWN_MS slices alone, without what lies beside the frame."""
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin({"sensor/frame_px": np.array([64, 48], np.int32)}, refuse)
+    shared.add_slice(of_pixels([(0, 0, 1)]))  # too old
+    shared.add_slice(of_pixels([(5, 7, 1)] * 2 + [(5, 7, 0)] * 40 + [(63, 47, 1), (64, 0, 1), (0, 48, 0)]))
+    for _ in range(SHOWN_MS - 1):
+        shared.add_slice(of_pixels([]))
+    follower.sample()
+    image = np.frombuffer(follower.image(), np.uint8).reshape(48, 64)
+    expected = np.zeros((48, 64), np.uint8)
+    expected[7, 5] = 2 | MOST_COUNT << 4
+    expected[47, 63] = 1
+    np.testing.assert_array_equal(image, expected)
+
+
+def test_who_is_far_behind_goes_on_at_the_newest() -> None:
+    """Assert that a view that was stopped shows the newest slices, and counts those that it left out."""
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin({"sensor/frame_px": np.array([640, 480], np.int32)}, refuse)
+    for _ in range(MOST_BEHIND + 100):
+        shared.add_slice(of_pixels([(1, 1, 1)]))
+    sample = follower.sample()
+    assert sample["slices"] == MOST_BEHIND + 100
+    assert follower.left_out == MOST_BEHIND + 100 - SHOWN_MS
+    assert sample["events_per_s"] == 1000.0
+
+
+def test_the_tracker_is_the_one_of_grasp(made: Made) -> None:
+    """Assert that without a detector the dots are those of the preset `stable`."""
+    with open_recording(made.recordings[0]) as recording:
+        slices, sensor = [recording[k] for k in range(60)], recording.sensor_datasets()
+    shared = SharedView()
+    follower = Follower(shared)
+    follower.begin(sensor, refuse)
+    constants = tracker.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
+    expected = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
+    for events in slices:
+        shared.add_slice(events)
+        tracker.step(expected, events.x, events.y, events.p)
+    follower.sample()
+    np.testing.assert_allclose(np.array(follower.dots())[:, :2], expected.dot_xy_px, atol=0.006)

@@ -1,0 +1,187 @@
+"""What the parts of a scene cost, against a clock that the test moves, and once for real."""
+
+import json
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.record import Record
+from evetac_cli.jobs import Outcome
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.trials import grasp, part_costs, record
+from evetac_cli.trials.part_costs import BLOCK, Append, for_people, measure
+from evetac_cli.trials.record import simulated
+from evetac_cli.trials.trial import SimulatedTrial
+
+WINDOW_US, NOISE_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 5.0, 40.0, 12.0, 7.0
+
+
+class SlowedClock:
+    """A clock, and a simulation that moves it by what each part costs; every second run is slowed down at random."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.runs = 0
+        self.slowed_us = 50.0
+        self.rng = np.random.default_rng(0)
+        self.gel = SimpleNamespace(step=lambda: self.take(GEL_US))
+        self.camera = SimpleNamespace(render=self._render)
+
+    def take(self, us: float) -> None:
+        self.now_s += us * 1e-6
+
+    def _render(self, plan: Plan) -> None:
+        texture, sensor = plan.scene.texture, plan.sensor
+        self.take(DOTS_US + WINDOW_US * (texture is not None and texture.show))
+        self.take(NOISE_US * (sensor.noise_hz > 0) + CUT_US * (sensor.cut_contrast > 0))
+
+    def play(self, trial: SimulatedTrial, append: Append) -> None:
+        self.runs += 1
+        for _ in range(100_000):
+            self.gel.step()
+            self.camera.render(trial.plan)
+            self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // 4 % 2))
+            append(None, {})  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowedClock]:
+    made = SlowedClock()
+    monkeypatch.setattr(part_costs, "thread_time", lambda: made.now_s)
+    timers = (("gel and friction", made.gel, "step"), ("camera", made.camera, "render"))
+    monkeypatch.setattr(part_costs, "_scene_timers", lambda: timers)
+    yield made
+
+
+@pytest.mark.parametrize("texture", ["on", "off"])
+def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> None:
+    """Assert what each part costs or saves, whatever else the machine does in every second run."""
+    (trial,) = record.jobs([], Record(texture=texture), None)
+    costs = measure(trial, machine.play, 4)
+    shown = texture == "on"
+    in_camera = DOTS_US + WINDOW_US * shown + NOISE_US + CUT_US
+    assert costs.slices % BLOCK == 0
+    assert costs.whole.mean() == pytest.approx(GEL_US + in_camera + OTHER_US)
+    rows = {row["part"]: row for row in costs.rows()}
+    expected = {"gel and friction": GEL_US, "camera": in_camera, "dots": DOTS_US, "noise": NOISE_US, "cut edge": CUT_US}
+    for part, us in {**expected, "everything else": OTHER_US}.items():
+        assert rows[part]["time_us"] == pytest.approx(us), part
+    assert rows["window"]["time_us"] == (pytest.approx(WINDOW_US) if shown else None)
+    assert rows["window"]["saves_us"] == (None if shown else pytest.approx(WINDOW_US))
+    assert rows["pushes"]["time_us"] is rows["pushes"]["saves_us"] is None
+
+
+@pytest.mark.parametrize("budget_s", [0.5, 0.1, 1e-6])
+def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
+    """Assert fewer slices, then fewer repeats within a budget of time, and the same costs."""
+    (trial,) = record.jobs([], Record(), None)
+    machine.slowed_us = 0.0
+    costs = measure(trial, machine.play, 50, budget_s=budget_s)
+    block_s = BLOCK * (GEL_US + DOTS_US + WINDOW_US + NOISE_US + CUT_US + OTHER_US) * 1e-6
+    share_s = budget_s / 5  # of one run to try, and four to measure
+    assert costs.slices == BLOCK * max(1, 1 + int(share_s / block_s))
+    assert costs.whole.sum() * BLOCK * 1e-6 == pytest.approx(block_s * costs.slices / BLOCK)
+    assert machine.now_s < 4 * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, 4 * block_s)
+
+
+def test_timers_are_taken_off_again(machine: SlowedClock) -> None:
+    """Assert that the calls which were timed are afterwards what they were, also where a trial fails."""
+    before = machine.gel.step, machine.camera.render
+    (trial,) = record.jobs([], Record(), None)
+
+    def fails(trial: SimulatedTrial, append: Append) -> None:
+        machine.play(trial, append if machine.runs < 5 else lambda events, rows: 1 / 0)  # type: ignore[arg-type, return-value]
+
+    with pytest.raises(ZeroDivisionError):
+        measure(trial, fails, 2)
+    assert (machine.gel.step, machine.camera.render) == before
+
+
+@pytest.mark.parametrize(("stage", "params"), [(record, Record(scene="slip")), (grasp, Grasp())])
+@pytest.mark.slow
+def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that calls and the rest make up the whole of a dry run, and that it says what its scene saves."""
+    monkeypatch.setattr(part_costs, "_moving_slices", lambda *_: 2 * BLOCK)
+    shown = stage.dry_run(stage.jobs([], params, None), params, force=True)
+    rows = {row["part"]: row for row in shown.rows}
+    calls = ("gel and friction", "gripper", "camera", "everything else", *(["slip detector"] if stage is grasp else []))
+    assert all(rows[part]["time_us"] > 0.0 for part in calls if part != "everything else")
+    assert sum(rows[part]["time_us"] for part in calls) == pytest.approx(shown.summary["time_us_a_slice"])
+    assert (rows["window"]["saves_us"] is not None) == (stage is grasp)
+    assert shown.summary["slices_measured"] in (BLOCK, BLOCK * 2)  # fewer where the machine is very slow
+    assert shown.summary["left_out_saves_us"] == pytest.approx(rows["window"]["saves_us"] or 0.0)
+
+
+@pytest.mark.parametrize("slowed_us", [0.0, 50.0, 400.0])
+def test_a_difference_within_the_noise_is_not_a_figure(slowed_us: float, machine: SlowedClock) -> None:
+    """Assert that a cost is shown as a figure only where it is larger than what the machine makes by itself.
+
+    The clock is slowed in all runs, so that the smallest part drowns, but not the largest.
+    """
+    (trial,) = record.jobs([], Record(), None)
+    machine.slowed_us = slowed_us
+    machine.runs = 4  # no run is left alone
+    costs = measure(trial, machine.play, 1)
+    rows = {row["part"]: row for row in costs.rows()}
+    shown = {row["part"]: row["time_us"] for row in for_people(Outcome(list(rows.values()), True, SUMMARY))[0]}
+    for part, us in (("window", WINDOW_US), ("cut edge", CUT_US), ("noise", NOISE_US), ("dots", DOTS_US)):
+        noise_us = rows[part]["noise_us"]
+        assert noise_us >= -rows[part]["time_us"]
+        if shown[part].startswith("< "):
+            assert rows[part]["time_us"] <= noise_us
+            assert us <= 2.0 * noise_us + slowed_us / 10
+        else:
+            assert float(shown[part]) == pytest.approx(rows[part]["time_us"], rel=0.01)
+            assert float(shown[part]) > 0.0
+    assert (slowed_us == 0.0) == all(not text.startswith("<") for text in shown.values() if text)
+
+
+SUMMARY = {"files": 3, "first_file": "a.recording.h5", "slices_measured": 1400, "time_us_a_slice": 200.0}
+SUMMARY["times_real_time"] = 5.0
+
+
+@pytest.mark.parametrize(
+    ("figure", "noise", "words"),
+    [(52.93, None, "52.9"), (-5.732, 5.732, "< 5.7"), (1.8, 2.04, "< 2"), (2.1, 2.0, "2.1"), (None, None, None)],
+)
+def test_how_a_time_is_said(figure: float | None, noise: float | None, words: str | None) -> None:
+    """Assert that no time of a part is negative, and that one within the noise is said by its limit."""
+    row = {"part": "dots", "built": "56", "left_out": None, "time_us": figure, "saves_us": None, "noise_us": noise}
+    (shown,), _ = for_people(Outcome([row], True, SUMMARY))
+    assert shown == {"part": "dots", "built": "56", "time_us": words}
+
+
+@pytest.mark.parametrize(
+    "words", [["--scene", "slip"], ["--scene", "edge"], ["--scene", "vibration"], ["--count", "9"]]
+)
+def test_a_dry_run_fits_a_screen(words: list[str], machine: SlowedClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that it fills at most 40 lines of 80 signs, that -v says all parts with their reasons, and --json too."""
+    monkeypatch.setattr(simulated, "play_through", machine.play)
+    run = [CliRunner().invoke(app, ["record", "--dry-run", *words, *more]) for more in ([], ["-v"], ["--json"])]
+    assert [each.exit_code for each in run] == [0, 0, 0], run[0].stderr
+    lines = [wrapped for line in run[0].stdout.splitlines() for wrapped in textwrap.wrap(line, 80)]
+    assert len(lines) <= 40
+    assert max(len(line) for line in run[0].stdout.splitlines() if line.startswith("│")) <= 80
+    rows = json.loads(run[2].stdout)["rows"]
+    assert {"part", "built", "left_out", "time_us", "saves_us", "noise_us"} == set(rows[0])
+    for row in rows:
+        assert (row["part"] in run[0].stdout) or row["built"] is None
+        assert row["part"] in run[1].stdout
+    assert f"{sum(row['left_out'] is not None for row in rows)} parts are left out" in run[0].stdout
+
+
+def test_a_dry_run_of_many_trials_with_devices_names_the_first(tmp_path: Path) -> None:
+    """Assert that of a series of 40 trials the first five files are named, and all with -v."""
+    words = ["record", "--camera", "virtual", "--gripper", "virtual", "--count", "40", "--dry-run", "-o", str(tmp_path)]
+    short, whole = (CliRunner().invoke(app, [*words, *more]).stdout for more in ([], ["-v"]))
+    assert short.count("│ file ") == 5
+    assert "40 in all" in short
+    assert whole.count("│ file ") == 40

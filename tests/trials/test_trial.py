@@ -1,0 +1,115 @@
+"""Trials: their files, their seeds, and that they can be sent to a worker process."""
+
+import pickle
+import shutil
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.record import Record
+from evetac_cli.devices import cameras, grippers
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.grip import control as grip_control
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.trials import grasp, record
+from evetac_cli.trials import trial as trials
+from evetac_cli.trials.grasp import settings
+from evetac_cli.trials.grasp.settings import DeviceGrasp, ReplayGrasp, SimulatedGrasp
+from evetac_cli.trials.record.capture_plan import DeviceRecording
+from evetac_cli.trials.record.imported import ImportJob
+from evetac_cli.trials.record.preview import Preview
+from evetac_cli.trials.trial import SimulatedTrial, device_trials
+from tests.conftest import Made
+
+
+@pytest.mark.parametrize(
+    ("params", "kind"),
+    [
+        (Record(), SimulatedTrial),
+        (Record(preview=True), Preview),
+        (Record(camera="virtual"), DeviceRecording),
+        (Record(camera="virtual", preview=True), Preview),
+        (Record(camera="dvxplorer", gripper="/dev/ttyUSB0", arm=True), DeviceRecording),
+        (Record(source=Path("events.txt")), ImportJob),
+        (Grasp(), SimulatedGrasp),
+        (Grasp(camera="virtual"), DeviceGrasp),
+        (Grasp(camera="replay:a.recording.h5"), ReplayGrasp),
+        (Grasp(camera="replay:a.recording.h5", gripper="virtual"), DeviceGrasp),
+    ],
+)
+def test_types(params: Record | Grasp, kind: type, tmp_path: Path, made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what is asked for decides the type of the jobs, and that they survive being sent to a process."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(made.recordings[0], "a.recording.h5")
+    jobs = record.jobs([], params, tmp_path) if isinstance(params, Record) else grasp.jobs([], params, tmp_path)
+    assert [type(job) for job in jobs] == [kind]
+    assert pickle.loads(pickle.dumps(jobs)) == jobs
+
+
+def test_seeds_are_those_of_one_trial() -> None:
+    """Assert that a trial's seeds depend on series, object, number and tone, and not on how many trials there are."""
+    few, many = (record.jobs([], Record(objects="3,8", count=count, seed=7), None) for count in (1, 3))
+    assert [trial.seeds().entropy for trial in many] == [
+        [7, 3, 0],
+        [7, 3, 1],
+        [7, 3, 2],
+        [7, 8, 0],
+        [7, 8, 1],
+        [7, 8, 2],
+    ]
+    assert [trial.seeds().entropy for trial in few] == [[7, 3, 0], [7, 8, 0]]
+    (tone,) = record.jobs([], Record(scene="vibration", tones="200.5", seed=1), None)
+    assert tone.seeds().entropy == [1, 0, 0, 200_500]
+    (device,) = record.jobs([], Record(camera="dvxplorer", seed=4), None)
+    np.testing.assert_array_equal(device.seeds().entropy, [4, 0])
+
+
+def test_files_of_several_cameras(tmp_path: Path) -> None:
+    """Assert that each camera has a file, those of a kind are numbered, and what was taken before is known."""
+    (tmp_path / "dvxplorer-2-s0-001.recording.h5").touch()
+    pair = (cameras.Dvxplorer(), cameras.Dvxplorer())
+    trials = device_trials(("ramp",), pair, grippers.NoGripper(), Record(count=2), tmp_path)
+    names = [[path.name for path in trial.outputs] for trial in trials]
+    assert names == [[f"dvxplorer-{place}-s0-00{trial}.recording.h5" for place in (1, 2)] for trial in (0, 1)]
+    assert all(trial.series == (trials[0].outputs, trials[1].outputs) for trial in trials)
+    assert [path.name for path in trials[0].taken] == ["dvxplorer-2-s0-001.recording.h5"]
+
+
+def test_one_file_holds_one_trial() -> None:
+    """Assert that `-o NAME.h5` is refused where several trials or cameras would write it."""
+    for params in (Record(camera="dvxplorer", count=2), Record(camera="dvxplorer:A,dvxplorer:B")):
+        with pytest.raises(InputError, match="one output file cannot hold several"):
+            record.jobs([], params, Path("a.recording.h5"))
+
+
+@pytest.mark.parametrize("objects", ["11", "11-12"])
+def test_a_series_of_grasps_is_resolved_once(
+    objects: str, tmp_path: Path, made: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that law, scene and model are resolved once in a series, when its jobs are made, not when they run."""
+    calls: Counter[str] = Counter()
+
+    def counted(owner: Any, name: str) -> None:
+        call = getattr(owner, name)
+
+        def count(*arguments: Any, **named: Any) -> Any:
+            calls[name] += 1
+            return call(*arguments, **named)
+
+        monkeypatch.setattr(owner, name, count)
+
+    counted(grip_control, "make_law")
+    counted(settings, "check_graph")
+    counted(trials, "plans")
+    counted(scene_file, "of_table")
+    params = Grasp(objects=objects, model=made.model, lift_s=1.0, balance_s=0.0)
+    once = {"make_law": 1, "check_graph": 1, "plans": 1, "of_table": 1}
+    jobs = grasp.jobs([], params, tmp_path)
+    assert calls == once
+    for job in jobs:
+        assert grasp.run(job, params).made
+    assert calls == once
