@@ -16,12 +16,12 @@ class Devices:
     camera: str = parameter(
         "sim",
         "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2"
-        " (docs/hardware.md lists them); dvxplorer[:SERIAL]; dv[:SERIAL], through dv-processing; replay:FILE.",
+        " (docs/hardware.md); dvxplorer[:SERIAL]; dv[:SERIAL], through dv-processing; replay:FILE.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1; none; or PORT[:ID][@BAUD], as in"
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md); none; or PORT[:ID][@BAUD], as in"
         " /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera.",
         recipe=False,
         needs=(Capability.SCENE, Capability.DEVICE),

@@ -58,8 +58,8 @@ def _texts(values: Iterable[Any]) -> tuple[str, ...]:
 
 
 def _scene(parameters: Row) -> str | None:
-    scene = parameters.get("scene")
-    return scene.get("name") if isinstance(scene, dict) else scene
+    named = parameters.get("scene")
+    return named if isinstance(named, str) else scene_words(parameters, "name")
 
 
 def _detector(parameters: Row) -> str:

@@ -306,12 +306,11 @@ def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
 def test_a_scene_without_a_current_to_follow(tmp_path: Path) -> None:
     """Assert that --current-of refuses a scene that names no current for the gripper."""
     asked = Record(camera="virtual", gripper="virtual", current_of="slip", dry_run=True)
-    (job,) = record.jobs([], asked, tmp_path)
     with pytest.raises(InputError, match="names no current"):
-        record.dry_run([job], asked)
+        record.jobs([], asked, tmp_path)
     both = Record(camera="virtual", gripper="virtual", current_of="grip-steps", hold_s=3.0, dry_run=True)
     with pytest.raises(InputError, match="no effect with --current-of"):
-        record.dry_run(record.jobs([], both, tmp_path), both)
+        record.jobs([], both, tmp_path)
     asked = Record(camera="virtual", gripper="virtual", current_of="grip-steps", dry_run=True)
     (job,) = record.jobs([], asked, tmp_path)
     assert "-25 to 60 mA for 35.5 s" in str(record.dry_run([job], asked).rows)

@@ -61,9 +61,8 @@ def test_grasp_refuses_it(natural_first_try: tuple[list[str], Path], tmp_path: P
     """Assert that no gripper is moved by it, simulated or virtual, and that the reason and the way out are said."""
     words, out = natural_first_try
     CliRunner().invoke(app, words)
-    (job,) = grasp.jobs([], Grasp(model=out), tmp_path / "a.recording.h5")
     with pytest.raises(InputError, match="this model is no slip detector") as refused:
-        grasp.run(job, Grasp(model=out))
+        grasp.jobs([], Grasp(model=out), tmp_path / "a.recording.h5")
     assert "calls every slice" in str(refused.value) and "--validate" in str(refused.value)
     for more in (["--dry-run"], ["--camera", "virtual", "--gripper", "virtual", "--dry-run"], []):
         run = CliRunner().invoke(app, ["grasp", "--model", str(out), "-o", str(tmp_path / "b.recording.h5"), *more])
