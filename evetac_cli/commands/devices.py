@@ -21,8 +21,8 @@ class Devices:
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md); none; or PORT[:ID][@BAUD], as in"
-        " /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera.",
+        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md); none; or PORT[:ID][@BAUD],"
+        " as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera.",
         recipe=False,
         needs=(Capability.SCENE, Capability.DEVICE),
     )

@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from evetac_cli.store.index import scene_words
+
 Row = Mapping[str, Any]
 
 

@@ -22,7 +22,7 @@ import json
 import os
 import sqlite3
 import stat
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -319,7 +319,7 @@ def _figures(file: Any) -> dict[str, Any]:
     }
 
 
-def scene_words(parameters: dict[str, Any], key: str) -> str | None:
+def scene_words(parameters: Mapping[str, Any], key: str) -> str | None:
     """What a recording's parameters say of its scene, its `name` or `summary`; None where they say nothing in words."""
     named = parameters.get("scene")
     words = named.get(key) if isinstance(named, dict) else None
