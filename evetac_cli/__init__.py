@@ -76,7 +76,7 @@ _MODULES = {
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
-    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.read"),
+    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),
 }
 
 

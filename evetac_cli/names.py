@@ -6,7 +6,7 @@ from enum import StrEnum
 class Capability(StrEnum):
     """What a run of `record` or `grasp` has or does, by its devices and flags.
 
-    Devices say which of these they have, options say which they need (params.parameter); the values are the words in
+    Devices say which of these they have, options say which they need (commands.parameter); the values are the words in
     which an option without effect is refused.
     """
 

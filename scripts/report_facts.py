@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from experiment_tables import Row
-from results import STAGES, ranges
+from results import MODULES, ranges
 
 
 def report_header(path: Path) -> Row:
@@ -80,9 +80,9 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
                 command = "track" if node["seed"] is None else "track-rgb"
             if node["kind"] == "recording" and "controller" in node["parameters"]:
                 command = "grasp"
-            if command in STAGES:
+            if command in MODULES:
                 numbers[command] = min(node["method"], numbers.get(command, node["method"]))
-    return {command: numbers[command] for command in STAGES if command in numbers}
+    return {command: numbers[command] for command in MODULES if command in numbers}
 
 
 def words_for(known: Row) -> Row:

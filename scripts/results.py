@@ -21,6 +21,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.source import Source
 
@@ -94,24 +95,8 @@ SUMMARY = (
     ),
 )
 # Where each command has the number of its method.
-STAGES = {
-    "record": "record",
-    "label": "label",
-    "track": "track",
-    "track-rgb": "track_rgb",
-    "featurize": "featurize",
-    "train": "train",
-    "train-force": "force.train_force",
-    "train-force --method gel": "force.train_gel",
-    "grasp": "grasp",
-    "evaluate labels": "evaluate.labels",
-    "evaluate tracking": "evaluate.tracking",
-    "evaluate slip": "evaluate.slip",
-    "evaluate vibration": "evaluate.vibration",
-    "evaluate data-rate": "evaluate.data_rate",
-    "evaluate force": "evaluate.force",
-    "evaluate grasp": "evaluate.grasp",
-}
+MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
+MODULES["train-force --method gel"] = "stages.force.train_gel"
 
 
 def keys(template: str) -> list[str]:
@@ -162,7 +147,7 @@ def lines(result: Result) -> list[list[str]]:
 
 def method(command: str) -> int:
     """The number of a command's method as it is today."""
-    return int(importlib.import_module(f"evetac_cli.stages.{STAGES[command]}").METHOD)
+    return int(importlib.import_module(f"evetac_cli.{MODULES[command]}").METHOD)
 
 
 def changes(result: Result) -> list[str]:

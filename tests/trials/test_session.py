@@ -96,7 +96,7 @@ from pathlib import Path
 import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.stages import session
+from evetac_cli.trials import session
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.segments import RecordingWriter
 

@@ -201,7 +201,8 @@ import os, sys
 from pathlib import Path
 import numpy as np
 from evetac_cli.events import Events
-from evetac_cli.store import schema, segments
+from evetac_cli.store.layout import schema
+from evetac_cli.store.recordings import segments
 segments.SEGMENT_S = 1e9
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}
 writer = segments.RecordingWriter(Path(sys.argv[1]), static)
@@ -395,7 +396,8 @@ from pathlib import Path
 import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.store import schema, segments
+from evetac_cli.store.layout import schema
+from evetac_cli.store.recordings import segments
 from evetac_cli.store.layout.provenance import Recipe
 segments.SEGMENT_S = 1e9
 static = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "e", "t_offset": np.int64(0)}

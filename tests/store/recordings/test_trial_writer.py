@@ -159,7 +159,7 @@ from pathlib import Path
 import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.store import trial_writer
+from evetac_cli.store.recordings import trial_writer
 from evetac_cli.store.layout.provenance import Recipe
 trial_writer.BLOCK_SLICES = 2
 path, what = Path(sys.argv[1]), sys.argv[2]

@@ -643,7 +643,7 @@ def test_interrupted_recording_is_complete(number: int, long_recording: Path, tm
 SMALL_DISK = """
 import resource
 from evetac_cli.cli.main import main
-from evetac_cli.store import segments
+from evetac_cli.store.recordings import segments
 from tests.devices.stand_ins import StillCamera, StillGripper
 segments.SEGMENT_S, segments.SEGMENT_EVENTS = 1e9, 4000
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY))
