@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli import names
 from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.formats.read import read_numpy
@@ -35,7 +36,7 @@ from evetac_cli.store.hdf5.disk import leave_if_interrupted
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import Steady
 
-EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
+EXPECTED = names.either(names.IMPORTS.values())
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
@@ -64,17 +65,18 @@ class Format(NamedTuple):
     at: tuple[int, ...] = (0,)
 
 
-TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
 BAG = Format(read_rosbag.SIGNS, open_rosbag, ("stream",))
-FORMATS = (
-    Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
-    Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
-    Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
-    Format((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
-    Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
-    Format(read_prophesee.SIGNS, open_prophesee),
-    BAG,
-)
+TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
+FORMATS = {
+    "aedat4": Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
+    "aedat3": Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
+    "aedat2": Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
+    "hdf5": Format((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
+    "numpy": Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
+    "prophesee": Format(read_prophesee.SIGNS, open_prophesee),
+    "rosbag": BAG,
+    "text": TEXT,
+}
 
 # Who reads what is kept beside the events.
 OTHER_STREAMS = {"aedat3": aedat3_streams, "aedat4": aedat4_streams, "rosbag": bag_streams}
@@ -391,7 +393,7 @@ def _format(path: Path) -> Format:
     """The row that a file belongs to; text if its first line looks like text."""
     where = str(path)
     head = _head(path)
-    for format_ in FORMATS:
+    for format_ in FORMATS.values():
         if head.startswith(format_.begins):
             return format_
     for starts, name, hint in OTHER_FILES:
@@ -399,7 +401,7 @@ def _format(path: Path) -> Format:
             raise InputError(
                 "not a file of events that can be read", where=where, expected=EXPECTED, found=name, hint=hint
             )
-    for format_ in FORMATS:  # behind a block of somebody's own
+    for format_ in FORMATS.values():  # behind a block of somebody's own
         if any(head.startswith(format_.begins, at) for at in format_.at):
             return format_
     first_line = head.partition(b"\n")[0]
