@@ -8,19 +8,35 @@
 evetac's own cameras, grippers, formats, controllers, networks and files pass the same functions.
 """
 
+import dataclasses
 import json
 import pickle
+import tempfile
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 
+from evetac_cli import plugins
 from evetac_cli.devices import EventCamera, Gripper, GripperReading, cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.grippers import Mode
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, Events, slice_starts
+from evetac_cli.formats import exports, imports
+from evetac_cli.formats.imports import Imported, read_events
+from evetac_cli.kernels.grip.control import Control, OtherLaw, SlipSignal
+from evetac_cli.kernels.grip.paper import PAPER, Phase
 from evetac_cli.names import Capability
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.plan import first_plan, named_objects, one_sensor
+from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.layout.provenance import Recipe
 
 # Cameras
 
@@ -138,3 +154,117 @@ def check_commands(gripper: Gripper, mode: Mode) -> None:
     gripper.close()
     gripper.close()
     assert isinstance(gripper.release_words, str)
+
+
+# Formats
+
+
+def check_importer(name: str, file: Path) -> Imported:
+    """The format of a plug-in, by a file of it; returns what was read, to be compared with what is in the file."""
+    row = _plugin(plugins.IMPORTERS, name, imports.Format)
+    head = file.read_bytes()[: max(map(len, row.begins))]
+    assert head.startswith(row.begins), "the file does not begin as its format says"
+    assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is too short to be no chance"
+    read = read_events(file)
+    assert read.format == name, f"it was read as {read.format}"
+    assert set(row.said) <= set(imports.SAID), "options are some of --stream, --columns, --time-unit"
+    with tempfile.TemporaryDirectory() as folder:
+        for length in range(len(head), file.stat().st_size, max(1, file.stat().st_size // 50)):
+            part = Path(folder) / file.name
+            part.write_bytes(file.read_bytes()[:length])
+            try:  # a file that was cut anywhere is read or refused
+                read_events(part)
+            except InputError:
+                continue
+    return read
+
+
+def check_exporter(name: str, folder: Path) -> Path:
+    """The format of a plug-in, by a small recording; returns the file, to be compared with `small_recording`."""
+    row = _plugin(plugins.EXPORTERS, name, exports.Format)
+    assert row.suffixes and all(suffix.startswith(".") for suffix in row.suffixes)
+    source = small_recording(folder / "small.recording.h5")
+    target = exports.target_path(source, name, None)
+    said = exports.export(source, name, target)
+    assert said["size_bytes"] == target.stat().st_size > 0
+    return target
+
+
+def small_events() -> Events:
+    """A few hundred events of 20 ms in a frame of 640 x 480 px, the same each time."""
+    rng = np.random.default_rng(7)
+    columns = (rng.integers(0, high, 300) for high in (640, 480, 2))
+    x, y, p = (column.astype(dtype) for column, dtype in zip(columns, (np.uint16, np.uint16, np.uint8), strict=True))
+    return Events(np.sort(rng.integers(0, 20 * SLICE_US, 300)).astype(np.int64), x, y, p)
+
+
+def small_recording(path: Path) -> Path:
+    """A recording of `small_events`, written to a path that ends in .recording.h5."""
+    events, slices = small_events(), 20
+    arrays = {f"events/{column}": getattr(events, column) for column in Events._fields}
+    arrays |= {"ms_to_idx": slice_starts(events.t, slices), "t_offset": np.int64(0)}
+    arrays |= {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "small"}
+    write_stage(path, Recipe("recording", 1, {}, content="small", simulated_source=True), arrays)
+    return path
+
+
+# Controllers
+
+
+def check_controller(name: str) -> None:
+    """A controller of a plug-in: a frozen dataclass, the same in another process, that answers every step."""
+    law = _plugin(plugins.CONTROLLERS, name, OtherLaw)
+    assert dataclasses.is_dataclass(law)
+    json.dumps(dataclasses.asdict(law), allow_nan=False)
+    assert pickle.loads(pickle.dumps(law)) == law, "it is not the same in another process"
+    assert goals(law) == goals(law), "two grasps alike are not commanded alike"
+
+
+def goals(law: OtherLaw) -> list[int]:
+    """The goals of a grasp of half a second, whose fingers follow: whole, and within the gripper's range."""
+    control, position, slips, answers = Control(law), 300, 0, []
+    for step in range(250):
+        phase = Phase(min(step // 80, 2))
+        slips += step % 40 == 0
+        goal = control.step(phase, SlipSignal(slips, 0.5, 0.1 * step, 0.0), position)
+        assert type(goal) is int
+        assert PAPER.first_tick <= goal <= PAPER.last_tick
+        assert isinstance(control.u_ff_ticks, float)
+        assert isinstance(control.x_ref_ticks, float)
+        position += int(np.sign(goal - position))
+        answers.append(goal)
+    return answers
+
+
+# Scenes, sensors, objects
+
+
+def check_scene(name: str) -> Scene:
+    """A scene of a plug-in: it is read, bears its name, and can be planned."""
+    assert plugins.find_file(plugins.SCENES, name) is not None, f"no plug-in has a scene {name}"
+    scene = scene_file.load(name)
+    assert scene.name == name, f"its file calls it {scene.name}"
+    json.dumps(first_plan(name).parameters(), allow_nan=False)
+    return scene
+
+
+def check_sensor(name: str) -> Sensor:
+    """A sensor of a plug-in: it is read, whole, and can be simulated in the scene `rest`."""
+    assert plugins.find_file(plugins.SENSORS, name) is not None, f"no plug-in has a sensor {name}"
+    assert first_plan("rest", sensor=name).sensor_name == name
+    return one_sensor(name)
+
+
+def check_object(name: str) -> TouchedObject:
+    """An object of a plug-in: it is read, and can be held."""
+    assert plugins.find_file(plugins.OBJECTS, name) is not None, f"no plug-in has an object {name}"
+    ((called, touched),) = named_objects(name).items()
+    assert called == name
+    return touched
+
+
+def _plugin(group: str, name: str, wanted: type[plugins.T]) -> plugins.T:
+    """What a plug-in adds under a name."""
+    adds = plugins.find(group, name, wanted)
+    assert adds is not None, f"no plug-in adds {name} to {group}, or the name is evetac's own"
+    return adds

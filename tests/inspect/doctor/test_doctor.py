@@ -199,7 +199,7 @@ def test_libraries_that_are_missing_are_found(monkeypatch: pytest.MonkeyPatch) -
 
 def test_extras_are_those_that_can_be_installed() -> None:
     """Assert that every extra a user may lack is asked for, each of its packages by the name it is imported under."""
-    project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())["project"]
     offered = {
         name: packages for name, packages in project["optional-dependencies"].items() if name not in ("dev", "docs")
     }
