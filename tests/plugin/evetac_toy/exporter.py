@@ -9,7 +9,7 @@ from evetac_cli.store.recordings.read import Recording
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """A line for every event; evetac says what of the recording is left out."""
+    """A line for every event. What of the recording is left out need not be said here."""
     with path.open("w", encoding="ascii") as file:
         file.write("toy events {}x{}\n".format(*recording.frame_px))
         for events in pieces(recording, progress):
