@@ -29,6 +29,7 @@ from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import Imported, read_events
 from evetac_cli.kernels.grip.control import Control, OtherLaw, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.slip.architectures import OtherArchitecture, weight_shapes
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.object_file import TouchedObject
@@ -234,6 +235,33 @@ def goals(law: OtherLaw) -> list[int]:
         position += int(np.sign(goal - position))
         answers.append(goal)
     return answers
+
+
+# Networks
+
+
+def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
+    """A network of a plug-in, for so many dots: its graph is that of its weights, and computes what torch does."""
+    import torch
+
+    from evetac_cli.kernels.slip import networks, onnx_graphs
+    from evetac_cli.kernels.slip.detector import Detector
+
+    architecture = _plugin(plugins.NETWORKS, name, OtherArchitecture)
+    assert architecture.name == name, f"it calls itself {architecture.name}"
+    rng = np.random.default_rng(3)
+    network = networks.build(architecture, rows, columns)
+    weights = networks.weights(network)
+    shapes = {layer: array.shape for layer, array in weights.items()}
+    assert shapes == weight_shapes(architecture, rows, columns), "layers and modules are not of the same shapes"
+    weights = {layer: rng.normal(0.0, 0.3, shape).astype(np.float32) for layer, shape in shapes.items()}
+    graph = onnx_graphs.build(architecture, weights, rows, columns)
+    onnx_graphs.check(graph, architecture, rows, columns, weights)
+    batch = rng.normal(0.0, 1.0, (5, rows * columns, architecture.inputs_per_dot)).astype(np.float32)
+    with torch.no_grad():
+        logits = networks.from_weights(architecture, weights, rows, columns)(torch.from_numpy(batch))
+        wanted = torch.sigmoid(logits).numpy()
+    np.testing.assert_allclose(Detector(graph, architecture).probability(batch), wanted, rtol=0, atol=1e-5)
 
 
 # Scenes, sensors, objects

@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from evetac_cli import plugins
@@ -129,17 +130,6 @@ def test_grasp_in_real_time(toy: Path, tmp_path: Path) -> None:
         assert set(file.read("control/goal_ticks")) == {402}
 
 
-def test_simulated_grasp(toy: Path, tmp_path: Path) -> None:
-    """Assert that a controller steps in a scene, with a sensor and an object, of a plug-in."""
-    named = ("--scene", "short-lift", "--object", "can", "--sensor", "noisy", "--controller", "firm")
-    (row,) = rows(toy, "grasp", *named, "--lift-s", "1", "--balance-s", "0", "-o", tmp_path)
-    assert row["output"].endswith("short-lift-can-s0-000.recording.h5")
-    with StageFile(Path(row["output"]), "recording") as file:
-        recipe = file.header["parameters"]
-    assert (recipe["object"], recipe["object_row"]["mass_g"]) == ("can", 350.0)
-    assert (recipe["sensor"], recipe["sensor_row"]["noise_hz"]) == ("noisy", 0.3)
-
-
 def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) -> None:
     """Assert that a recording goes out in the format of a plug-in, and comes back from it event for event."""
     (made,) = rows(toy, "record", "--scene", "short-slip", "-o", tmp_path / "a.recording.h5")
@@ -149,6 +139,34 @@ def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) ->
     with StageFile(tmp_path / "b.recording.h5", "recording") as file:
         assert file.header["parameters"]["format"] == "toy"
     assert "toy" in refusal(toy, "export", made["output"], "--format", "toi")
+
+
+def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path) -> None:
+    """Assert that a network of a plug-in is trained, evaluated, and grasps with its scene, sensor, object, controller.
+
+    Without the package a model of it is refused.
+    """
+    model, features = tmp_path / "own.model.h5", [made.beside(path, "features") for path in made.recordings]
+    trained = ("--model", "mean-of-dots", "--preset", "adam", "--max-steps", "60", "--validate", features[-1])
+    (row,) = rows(toy, "train", *features, *trained, "-o", model)
+    assert row["model"] == "mean-of-dots"
+    (row,) = rows(toy, "validate", model)
+    assert row["valid"]
+    scored = rows(
+        toy, "evaluate", "slip", made.folder / "apart.features.h5", "--model", model, "-o", tmp_path / "r.report.h5"
+    )
+    assert scored[0]["model"] == "mean-of-dots"
+    named = ("--scene", "short-lift", "--object", "can", "--sensor", "noisy", "--controller", "firm", "--model", model)
+    (grasped,) = rows(toy, "grasp", *named, "--lift-s", "1", "--balance-s", "0", "-o", tmp_path)
+    assert grasped["output"].endswith("short-lift-can-s0-000.recording.h5")
+    with StageFile(Path(grasped["output"]), "recording") as file:
+        recipe = file.header["parameters"]
+        assert np.isfinite(file.read("control/probability")).any()
+    assert (recipe["object"], recipe["object_row"]["mass_g"]) == ("can", 350.0)
+    assert (recipe["sensor"], recipe["sensor_row"]["noise_hz"]) == ("noisy", 0.3)
+    assert recipe["law"] == {"approach_ticks": 2, "step_ticks": 1.0}
+    with pytest.raises(InputError, match="of a plug-in that is not installed"):
+        StageFile(model, "model")
 
 
 @pytest.mark.parametrize("text", ["1,2,3,0\n", "t_us x y p\n1 2 3 0\n", "# t_us x y p\n1 2 3 0\n"])

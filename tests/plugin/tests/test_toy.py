@@ -43,6 +43,11 @@ def test_controller() -> None:
     testing.check_controller("firm")
 
 
+def test_network() -> None:
+    """Assert that the network computes the same in torch and as a graph."""
+    testing.check_network("mean-of-dots")
+
+
 def test_files() -> None:
     """Assert that scenes, sensor and object are read as evetac's own."""
     assert testing.check_scene("short-slip").kind == "ramp"
