@@ -1,13 +1,98 @@
-"""Names that commands, devices and stages share, as literal tables; nothing is imported here: --help is light."""
+"""Names that commands, devices and stages share, as literal tables; nothing is imported here: --help is light.
 
+Help texts, choices and errors are made from these tables, and plug-ins (plugins.py) join them under names of their own.
+A key is what is typed, with a placeholder in capitals for what varies; beside it stands what help says of it, if
+anything. That the tables are those of the code, `tests/test_names.py` asserts.
+"""
+
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
+
+CAMERAS = {
+    "sim": "",
+    "virtual": "a simulated world behind the real driver, with faults as in virtual:unplug@2 (docs/hardware.md lists"
+    " them)",
+    "dvxplorer[:SERIAL]": "",
+    "dv[:SERIAL]": "through dv-processing",
+    "replay:FILE": "",
+}
+GRIPPERS = {
+    "sim": "",
+    "virtual": "with faults as in virtual:overload@1",
+    "none": "",
+    "PORT[:ID][@BAUD]": "as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out",
+}
+IMPORTS = {
+    "aedat4": "AEDAT4",
+    "aedat3": "AEDAT 3.1",
+    "aedat2": "AEDAT 2",
+    "hdf5": "HDF5 (DSEC, MVSEC, v2e, rpg, Prophesee)",
+    "numpy": "npz or npy",
+    "prophesee": "Prophesee RAW or DAT",
+    "rosbag": "a ROS bag (of ROS 2 its folder)",
+    "text": "text or CSV with `t x y p` a line",
+}
+EXPORTS = {
+    "aedat4": "for DV and dv-processing",
+    "dsec": "HDF5 as in the DSEC data set",
+    "text": "`t_us x y p` a line",
+    "raw": "Prophesee's RAW, EVT3",
+    "raw-evt2": "the same, EVT2",
+    "dat": "Prophesee's DAT",
+    "mcap": "ROS 2 messages, with dots, forces, labels, gripper, control and other streams",
+    "calibration": "the dot grid as JSON, or with -o NAME.pkl as the official software's pickle",
+    "parquet": "a table a recording, or with -o FOLDER one data set of all",
+    "csv": "the same as text",
+    "lerobot": "a LeRobotDataset v3.0 in the folder -o",
+}
+CONTROLLERS = {
+    "paper": "balance sets the reference at the first slip",
+    "paper-reset": "at every slip",
+    "load-proportional": "ours",
+    "none": "contact alone, no detector",
+    "fixed:N": "N ticks beyond light contact",
+}
+TRACKERS = {
+    "stable": "ours",
+    "paper": "",
+    "official": "the authors' published code",
+    "unregularised": "paper's without grid",
+}
+# Architectures of slip detectors, in the order of the paper's table.
+NETWORKS = (
+    *("no-hist", "hist10", "events-only", "disp-only", "hist20", "down5", "fast-slow"),
+    *("no-hist-img", "hist10-img", "no-hist-img-6x6", "hist10-img-6x6", "disp-xy"),
+)
+RECORDED_SCENES = (
+    *("slip", "slip-varied", "handling", "data-rate", "grip-steps", "shear", "press", "rest", "edge", "vibration"),
+    "vibration-randomized",
+)
+GRASPED_SCENES = ("lift", "sideways", "drop-20g", "drop-100g")
+SENSORS = ("evetac", "second", "bare-dvxplorer", "soft-gel", "stiff-gel", "realistic", "randomized")
+
+
+def words(table: Mapping[str, str], between: str = ": ") -> str:
+    """The names of a table and what is said of them, as help has it: `sim; virtual, a simulated world; ...`."""
+    return "; ".join(f"{name}{between}{about}" if about else name for name, about in table.items())
+
+
+def without_placeholders(table: Iterable[str]) -> tuple[str, ...]:
+    """The names of a table without what varies: dv of `dv[:SERIAL]`; those that are placeholders alone are left out."""
+    plain = (name.partition("[")[0].partition(":")[0] for name in table)
+    return tuple(name for name in plain if not name.isupper())
+
+
+def either(table: Iterable[str]) -> str:
+    """The names of a table on one line, for an error: `sim, virtual or dv[:SERIAL]`."""
+    *others, last = table
+    return f"{', '.join(others)} or {last}"
 
 
 class Capability(StrEnum):
     """What a run of `record` or `grasp` has or does, by its devices and flags.
 
-    Devices say which of these they have, options say which they need (commands.parameter); the values are the words in
-    which an option without effect is refused.
+    Devices say which of these they have, options say which they need (commands/parameter.py); the values are the
+    words in which an option without effect is refused.
     """
 
     IMPORT = "an import (--from)"

@@ -15,11 +15,15 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset(
-    {"names", "errors", "events", "jobs", "commands", "console", "resources", "kernel_cache", "text_files"}
+    {
+        *("names", "plugins", "errors", "events", "jobs", "commands", "console", "resources", "kernel_cache"),
+        "text_files",
+    }
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
     "api": GROUND | {"evaluate", "trials", "stages", "devices", "store", "sim", "kernels"},
+    "testing": GROUND | {"devices", "formats", "store", "sim", "kernels"},
     "gym": GROUND | {"trials", "stages", "devices", "store", "sim", "kernels"},
     "inspect": GROUND
     | {"pages", "evaluate", "trials", "stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
@@ -27,20 +31,25 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "evaluate": GROUND | {"trials", "stages", "devices", "store", "sim", "kernels"},
     "trials": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "kernels"},
-    "devices": frozenset({"names", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
-    "formats": frozenset({"errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
-    "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
-    "sim": frozenset({"errors", "events", "resources", "text_files", "kernels"}),
+    "devices": frozenset(
+        {"names", "plugins", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}
+    ),
+    "formats": frozenset(
+        {"names", "plugins", "errors", "events", "jobs", "resources", "text_files", "store", "kernels"}
+    ),
+    "store": frozenset({"plugins", "errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
+    "sim": frozenset({"plugins", "errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"errors", "events", "kernels"}),
-    "kernels": frozenset({"errors", "events"}),
+    "kernels": frozenset({"plugins", "errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
-    "commands": frozenset({"names", "errors"}),
+    "commands": frozenset({"names", "plugins", "errors"}),
     "resources": frozenset({"errors"}),
     "kernel_cache": frozenset({"errors"}),
     "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),
     "errors": frozenset(),
+    "plugins": frozenset({"names", "errors"}),
     "names": frozenset(),
 }
 
@@ -56,6 +65,7 @@ ONLY_IN = {
         "kernels/force/gel_training.py",
         "stages/train/__init__.py",
         "stages/train/log.py",
+        "testing.py",
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),

@@ -30,14 +30,13 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import train
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp import real_time
-from evetac_cli.trials.record import SCENE_KINDS, capture_plan
+from evetac_cli.trials.record import capture_plan
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT, DOCTOR, SHARE, REPORT)}
@@ -176,20 +175,6 @@ def test_the_table_of_settings_in_the_docs() -> None:
         assert value.removeprefix("the scene's, or ") == (
             "none" if default is None else f"{default:g}".replace("e-0", "e-")
         ), name
-
-
-def test_the_names_in_help_are_those_there_are() -> None:
-    """Assert that help lists every sensor that comes with the package, and every scene of the command's kinds."""
-    for command, kinds in (("record", SCENE_KINDS), ("grasp", ("lift",))):
-        of_kind = {path.stem for path in resources.SCENES.glob("*.toml") if scene_file.load(path.stem).kind in kinds}
-        assert listed(EVERY[command, "scene"].metadata["help"], "or a TOML") == of_kind
-        sensors = listed(EVERY[command, "sensor"].metadata["help"], "another for")
-        assert sensors == set(resources.table("sensors"))
-
-
-def listed(text: str, until: str) -> set[str]:
-    """The names that a help text lists after its first colon."""
-    return set(re.findall(r"[\w-]+", text.partition(": ")[2].partition(until)[0]))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from evetac_cli import plugins
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
@@ -92,12 +93,15 @@ def _check(item: "dataclasses.Field[Any]", value: Any) -> None:
     if value is None:
         return
     unit = f" {about['unit']}" if about["unit"] else ""
-    if about["choices"] and value not in about["choices"]:
-        near = get_close_matches(str(value), about["choices"], n=1)
+    choices = about["choices"]
+    if choices and value not in choices and about["plugins"]:
+        choices += plugins.usable(about["plugins"])
+    if choices and value not in choices:
+        near = get_close_matches(str(value), choices, n=1)
         raise InputError(
             "unknown value",
             where=where,
-            expected=", ".join(about["choices"]),
+            expected=", ".join(choices),
             found=str(value),
             hint=f"did you mean {near[0]}?" if near else "",
         )

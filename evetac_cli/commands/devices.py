@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli import names
 from evetac_cli.commands.parameter import parameter
 from evetac_cli.names import Capability
 
@@ -15,14 +16,12 @@ class Devices:
 
     camera: str = parameter(
         "sim",
-        "Camera: sim; virtual, a simulated world behind the real driver, with faults as in virtual:unplug@2"
-        " (docs/hardware.md); dvxplorer[:SERIAL]; dv[:SERIAL], through dv-processing; replay:FILE.",
+        f"Camera: {names.words(names.CAMERAS, ', ')}; or one of a plug-in.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        "Gripper: sim; virtual, with faults as in virtual:overload@1 (docs/hardware.md); none; or PORT[:ID][@BAUD],"
-        " as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out; default: that of the camera.",
+        f"Gripper: {names.words(names.GRIPPERS, ', ')}; or one of a plug-in; default: that of the camera.",
         recipe=False,
         needs=(Capability.SCENE, Capability.DEVICE),
     )

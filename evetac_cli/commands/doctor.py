@@ -40,7 +40,7 @@ class Doctor:
         recipe=False,
     )
     camera: str | None = parameter(
-        None, "--hardware: camera to try: dvxplorer, dvxplorer:SERIAL, dv, dv:SERIAL, or virtual.", recipe=False
+        None, "--hardware: camera to try, as in dvxplorer:SERIAL; not sim, nor a replay.", recipe=False
     )
     arm: bool = parameter(False, "--hardware: move a real gripper.", recipe=False, consent=True)
     yes: bool = parameter(False, "--hardware: do not ask before the fingers move.", recipe=False, consent=True)

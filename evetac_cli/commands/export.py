@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from evetac_cli import names, plugins
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
@@ -19,25 +20,9 @@ class Export:
 
     format: str = parameter(
         "aedat4",
-        "aedat4: for DV and dv-processing; dsec: HDF5 as in the DSEC data set; text: `t_us x y p` a line;"
-        " raw: Prophesee's RAW, EVT3; raw-evt2: the same, EVT2; dat: Prophesee's DAT;"
-        " mcap: ROS 2 messages, with dots, forces, labels, gripper, control and other streams;"
-        " calibration: the dot grid as JSON, or with -o NAME.pkl as the official software's pickle;"
-        " parquet: a table a recording, or with -o FOLDER one data set of all; csv: the same as text;"
-        " lerobot: a LeRobotDataset v3.0 in the folder -o.",
-        choices=(
-            "aedat4",
-            "dsec",
-            "text",
-            "raw",
-            "raw-evt2",
-            "dat",
-            "mcap",
-            "calibration",
-            "parquet",
-            "csv",
-            "lerobot",
-        ),
+        f"{names.words(names.EXPORTS)}; or the format of a plug-in.",
+        choices=tuple(names.EXPORTS),
+        plugins=plugins.EXPORTERS,
         recipe=False,
     )
     model: str | None = parameter(

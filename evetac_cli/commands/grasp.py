@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli import names
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.devices import DEVICES, Devices
 from evetac_cli.commands.parameter import parameter
@@ -17,7 +18,7 @@ WITH_DEVICES = (Capability.GRASPED,)
 class Grasp(Devices, Trials):
     """Lift an object with slip feedback: detect slip at 1000 Hz, control the gripper at 500 Hz."""
 
-    scene: str = parameter("lift", "Scene: lift, sideways, drop-20g, drop-100g, or a TOML file.")
+    scene: str = parameter("lift", f"Scene: {', '.join(names.GRASPED_SCENES)}, or a TOML file.")
     objects: str = parameter(
         "11",
         "Objects of the paper's table, 1 to 20, as in `11` or `10-18`; or a TOML file.",
@@ -39,8 +40,7 @@ class Grasp(Devices, Trials):
     )
     controller: str = parameter(
         "paper",
-        "Law of the grip; paper: balance sets the reference at the first slip; paper-reset: at every slip;"
-        " load-proportional: ours; none: contact alone, no detector; fixed:N: N ticks beyond light contact.",
+        f"Law of the grip; {names.words(names.CONTROLLERS)}; or one of a plug-in.",
     )
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
@@ -56,9 +56,7 @@ class Grasp(Devices, Trials):
         high=1000.0,
         panel=GRIP,
     )
-    tracker: str = parameter(
-        "stable", "Preset of the dot tracker.", choices=("stable", "paper", "official", "unregularised"), panel=GRIP
-    )
+    tracker: str = parameter("stable", "Preset of the dot tracker.", choices=tuple(names.TRACKERS), panel=GRIP)
     lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0, panel=GRIP)
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
     max_current_ma: int = parameter(

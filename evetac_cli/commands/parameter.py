@@ -25,18 +25,20 @@ def parameter(
     consent: bool = False,
     flag: str = "",
     panel: str = "",
+    plugins: str = "",
     needs: tuple[str, ...] = (),
 ) -> Any:
     """A dataclass field that knows its help text, unit and range (both ends included).
 
     consent: whether it lets something happen that a person has to want now, such as that a gripper moves: it is typed
     each time, and no file can give it. panel: under which heading `--help` shows it; those that most people need have
-    none, and come first. needs: the option has an effect only in a run that has one of these (names.py), and is refused
-    in any other; without, it has an effect in every run, or its stage checks it.
+    none, and come first. plugins: the group (plugins.py) that may add to the choices. needs: the option has an effect
+    only in a run that has one of these (names.py), and is refused in any other; without, it has an effect in every run,
+    or its stage checks it.
     """
     about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high}
-    how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel, "needs": needs}
-    return field(default=default, metadata={**about, **how})
+    how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel, "plugins": plugins}
+    return field(default=default, metadata={**about, **how, "needs": needs})
 
 
 def recipe_of(params: Any) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli import names
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.devices import DEVICES, Devices
 from evetac_cli.commands.parameter import parameter
@@ -25,8 +26,7 @@ class Record(Devices, Trials):
 
     scene: str = parameter(
         "slip",
-        "Scene: slip, slip-varied, handling, data-rate, grip-steps, shear, press, rest, edge, vibration,"
-        " vibration-randomized, or a TOML file.",
+        f"Scene: {', '.join(names.RECORDED_SCENES)}, or a TOML file.",
         needs=SIMULATED,
     )
     objects: str = parameter(
@@ -45,8 +45,7 @@ class Record(Devices, Trials):
     )
     source: Path | None = parameter(
         None,
-        "Import this event file instead: AEDAT 2, 3.1 or 4, HDF5 (DSEC, MVSEC, v2e, rpg, Prophesee), npz or npy, text"
-        " or CSV, Prophesee RAW or DAT, or a bag of ROS 1 or ROS 2 (its folder).",
+        f"Import this event file instead: {', '.join(names.IMPORTS.values())}, or of the format of a plug-in.",
         flag="--from",
         recipe=False,
     )

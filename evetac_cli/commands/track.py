@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from evetac_cli import names
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
@@ -13,8 +14,8 @@ class Track:
 
     preset: str = parameter(
         "stable",
-        "Tracker; stable: ours; paper; official: the authors' published code; unregularised: paper's without grid.",
-        choices=("stable", "paper", "official", "unregularised"),
+        f"Tracker; {names.words(names.TRACKERS)}.",
+        choices=tuple(names.TRACKERS),
     )
     step_size: float | None = parameter(None, "Gradient step alpha; overrides the preset.", low=0.0)
     regulariser: float | None = parameter(None, "Weight of the distance regulariser; overrides the preset.", low=0.0)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from evetac_cli import names, plugins
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
@@ -16,20 +17,8 @@ class Train:
         None,
         "Architecture, named as in the paper's table; -6x6: event images summed over 6 x 6 px, for a CPU;"
         " disp-xy: ours, which sees directions and changes of displacements; default: hist10, or that of --adapt.",
-        choices=(
-            "no-hist",
-            "hist10",
-            "events-only",
-            "disp-only",
-            "hist20",
-            "down5",
-            "fast-slow",
-            "no-hist-img",
-            "hist10-img",
-            "no-hist-img-6x6",
-            "hist10-img-6x6",
-            "disp-xy",
-        ),
+        choices=names.NETWORKS,
+        plugins=plugins.NETWORKS,
     )
     horizon_ms: int | None = parameter(
         None,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from evetac_cli import names
 from evetac_cli.commands.parameter import RUNNING, parameter
 from evetac_cli.names import Capability
 
@@ -22,8 +23,8 @@ class Trials:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1, needs=SERIES)
     sensor: str = parameter(
         "evetac",
-        "Sensor: evetac, second, bare-dvxplorer, soft-gel, stiff-gel, realistic; randomized: another for every trial;"
-        " randomized:N: the N-th of these; or a TOML file, as `evetac identify` writes one.",
+        f"Sensor: {'; '.join(names.SENSORS)}: another for every trial; randomized:N: the N-th of these; or a TOML file,"
+        " as `evetac identify` writes one.",
         needs=SIMULATED,
     )
     gel: str | None = parameter(

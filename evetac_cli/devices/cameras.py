@@ -1,21 +1,22 @@
 """Cameras by name, as on the command line: `--camera dvxplorer:DXM00042`.
 
-`parse` turns a name into an object of one of the kinds in `KINDS` and touches no device; its `open` starts the camera.
-A driver is imported only when a camera of its kind is opened, so that the library of a device that is not used is not
-needed.
+`parse` turns a name into an object of one of the kinds in `KINDS`, or of a plug-in's, and touches no device; its `open`
+starts the camera. A driver is imported only when a camera of its kind is opened, so that the library of a device that
+is not used is not needed.
 """
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from evetac_cli import names, plugins
 from evetac_cli.devices import EventCamera
 from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, no_such_device, options, parse_number
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
+from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.names import Capability
 from evetac_cli.store.layout.provenance import Header
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.word_sources import PreparedWords
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-NAMES = "sim, virtual, dvxplorer[:SERIAL], dv[:SERIAL] or replay:FILE"
 PREPARED_EVENTS_S = 1_000_000
 PREPARED_S = 120  # how long prepared words are played; then the camera is silent
 FIRMWARE = 10
@@ -55,10 +55,21 @@ class OpenedCamera(NamedTuple):
 
 @dataclass(frozen=True)
 class NamedCamera:
-    """A camera as it was named, before it is opened."""
+    """A camera as it was named, before it is opened.
+
+    A kind of camera is a class below this one, a frozen dataclass, since it is sent to other processes: `name`, `open`,
+    and what else it does not share with most others.
+    """
 
     name: ClassVar[str]
     own_gripper: ClassVar[str] = "none"  # the gripper that belongs to it where none is named
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Understand what stands behind the colon of its name; InputError for what it does not."""
+        if text:
+            raise no_such_device("camera", cls.name, f"{cls.name}:{text}", (cls.name,))
+        return cls()
 
     @property
     def capabilities(self) -> frozenset[Capability]:
@@ -133,7 +144,7 @@ class Virtual(NamedCamera):
     firmware: int = FIRMWARE
 
     @classmethod
-    def parse(cls, text: str) -> "Virtual":
+    def parse(cls, text: str) -> Self:
         """Understand `prepared[=EVENTS_S]`, `firmware=NUMBER` and faults, joined by +; InputError for any other."""
         name = f"{cls.name}:{text}"
         faults: list[str] = []
@@ -173,6 +184,11 @@ class Dvxplorer(NamedCamera):
 
     name = "dvxplorer"
     serial: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Understand a serial number, or nothing."""
+        return cls(text or None)
 
     @property
     def capabilities(self) -> frozenset[Capability]:
@@ -220,6 +236,13 @@ class Replay(NamedCamera):
     name = "replay"
     path: Path
 
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Understand the name of a file; InputError without one."""
+        if not text:
+            raise _no_such_camera(cls.name)
+        return cls(Path(text))
+
     @property
     def capabilities(self) -> frozenset[Capability]:
         """A device whose stream ends, and which cannot be set up."""
@@ -262,23 +285,35 @@ class Replay(NamedCamera):
 
 
 # What stands before the colon: what comes after it is given to the kind, which refuses what it does not understand.
-KINDS: dict[str, Callable[[str], NamedCamera]] = {
-    "virtual": Virtual.parse,
-    "dvxplorer": lambda serial: Dvxplorer(serial or None),
-    "dv": lambda serial: Dv(serial or None),
-}
+KINDS: dict[str, type[NamedCamera]] = {kind.name: kind for kind in (Simulated, Virtual, Dvxplorer, Dv, Replay)}
 
 
 def parse(text: str) -> NamedCamera:
-    """Understand --camera; InputError if it is no such kind of camera, or no such option of a virtual one."""
-    kind, _, rest = text.partition(":")
-    if kind in KINDS:
-        return KINDS[kind](rest)
-    if kind == Replay.name and rest:
-        return Replay(Path(rest))
-    if text in (Simulated.name, f"{Simulated.name}:"):
-        return Simulated()
-    raise no_such_device("camera", NAMES, text, (Simulated.name, *KINDS, f"{Replay.name}:"))
+    """Understand --camera; InputError if it is no kind of camera, ours or a plug-in's, or has no such option."""
+    name, _, rest = text.partition(":")
+    kind = KINDS.get(name) or plugins.find(plugins.CAMERAS, name, NamedCamera)
+    if kind is None:
+        raise _no_such_camera(text)
+    return kind.parse(rest)
+
+
+def parse_several(text: str) -> tuple[NamedCamera, ...]:
+    """Understand cameras with commas between them; a comma behind which no camera begins is part of a file's name."""
+    named = [""]
+    for part in text.split(","):
+        begins = part.startswith(tuple(KINDS)) or plugins.named(plugins.CAMERAS, part.partition(":")[0])
+        if named[-1] and not begins:
+            named[-1] += f",{part}"
+        elif named[-1]:
+            named.append(part)
+        else:
+            named[-1] = part
+    return tuple(map(parse, named))
+
+
+def _no_such_camera(text: str) -> InputError:
+    others = plugins.usable(plugins.CAMERAS)
+    return no_such_device("camera", names.either([*names.CAMERAS, *others]), text, (*KINDS, *others))
 
 
 def prepared_words(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":

@@ -1,14 +1,14 @@
 """Grippers by name, as on the command line: `--gripper /dev/ttyUSB0:1@2000000`.
 
-`parse` turns a name into an object of one of the kinds below and touches no device; its `open` starts the driver, which
-is imported only then.
+`parse` turns a name into an object of one of the kinds below, or of a plug-in's, and touches no device; its `open`
+starts the driver, which is imported only then.
 """
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
+from evetac_cli import names, plugins
 from evetac_cli.devices import Gripper
 from evetac_cli.devices.naming import no_such_device, number, options, parse_number
 from evetac_cli.devices.rh_p12_rn.control_table import LAST_ID, SDK_RATES
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.servo_plant import SharedPlant
 
-NAMES = "sim, virtual, none, or a PORT[:ID][@BAUD] such as /dev/ttyUSB0, /dev/ttyUSB0:5 or /dev/ttyUSB0@57600"
 PORT_BEGINS = ("/", "./", "COM", "tty")
 _OF_A_PATH = re.compile(r"\d\.\d|/")  # what is behind a colon of a port's own name
 BAUD, ID = 2_000_000, 1  # where none is named
@@ -35,11 +34,22 @@ Mode = Literal["current", "position"]
 
 @dataclass(frozen=True)
 class NamedGripper:
-    """A gripper as it was named, before it is opened."""
+    """A gripper as it was named, before it is opened.
+
+    A kind of gripper is a class below this one, a frozen dataclass, since it is sent to other processes: `name`,
+    `capabilities`, `open`, and what else it does not share with most others.
+    """
 
     name: ClassVar[str]
     capabilities: ClassVar[frozenset[Capability]] = frozenset({Capability.MOVED})  # what commands may expect of it
     watchdog_ms: int | None = field(default=None, kw_only=True)  # asked for; None: the driver's
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Understand what stands behind the colon of its name; InputError for what it does not."""
+        if text:
+            raise no_such_device("gripper", cls.name, f"{cls.name}:{text}", (cls.name,))
+        return cls()
 
     def has(self, capability: Capability) -> bool:
         """Whether commands may expect this of it."""
@@ -64,9 +74,9 @@ class NamedGripper:
         return self.name
 
     def settings(self, **asked: Any) -> "RhP12RnSettings":
-        """The driver's settings with what is asked for, as this gripper can keep them: a virtual one gets more time.
+        """Settings with what is asked for, as this gripper can keep them: a virtual one gets more time.
 
-        ValueError for what no gripper can keep.
+        What a driver of another gripper has no use for, it leaves. ValueError for what no gripper can keep.
         """
         from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 
@@ -77,16 +87,34 @@ class NamedGripper:
         """Start the virtual servo behind the port; None where the servo is real, or there is none."""
         return None
 
-    def open(self, mode: Mode, port: str) -> tuple[Gripper | None, Any]:
-        """The gripper at a port, and what it is and how it is set (for a header); DeviceError if it does not answer."""
+    def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
+        """The gripper, and what it is and how it is set (for a header); DeviceError if it does not answer.
+
+        port: at which it is, empty where it has none; settings: None for those without anything asked for.
+        """
+        raise NotImplementedError(f"{self.name} has no driver")
+
+    def release(self, port: str, settings: "RhP12RnSettings") -> str:
+        """Torque off, where the process that commanded it died; in words, what was read back."""
+        return "nothing is known of torque"
+
+
+class RhP12RnGripper(NamedGripper):
+    """A ROBOTIS RH-P12-RN(A), real or virtual, by our driver."""
+
+    def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
+        """Start the driver at a port."""
         from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn
 
-        driver = RhP12Rn(port, self.baud, mode, self.settings())
-        return driver, self.setup(driver.described)
+        driver = RhP12Rn(port, self.baud, mode, settings or self.settings())
+        described = {key: value for key, value in driver.described.items() if key != "eeprom_written"}
+        return driver, {"name": self.name, **described}
 
-    def setup(self, described: Mapping[str, Any]) -> dict[str, Any]:
-        """What a header says of a gripper that its driver describes so."""
-        return {"name": self.name, **{key: value for key, value in described.items() if key != "eeprom_written"}}
+    def release(self, port: str, settings: "RhP12RnSettings") -> str:
+        """Open the port anew, which is free once that process has ended."""
+        from evetac_cli.devices.rh_p12_rn.torque import release
+
+        return release(port, self.baud, id_=settings.id, watchdog_ms=settings.watchdog_ms, answer_ms=settings.answer_ms)
 
 
 @dataclass(frozen=True)
@@ -96,7 +124,7 @@ class NoGripper(NamedGripper):
     name = "none"
     capabilities = frozenset()
 
-    def open(self, mode: Mode, port: str) -> tuple[Gripper | None, Any]:
+    def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
         """There is nothing to open."""
         return None, self.name
 
@@ -110,11 +138,19 @@ class Simulated(NamedGripper):
 
 
 @dataclass(frozen=True)
-class Virtual(NamedGripper):
+class Virtual(RhP12RnGripper):
     """`virtual[:FAULT+FAULT...]`: the real driver before a virtual servo, in real time."""
 
     name = "virtual"
     faults: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Understand faults, joined by +; InputError for any other."""
+        faults = options(text)
+        for each in faults:
+            gripper_fault(each)
+        return cls(faults)
 
     def settings(self, **asked: Any) -> "RhP12RnSettings":
         """Longer times, because the computer that simulates the servo stops it now and then."""
@@ -131,7 +167,7 @@ class Virtual(NamedGripper):
 
 
 @dataclass(frozen=True)
-class Serial(NamedGripper):
+class Serial(RhP12RnGripper):
     """`PORT[:ID][@BAUD]`: a ROBOTIS RH-P12-RN(A) at a serial port."""
 
     name = "port"
@@ -153,21 +189,21 @@ class Serial(NamedGripper):
         return self.port if self.id == ID else f"{self.port}:{self.id}"
 
 
+# What stands before the colon, but for ports.
+KINDS: dict[str, type[NamedGripper]] = {kind.name: kind for kind in (Simulated, Virtual, NoGripper)}
+
+
 def parse(text: str) -> NamedGripper:
-    """Understand --gripper; InputError if there is no such gripper, or no such fault of a virtual one."""
-    kind, _, rest = text.partition(":")
-    if kind == Virtual.name:
-        faults = options(rest)
-        for each in faults:
-            gripper_fault(each)
-        return Virtual(faults)
-    if text == Simulated.name:
-        return Simulated()
-    if text == NoGripper.name:
-        return NoGripper()
+    """Understand --gripper; InputError if it is no gripper, ours or a plug-in's, or has no such option."""
     if text.startswith(PORT_BEGINS):
         return parse_port(text)
-    raise no_such_device("gripper", NAMES, text, (Simulated.name, Virtual.name, NoGripper.name))
+    name, _, rest = text.partition(":")
+    kind = KINDS.get(name) or plugins.find(plugins.GRIPPERS, name, NamedGripper)
+    if kind is None:
+        others = plugins.usable(plugins.GRIPPERS)
+        expected = f"{names.either([*others, *names.GRIPPERS])} such as /dev/ttyUSB0, /dev/ttyUSB0:5@57600"
+        raise no_such_device("gripper", expected, text, (*KINDS, *others))
+    return kind.parse(rest)
 
 
 def parse_port(text: str) -> Serial:

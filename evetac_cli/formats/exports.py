@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evetac_cli import plugins
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write import (
     write_aedat4,
@@ -35,7 +36,7 @@ class Format(NamedTuple):
 
     of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
     who writes a data set of many trials.
-    holds: groups and datasets of a recording that they hold beside its events.
+    holds: groups and datasets of a recording that they hold beside its events. A plug-in's row is one of these, too.
     """
 
     suffixes: tuple[str, ...]
@@ -64,9 +65,18 @@ FORMATS = {
 LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
 
 
+def named_format(name: str) -> Format:
+    """The row of a format, ours or a plug-in's; InputError if there is none of this name."""
+    row = FORMATS.get(name) or plugins.find(plugins.EXPORTERS, name, Format)
+    if row is None:
+        expected = ", ".join((*FORMATS, *plugins.usable(plugins.EXPORTERS)))
+        raise InputError("unknown value", where="--format", expected=expected, found=name)
+    return row
+
+
 def is_folder(format_: str, out: Path | None) -> bool:
     """Whether all recordings go into one folder: of formats that have nothing else, and where `out` names no file."""
-    row = FORMATS[format_]
+    row = named_format(format_)
     if row.write_folder is None:
         return False
     return row.write is None or (out is not None and out.suffix.lower() not in row.suffixes)
@@ -74,7 +84,7 @@ def is_folder(format_: str, out: Path | None) -> bool:
 
 def target_path(source: Path, format_: str, out: Path | None) -> Path:
     """`<name><ending>` beside the recording or in the folder `out`, or the file `out` if it ends so."""
-    suffixes = FORMATS[format_].suffixes
+    suffixes = named_format(format_).suffixes
     if out is None:
         return source.with_name(stem(source) + suffixes[0])
     if out.is_dir() or not out.suffix:
@@ -108,7 +118,7 @@ def export(
         raise InputError("the output is a folder", where=str(target))
     if os.path.lexists(target) and not force:
         raise InputError("the output exists", where=str(target), hint="--force replaces it, -o NAME writes elsewhere")
-    row = FORMATS[format_]
+    row = named_format(format_)
     assert row.write is not None
     with (opened if row.of_trial else recording_alone)(source) as files:
         recording = files.recording
@@ -157,7 +167,7 @@ def export_folder(
     options: of the format. InputError if the folder exists, unless `force` and it is as evetac made it.
     """
     require_possible_name(folder)
-    row = FORMATS[format_]
+    row = named_format(format_)
     assert row.write_folder is not None
     with new_folder(folder, force=force) as temporary:
         with utf8_path(temporary) as plain:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli import names, plugins
 from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.formats.read import read_numpy
@@ -28,17 +29,18 @@ from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
-from evetac_cli.formats.read.read_text import open_text
+from evetac_cli.formats.read.read_text import is_text_of_events, open_text
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.hdf5.disk import leave_if_interrupted
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import Steady
 
-EXPECTED = "AEDAT 2, 3.1 or 4, HDF5, npz or npy, Prophesee RAW or DAT, a ROS bag, or text with `t x y p` a line"
+EXPECTED = names.either(names.IMPORTS.values())
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
+LEAST_MARK = 4  # bytes by which a file of a plug-in's format is known: fewer would be found by chance
 BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat", ".bin", ".es")
 # Frames of event cameras that are sold or in data sets, smallest first; and one that holds them all.
 FRAMES_PX = ((128, 128), (240, 180), (304, 240), (320, 240), (346, 260), (320, 320), (640, 480), (1280, 720))
@@ -56,7 +58,11 @@ SAID = {
 
 
 class Format(NamedTuple):
-    """How a file of the format begins, at one of which places, who reads it, and what a user may say of it (SAID)."""
+    """How a file of the format begins, at one of which places, who reads it, and what a user may say of it (SAID).
+
+    read: takes the path, the frame (width, height) or None, and what the user says, and gives a Foreign. A plug-in's
+    row is one of these; it is asked where no format of ours knows the file, which then begins with its mark.
+    """
 
     begins: tuple[bytes, ...]
     read: Callable[..., Foreign]
@@ -64,17 +70,18 @@ class Format(NamedTuple):
     at: tuple[int, ...] = (0,)
 
 
-TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
 BAG = Format(read_rosbag.SIGNS, open_rosbag, ("stream",))
-FORMATS = (
-    Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
-    Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
-    Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
-    Format((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
-    Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
-    Format(read_prophesee.SIGNS, open_prophesee),
-    BAG,
-)
+TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
+FORMATS = {
+    "aedat4": Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
+    "aedat3": Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
+    "aedat2": Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
+    "hdf5": Format((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
+    "numpy": Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
+    "prophesee": Format(read_prophesee.SIGNS, open_prophesee),
+    "rosbag": BAG,
+    "text": TEXT,
+}
 
 # Who reads what is kept beside the events.
 OTHER_STREAMS = {"aedat3": aedat3_streams, "aedat4": aedat4_streams, "rosbag": bag_streams}
@@ -391,7 +398,7 @@ def _format(path: Path) -> Format:
     """The row that a file belongs to; text if its first line looks like text."""
     where = str(path)
     head = _head(path)
-    for format_ in FORMATS:
+    for format_ in FORMATS.values():
         if head.startswith(format_.begins):
             return format_
     for starts, name, hint in OTHER_FILES:
@@ -399,20 +406,42 @@ def _format(path: Path) -> Format:
             raise InputError(
                 "not a file of events that can be read", where=where, expected=EXPECTED, found=name, hint=hint
             )
-    for format_ in FORMATS:  # behind a block of somebody's own
+    for format_ in FORMATS.values():  # behind a block of somebody's own
         if any(head.startswith(format_.begins, at) for at in format_.at):
             return format_
     first_line = head.partition(b"\n")[0]
     binary = any(byte < 32 and byte not in b"\t\f\r" for byte in first_line)
+    unusable: list[str] = []
+    if binary or not is_text_of_events(first_line.decode(errors="replace")):
+        of_plugin = _format_of_plugin(head, unusable)
+        if of_plugin is not None:
+            return of_plugin
     if binary or path.suffix.lower() in BINARY_SUFFIXES:
         raise InputError(
             "not a file of events that can be read",
             where=where,
             expected=EXPECTED,
             found=f"a file that begins with {head[:16]!r}",
-            hint=FIVE_BYTES if path.suffix.lower() == ".bin" and not path.stat().st_size % 5 else "",
+            hint=FIVE_BYTES
+            if path.suffix.lower() == ".bin" and not path.stat().st_size % 5
+            else f"evetac doctor says why {', '.join(unusable)} cannot be used"
+            if unusable
+            else "",
         )
     return TEXT
+
+
+def _format_of_plugin(head: bytes, unusable: list[str]) -> Format | None:
+    """The row of a plug-in whose files begin so; those that cannot be used are added to `unusable`."""
+    for plugin in plugins.installed(plugins.IMPORTERS):
+        try:
+            format_ = plugin.load(Format)
+        except InputError:
+            unusable.append(plugin.what)
+            continue
+        if head.startswith(tuple(mark for mark in format_.begins if len(mark) >= LEAST_MARK)):
+            return format_
+    return None
 
 
 def _head(path: Path) -> bytes:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip import features, inputs, onnx_graphs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture, named_architecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
@@ -147,7 +147,7 @@ def load_detector(model: StageFile) -> Detector:
     """The detector in a model file; InputError as `check_graph`."""
     graph = check_graph(model)
     try:
-        return Detector(graph, ARCHITECTURES[model.read("architecture")])
+        return Detector(graph, named_architecture(model.read("architecture")))
     except ValueError as error:
         raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
 
@@ -186,4 +186,4 @@ def check_checkpoints(model: StageFile) -> None:
 def _of_model(model: StageFile) -> tuple[Architecture, tuple[int, int]]:
     """Architecture, and rows and columns of the dot grid."""
     rows, columns = (int(size) for size in model.read("dot_shape"))
-    return ARCHITECTURES[model.read("architecture")], (rows, columns)
+    return named_architecture(model.read("architecture")), (rows, columns)

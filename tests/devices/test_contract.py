@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli import testing
 from evetac_cli.devices import EventCamera, Rig, cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.grippers import Mode
@@ -17,7 +18,7 @@ from evetac_cli.devices.opening import open_rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import DeviceError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICE_US
 from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made
@@ -96,44 +97,19 @@ def gripper_of(request: pytest.FixtureRequest, made: Made) -> Iterator[Callable[
 
 def test_camera_hands_out_slices_in_order(camera_of: tuple[EventCamera, bool]) -> None:
     """Assert that slice k holds events of [k, k + 1) ms only, sorted, of the right dtypes, inside the frame."""
-    camera, _ = camera_of
-    width, height = camera.sensor["sensor/frame_px"]
-    for index in range(200):
-        events = camera.read()
-        assert isinstance(events, Events)
-        assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
-        assert len({len(column) for column in events}) == 1
-        assert ((events.t // SLICE_US) == index).all()
-        assert (np.diff(events.t) >= 0).all()
-        assert (events.x < width).all()
-        assert (events.y < height).all()
-        assert (events.p <= 1).all()
+    testing.check_slices(camera_of[0])
 
 
 def test_camera_ends_and_closes(camera_of: tuple[EventCamera, bool]) -> None:
     """Assert that a camera gives None after its last slice and after close, as often as asked, and closes twice."""
     camera, ends = camera_of
-    slices = 0
-    while slices < 210 or ends:
-        if camera.read() is None:
-            break
-        slices += 1
-    assert slices > 200
-    assert ends == (camera.read() is None)
-    camera.close()
-    camera.close()
-    assert camera.read() is None
-    assert camera.read() is None
+    testing.check_end(camera, ends=ends)
+    assert not ends or camera.now_us() > 200 * SLICE_US
 
 
 def test_camera_counts_losses(camera_of: tuple[EventCamera, bool]) -> None:
     """Assert that losses are whole numbers by name, before, while and after it runs."""
-    camera, _ = camera_of
-    for _ in range(3):
-        assert all(isinstance(name, str) and isinstance(count, int) for name, count in camera.counted.items())
-        camera.read()
-    camera.close()
-    assert all(count >= 0 for count in camera.counted.values())
+    testing.check_losses(camera_of[0])
 
 
 def test_replay_is_the_recording(made: Made) -> None:
@@ -196,13 +172,16 @@ def test_gripper_obeys_positions(gripper_of: Callable[[Mode], Rig]) -> None:
 def test_clock_of_a_device_goes_on(camera_of: tuple[EventCamera, bool]) -> None:
     """Assert that device time never goes back, and is about the end of the slice read last."""
     camera, ends = camera_of
-    previous = -1
-    for index in range(50):
-        camera.read()
-        now_us = camera.now_us()
-        assert now_us >= previous - (0 if ends else SLICE_US)
-        assert now_us >= (index + 1) * SLICE_US - (0 if ends else SLICE_US)
-        previous = now_us
+    testing.check_clock(camera, ends=ends)
+
+
+@pytest.mark.parametrize("mode", ["current", "position"])
+def test_virtual_gripper_takes_commands(mode: Mode, made: Made) -> None:
+    """Assert that the virtual gripper passes what grippers of plug-ins have to pass."""
+    devices = named("virtual:prepared=1e4", "virtual", made, mode)
+    assert devices.gripper is not None
+    testing.check_commands(devices.gripper, mode)
+    devices.close()
 
 
 def test_clock_counts_slices(made: Made) -> None:

@@ -72,8 +72,7 @@ def test_there_is_no_other_way_to_a_gripper() -> None:
         }
 
     assert using("RhP12Rn(") == {
-        "devices/grippers.py",  # opened by open_rig
-        "trials/grasp/controller_process.py",  # started after open_peers
+        "devices/grippers.py",  # opened by open_rig, or in a process that is started after open_peers
         "devices/virtual/gripper.py",  # an example in its docstring
     }
     assert using(".switch_on(") == {"devices/rh_p12_rn/driver.py", "inspect/doctor/hardware_check.py"}

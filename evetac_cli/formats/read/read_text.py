@@ -78,6 +78,12 @@ def open_text(
     return foreign
 
 
+def is_text_of_events(line: str) -> bool:
+    """Whether a first line is one of events, of the names of their columns, or our own note."""
+    words = _names(line.strip().lstrip("#% "))
+    return line.startswith(f"# {NAME} ") or all(map(NUMBER.fullmatch, words)) or _order(words) is not None
+
+
 def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
     """What evetac wrote into the first line, and the frame that one of the first lines says."""
     frame = None

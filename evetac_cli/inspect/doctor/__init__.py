@@ -23,6 +23,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.devices.rh_p12_rn.measurements import BEYOND_TICKS
 from evetac_cli.errors import EXTRAS, DeviceError, install_hint, pip
 from evetac_cli.events import FRAME_PX
+from evetac_cli.inspect.doctor import plugin_check
 from evetac_cli.jobs import Outcome
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
@@ -84,7 +85,7 @@ def udev_rules() -> str:
 def run(params: Doctor, host: Host | None = None) -> Outcome:
     """A row for every check of the installation, the disk, and every camera and gripper."""
     host = host or Host()
-    rows = [*_software(host), _disk(host, Path.cwd())]
+    rows = [*_software(host), *plugin_check.rows(), _disk(host, Path.cwd())]
     cameras = host.cameras() if host.has_libusb() else []
     for camera in cameras:
         rows += _camera(host, camera)

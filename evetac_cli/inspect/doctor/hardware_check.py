@@ -27,7 +27,7 @@ from evetac_cli.console import print_text
 from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
-from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.grippers import NamedGripper, RhP12RnGripper
 from evetac_cli.devices.opening import require_arm
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
@@ -113,8 +113,10 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
     try:
         if camera is not None:
             _try_camera(steps, camera)
-        if gripper.has(Capability.MOVED):
+        if isinstance(gripper, RhP12RnGripper):
             _try_gripper(steps, gripper, None if params.yes or not gripper.has(Capability.HARDWARE) else ask, registers)
+        elif gripper.has(Capability.MOVED):
+            _try_gripper_of_plugin(steps, gripper)
         interrupted = False
     except NotAsExpected:
         interrupted = False
@@ -221,6 +223,31 @@ def _try_gripper(
             check.move()
         finally:
             check.end()
+
+
+def _try_gripper_of_plugin(steps: Steps, gripper: NamedGripper) -> None:
+    """Open it, read it, and let go of it; its registers are unknown here, and nothing is moved."""
+    name = f"gripper {gripper}"
+    with ExitStack() as opened:
+        running: Any = None
+
+        def open_() -> tuple[bool, str]:
+            nonlocal running
+            running, setup = gripper.open("current", gripper.port)
+            opened.callback(running.close)
+            return True, json.dumps(setup, default=str)
+
+        def reads() -> tuple[bool, str]:
+            reading = running.read()
+            return True, f"{reading.current_ma:g} mA, {reading.position_ticks} ticks"
+
+        def closes() -> tuple[bool, str]:
+            running.close()
+            return True, running.release_words or "closed"
+
+        steps.do(name, "opens", "it opens and says what it is", open_)
+        steps.do(name, "answers", "current and position", reads)
+        steps.do(name, "closes", "torque is off", closes)
 
 
 class GripperCheck:

@@ -1,12 +1,14 @@
 """The controllers of a grasp by name, behind one `step`: slip signal and finger position in, goal position out.
 
+Each is a law: a frozen dataclass of its constants. `OtherLaw` is what the laws of other packages have in common.
+
 The paper's law with both readings of its latch, ours (`load-proportional`), and two that use no detector: `none`, the
 paper's control experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
 """
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
@@ -37,7 +39,39 @@ class FixedGrip:
     beyond: int
 
 
-Law = GripLaw | LoadLaw | FixedGrip
+@dataclass
+class LawState:
+    """What a law of another package remembers between steps; what it needs beside these is in a class below this one.
+
+    u_ff, x_ref: feed-forward term and reference position in ticks, as they are recorded; NaN where the law has none.
+    """
+
+    u_ff: float = math.nan
+    x_ref: float = math.nan
+
+
+@dataclass(frozen=True)
+class OtherLaw:
+    """A law of another package, a frozen dataclass below this one: its fields are its constants, and part of recipes.
+
+    It is sent to the process that commands the gripper, and stepped there.
+    """
+
+    needs_detector: ClassVar[bool] = True  # whether its goals depend on the slip detector at all
+
+    def start(self, control_hz: float) -> LawState:
+        """The state before the first step; control_hz: how many there will be a second."""
+        return LawState()
+
+    def step(self, state: LawState, phase: Phase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+        """One control step: the goal position in whole ticks, from 0, open, to 740, closed.
+
+        slip: whether the detector found any since the step before; position_ticks: where the fingers are.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no step")
+
+
+Law = GripLaw | LoadLaw | FixedGrip | OtherLaw
 
 
 def make_law(name: str, gain: float = 1.0) -> Law:
@@ -66,7 +100,7 @@ def make_law(name: str, gain: float = 1.0) -> Law:
 
 def uses_detector(law: Law) -> bool:
     """Whether the goals of a controller depend on the slip detector at all."""
-    return not isinstance(law, FixedGrip)
+    return law.needs_detector if isinstance(law, OtherLaw) else not isinstance(law, FixedGrip)
 
 
 @dataclass
@@ -90,6 +124,8 @@ class Control:
             self._law, self._state = paper.PAPER, load_proportional.start()
         elif isinstance(self.law, GripLaw):
             self._law, self._state = self.law.at(self.control_hz), paper.start()
+        elif isinstance(self.law, OtherLaw):
+            self._law, self._state = paper.PAPER, self.law.start(self.control_hz)
         else:
             self._law, self._state = paper.PAPER, paper.start()
 
@@ -107,6 +143,9 @@ class Control:
                 1.0 / self.control_hz,
                 self.law,
             )
+        if isinstance(self.law, OtherLaw):
+            goal = self.law.step(self._state, phase, self.slip, signal, position_ticks)
+            return min(max(int(goal), paper.PAPER.first_tick), paper.PAPER.last_tick)
         if isinstance(self.law, FixedGrip) and phase is not Phase.CONTACT:
             if self._state.phase is Phase.CONTACT:
                 self._state = paper.GripState(phase, -float(self.law.beyond), float(position_ticks))

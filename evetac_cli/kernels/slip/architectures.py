@@ -6,11 +6,12 @@ inputs but must not import torch. This module needs numpy alone.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import plugins
 from evetac_cli.kernels.sensitivity import Sensitivity
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
@@ -143,6 +144,34 @@ class ImageArchitecture:
         return _train_cut_ms(self.history)
 
 
+@dataclass(frozen=True)
+class OtherArchitecture(DotArchitecture):
+    """A network over dots of another package: its inputs are `views`, normalised as ours; its layers are its own.
+
+    A layer has arrays NAME.weight and NAME.bias, one value of it for each row of the weight. The graph in a model file
+    is never run for what it is: it is written anew by `add_layers` from the weights, and refused if it is another.
+    """
+
+    fc1: int = 1  # it has none of these
+    fc2: int = 1
+
+    def layers(self, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
+        """Shape of the weight of each layer, by the layer's name, for so many rows and columns of dots."""
+        raise NotImplementedError(f"{self.name} has no layers")
+
+    def add_layers(self, graph: Any, value: str, rows: int, columns: int) -> str:
+        """Add nodes to an onnx_graphs.GraphWriter: from inputs (batch, dots, inputs_per_dot) to logits (batch, 1)."""
+        raise NotImplementedError(f"{self.name} has no layers")
+
+    def modules(self, rows: int, columns: int) -> dict[str, Any]:
+        """The layers as torch modules, for `train`; the last, a Linear, makes the logit of what `hidden` gives."""
+        raise NotImplementedError(f"{self.name} cannot be trained")
+
+    def hidden(self, modules: Any, inputs: Any) -> Any:
+        """Torch: from inputs (batch, dots, inputs_per_dot) to those of the last layer; modules: by their names."""
+        raise NotImplementedError(f"{self.name} cannot be trained")
+
+
 Architecture = DotArchitecture | ImageArchitecture
 Weights = NDArray[np.float32]
 
@@ -187,6 +216,8 @@ def weight_shapes(
             for index, (before, after) in enumerate(zip(entering, IMAGE_CONVS, strict=False))
         }
         layers |= {"fc1": (IMAGE_FC, IMAGE_CONVS[-1]), "fc2": (1, IMAGE_FC)}
+    elif isinstance(architecture, OtherArchitecture):
+        wide, layers = architecture.inputs_per_dot, architecture.layers(rows, columns)
     else:
         wide = architecture.inputs_per_dot
         layers = {
@@ -254,3 +285,12 @@ ARCHITECTURES: dict[str, Architecture] = {
         ),
     )
 }
+
+
+def named_architecture(name: str) -> Architecture:
+    """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
+    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, OtherArchitecture)
+    if architecture is None:
+        others = plugins.usable(plugins.NETWORKS)
+        raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")
+    return architecture

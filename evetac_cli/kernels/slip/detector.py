@@ -1,6 +1,6 @@
 """Run a trained slip detector: slice by slice while grasping, or over a whole trajectory.
 
-Networks over dots run compiled (dot_network.py), those on images behind onnxruntime.
+Networks over dots run compiled (dot_network.py), those on images, and of plug-ins, behind onnxruntime.
 
 Why so: online, a slice of events becomes a probability in one compiled call. Each call into compiled code costs about
 1 us, and what Python does between two of them as much, where the whole takes 20.
@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip import dot_network, features, inputs, onnx_graphs
-from evetac_cli.kernels.slip.architectures import GEL_PX, Architecture, DotArchitecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import (
+    GEL_PX,
+    Architecture,
+    DotArchitecture,
+    ImageArchitecture,
+    OtherArchitecture,
+)
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.tracking import tracker
 
@@ -29,7 +35,7 @@ class Detector:
         """Load the graph; ValueError for bytes that are no graph, and for dots unless `onnx_graphs.build` wrote it."""
         self.architecture = architecture
         self.networks: dot_network.DotNetworks | None = None  # over dots
-        if isinstance(architecture, DotArchitecture):
+        if isinstance(architecture, DotArchitecture) and not isinstance(architecture, OtherArchitecture):
             self.networks = dot_network.pack(architecture, *onnx_graphs.read(graph, architecture))
         else:
             self._session = _session(graph)
@@ -52,6 +58,12 @@ class Detector:
             raise ValueError(f"expected inputs {wanted}, found {batch.shape}: {error}") from error
         # onnxruntime's sigmoid is an approximation: a few logits about 18 give 1.0000001
         return np.minimum(probability, np.float32(1), out=probability)
+
+    def check_dots(self, dots: int) -> None:
+        """ValueError unless a network over dots that runs behind onnxruntime is for so many."""
+        wanted = self._session.get_inputs()[0].shape[1]
+        if wanted != dots:
+            raise ValueError(f"expected {wanted} dots for the network, found {dots}")
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
         """Slip probability of every slice of a trajectory, NaN until the history is full.
@@ -132,7 +144,12 @@ class Live:
             copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
             none = np.empty(0, np.uint16)  # compiles or loads it now and not in the first slice
             _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
-        self._slices = 0  # of images so far
+        elif isinstance(architecture, OtherArchitecture):
+            self._seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
+            detector.check_dots(len(self._seen))
+            factors = architecture.factors(sensor)
+            self._features = features.start(tracking.rest_xy_px[self._seen], architecture.history, factors)
+        self._slices = 0  # of images, or of dots for a network of a plug-in, so far
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=architecture.history)
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
@@ -148,11 +165,17 @@ class Live:
             return self._probability
         architecture = self.detector.architecture
         tracker.step(self.tracking, x, y, p)
-        self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         self._slices += 1
+        if isinstance(architecture, OtherArchitecture):
+            dots = self.tracking.dot_xy_px[self._seen], self.tracking.events_per_dot[self._seen]
+            features.step(self._features, *dots)
+        else:
+            self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         since_full = self._slices - architecture.history
         if since_full >= 0 and since_full % architecture.every == 0:
-            batch = inputs.at(architecture, self._stack(), self._newest)
+            is_other = isinstance(architecture, OtherArchitecture)
+            series = features.latest(self._features) if is_other else self._stack()
+            batch = inputs.at(architecture, series, self._newest)
             self._probability = float(self.detector.probability(batch)[0])
         return self._probability
 

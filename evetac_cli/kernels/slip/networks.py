@@ -25,6 +25,7 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
+    OtherArchitecture,
 )
 
 
@@ -132,7 +133,48 @@ class ImageNet(nn.Module):
         return torch.relu(self.fc1(images.flatten(1)))
 
 
-Network = SlipNet | ImageNet
+class OtherNet(nn.Module):
+    """A network over dots of another package; normalised as `SlipNet`."""
+
+    input_offset: Tensor
+    input_scale: Tensor
+
+    def __init__(
+        self,
+        architecture: OtherArchitecture,
+        rows: int = 7,
+        columns: int = 8,
+        input_scale: ArrayLike | None = None,
+        input_offset: ArrayLike | None = None,
+    ) -> None:
+        super().__init__()
+        self.architecture, self.rows, self.columns = architecture, rows, columns
+        wide = architecture.inputs_per_dot
+        self.register_buffer("input_scale", _channels(1.0 if input_scale is None else input_scale, wide))
+        self.register_buffer("input_offset", _channels(0.0 if input_offset is None else input_offset, wide))
+        for name, module in architecture.modules(rows, columns).items():
+            self.add_module(name, module)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (batch,) of features (batch, dots row-major, inputs_per_dot)."""
+        logits: Tensor = self.outputs(self.last_hidden(features))
+        return logits[:, 0]
+
+    @property
+    def outputs(self) -> nn.Linear:
+        """The last layer."""
+        *_, last = self.children()
+        assert isinstance(last, nn.Linear)
+        return last
+
+    def last_hidden(self, features: Tensor) -> Tensor:
+        """The layer before the logits."""
+        named = dict(self.named_children())
+        hidden: Tensor = self.architecture.hidden(named, (features - self.input_offset) * self.input_scale)
+        return hidden
+
+
+Network = SlipNet | ImageNet | OtherNet
 
 
 def build(
@@ -145,6 +187,8 @@ def build(
     """A network with first weights from torch's generator; rows and columns of dots mean nothing to an `ImageNet`."""
     if isinstance(architecture, ImageArchitecture):
         return ImageNet(architecture, input_scale, input_offset)
+    if isinstance(architecture, OtherArchitecture):
+        return OtherNet(architecture, rows, columns, input_scale, input_offset)
     return SlipNet(architecture, rows, columns, input_scale, input_offset)
 
 
@@ -178,7 +222,7 @@ def from_weights(
 
 def onnx_graph(network: Network) -> bytes:
     """Build the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,)."""
-    grid = (network.rows, network.columns) if isinstance(network, SlipNet) else (0, 0)
+    grid = (network.rows, network.columns) if not isinstance(network, ImageNet) else (0, 0)
     return onnx_graphs.build(network.architecture, weights(network), *grid)
 
 

@@ -26,6 +26,7 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
+    OtherArchitecture,
     prefixes,
     weight_shapes,
 )
@@ -119,13 +120,17 @@ def _difference(model: Any, ours: Any) -> str:
 
 
 def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]], rows: int, columns: int) -> Any:
-    graph = _Graph(weights)
+    graph = GraphWriter(weights)
     logits = []
     for prefix in prefixes(weights):
         graph.prefix = prefix
         if isinstance(architecture, DotArchitecture):
             shape = [rows * columns, architecture.inputs_per_dot]
-            logits.append(_dot_layers(graph, architecture, rows, columns, graph.normalised("features", [-1])))
+            value = graph.normalised("features", [-1])
+            if isinstance(architecture, OtherArchitecture):
+                logits.append(architecture.add_layers(graph, value, rows, columns))
+            else:
+                logits.append(_dot_layers(graph, architecture, rows, columns, value))
         else:
             shape = list(architecture.input_shape)
             logits.append(_image_layers(graph, architecture, graph.normalised("features", [-1, 1, 1])))
@@ -142,7 +147,7 @@ def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]
     return helper.make_model(content, producer_name="evetac", opset_imports=opset, ir_version=IR)
 
 
-def _dot_layers(graph: "_Graph", architecture: DotArchitecture, rows: int, columns: int, value: str) -> str:
+def _dot_layers(graph: "GraphWriter", architecture: DotArchitecture, rows: int, columns: int, value: str) -> str:
     value = graph.add("Reshape", value, graph.constant("per_dot", [-1, architecture.inputs_per_dot]))
     value = graph.add("Relu", graph.layer("Gemm", value, "fc1", transB=1))
     value = graph.add("Relu", graph.layer("Gemm", value, "fc2", transB=1))
@@ -157,7 +162,7 @@ def _dot_layers(graph: "_Graph", architecture: DotArchitecture, rows: int, colum
     return graph.layer("Gemm", value, "fc5", transB=1)
 
 
-def _image_layers(graph: "_Graph", architecture: ImageArchitecture, value: str) -> str:
+def _image_layers(graph: "GraphWriter", architecture: ImageArchitecture, value: str) -> str:
     for index, (across, down) in enumerate(architecture.pools):
         value = graph.layer("Conv", value, f"convs.{index}")
         if (across, down) != (1, 1):
@@ -168,7 +173,7 @@ def _image_layers(graph: "_Graph", architecture: ImageArchitecture, value: str) 
     return graph.layer("Gemm", value, "fc2", transB=1)
 
 
-class _Graph:
+class GraphWriter:
     """Nodes and constants of an ONNX graph, as they are added."""
 
     def __init__(self, arrays: Mapping[str, NDArray[np.float32]]) -> None:
@@ -178,16 +183,19 @@ class _Graph:
         self.prefix = ""  # of the weights' names of the network that is being added
 
     def add(self, operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
+        """A node with these inputs and attributes; the name of its output."""
         output = output or f"value{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, [value, *more], [output], **attributes))
         return output
 
     def layer(self, operator: str, value: str, name: str, **attributes: Any) -> str:
+        """A node whose other inputs are weight and bias of a layer."""
         names = [f"{self.prefix}{name}.weight", f"{self.prefix}{name}.bias"]
         self.used += names
         return self.add(operator, value, *names, **attributes)
 
     def constant(self, name: str, values: list[int]) -> str:
+        """Whole numbers, such as a shape, by a name that always has the same."""
         if name not in self.used:  # which all networks of a detector share
             self.arrays[name] = np.array(values, np.int64)
             self.used.append(name)

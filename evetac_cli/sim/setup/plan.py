@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli import plugins
 from evetac_cli.errors import InputError
 from evetac_cli.resources import table
 from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
@@ -188,16 +189,18 @@ def _shown(scene: Scene, shown: bool, scene_name: str) -> Texture:
 
 
 def named_objects(text: str) -> dict[int | str, TouchedObject]:
-    """Objects from `8`, `1-3,10` or `can.toml,8`, by what recordings call each; InputError for others."""
+    """Objects from `8`, `1-3,10` or `can.toml,8`, or a plug-in's, by what recordings call each; InputError else."""
     listed: dict[int | str, TouchedObject] = {}
-    for part in text.split(","):
-        if not part.strip().endswith(object_file.SUFFIX):
+    for part in map(str.strip, text.split(",")):
+        file = Path(part) if part.endswith(object_file.SUFFIX) else plugins.find_file(plugins.OBJECTS, part)
+        if file is None:
             listed |= {number: object_file.of_number(number) for number in numbers(part)}
             continue
-        called, touched = object_file.read(Path(part.strip()))
+        called, touched = object_file.read(file)
+        called = called if part.endswith(object_file.SUFFIX) else part
         if called in listed:
             expected = "a `name` of its own in each file"
-            raise InputError("two objects of one name", where=part.strip(), expected=expected, found=called)
+            raise InputError("two objects of one name", where=part, expected=expected, found=called)
         listed[called] = touched
     return listed
 
@@ -219,7 +222,12 @@ def sensor_ranges() -> SensorRanges:
 
 
 def one_sensor(name: str) -> Sensor:
-    """A sensor by its name, `randomized:7` sampled by its number; InputError if there is no such sensor."""
+    """A sensor by its name, ours or a plug-in's, `randomized:7` sampled by its number; InputError for any other."""
+    file = plugins.find_file(plugins.SENSORS, name)
+    return _sensor_of_ours(name) if file is None else sensor_file.read(file, _sensor_of_ours)[1]
+
+
+def _sensor_of_ours(name: str) -> Sensor:
     rows = table("sensors")
     number = re.fullmatch(f"{FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
     if number is not None:
@@ -230,7 +238,8 @@ def one_sensor(name: str) -> Sensor:
         raise InputError(
             "no such sensor",
             where="--sensor",
-            expected=", ".join(rows) + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
+            expected=", ".join((*rows, *plugins.usable(plugins.SENSORS)))
+            + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
             found=name,
             hint=f"did you mean {near[0]}?" if near and ":" not in name else "",
         )

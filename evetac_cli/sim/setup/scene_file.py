@@ -5,6 +5,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from evetac_cli import plugins
 from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.setup.driven import Speaker
@@ -19,21 +20,27 @@ NOT_WITH_CURRENT = ("close_s", "grip_s", "ramp_s", "start_factor", "start_more_n
 
 
 def load(name_or_path: str) -> Scene:
-    """A scene: by the name of one that comes with evetac, or a TOML file; SceneError if it is wrong."""
-    path = Path(name_or_path)
-    if path.suffix != SUFFIX:
-        path = SCENES / f"{name_or_path}{SUFFIX}"
-        names = sorted(file.stem for file in SCENES.glob(f"*{SUFFIX}"))
-        if name_or_path not in names:
-            near = get_close_matches(name_or_path, names, n=1)
-            raise SceneError(
-                "no such scene",
-                where="--scene",
-                expected=", ".join(names) + ", or a TOML file",
-                found=name_or_path,
-                hint=f"did you mean {near[0]}?" if near else "",
-            )
+    """A scene: by the name of one that comes with evetac or a plug-in, or a TOML file; SceneError if it is wrong."""
+    path = Path(name_or_path) if name_or_path.endswith(SUFFIX) else _named(name_or_path)
     return of_table(read_toml(path, SceneError), str(path))
+
+
+def _named(name: str) -> Path:
+    """The file of a scene by its name; SceneError if there is no such scene."""
+    if name in plugins.OURS[plugins.SCENES]:
+        return SCENES / f"{name}{SUFFIX}"
+    path = plugins.find_file(plugins.SCENES, name)
+    if path is None:
+        every = sorted((*plugins.OURS[plugins.SCENES], *plugins.usable(plugins.SCENES)))
+        near = get_close_matches(name, every, n=1)
+        raise SceneError(
+            "no such scene",
+            where="--scene",
+            expected=", ".join(every) + ", or a TOML file",
+            found=name,
+            hint=f"did you mean {near[0]}?" if near else "",
+        )
+    return path
 
 
 def load_of_kind(name_or_path: str, kinds: tuple[str, ...]) -> Scene:

@@ -25,11 +25,11 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
-    ARCHITECTURES,
     LEAST_COLUMNS,
     LEAST_ROWS,
     DotArchitecture,
     joined,
+    named_architecture,
     parted,
 )
 from evetac_cli.kernels.slip.detector import Detector
@@ -193,8 +193,6 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
 def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
     """A model to adapt, and the settings that this takes unless the flags say otherwise."""
     with StageFile(path, "model") as file:
-        if file.read("architecture") not in ARCHITECTURES:
-            raise InputError("of an unknown architecture", where=str(path), found=str(file.read("architecture")))
         rows, columns = (int(size) for size in file.read("dot_shape"))
         weights = parted(read_weights(file))
         architecture, horizon_ms = str(file.read("architecture")), int(file.read("horizon_ms"))
@@ -247,7 +245,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             found="{} x {}".format(*adapted.dot_shape),
             hint="evetac train without --adapt makes a model for this grid",
         )
-    architecture = ARCHITECTURES[settings.model]
+    architecture = named_architecture(settings.model)
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
     start = None if adapted is None else adapted.weights

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import named_architecture
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.sampling import Samples
 from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
@@ -109,7 +109,7 @@ class Networks:
     def _samples(self, numbers: Sequence[int], progress: Progress) -> Samples:
         """The samples of the inputs of these numbers."""
         chosen, join = self.recipe.parameters, partial(join_on_disk, existing_folder(self.model.parent))
-        architecture = ARCHITECTURES[chosen["model"]]
+        architecture = named_architecture(chosen["model"])
 
         def trajectories() -> Iterator[Trajectory]:
             for done, number in enumerate(numbers):

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip.architectures import (
-    ARCHITECTURES,
     LEAST_COLUMNS,
     LEAST_ROWS,
     DotArchitecture,
+    named_architecture,
     prefixes,
     weight_shapes,
 )
@@ -294,7 +294,11 @@ def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     """The weights are those of the architecture, for this grid."""
     name = file.read("architecture")
-    architecture = ARCHITECTURES[name]
+    try:
+        architecture = named_architecture(name)
+    except ValueError as error:
+        yield "architecture", str(error), name
+        return
     rows, columns = (int(size) for size in file.read("dot_shape"))
     history = int(file.read("history"))
     if history != architecture.history:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli import __version__
+from evetac_cli import __version__, plugins
 from evetac_cli.errors import InputError
 from evetac_cli.store.layout import schema
 
@@ -156,7 +156,7 @@ def identity_fault(header: Header) -> str:
 
 
 def made() -> dict[str, str]:
-    """Time, host and versions: recorded, not part of the id."""
+    """Time, host and versions, of plug-ins too: recorded, not part of the id."""
     return {
         "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "host": platform.node(),
@@ -164,6 +164,7 @@ def made() -> dict[str, str]:
         "python": platform.python_version(),
         "evetac": __version__,
         **_libraries(),
+        **plugins.used(),
     }
 
 

@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 
 from evetac_cli import console
 from evetac_cli.devices import Gripper
-from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn, RhP12RnSettings
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.control import Control, Law
@@ -62,9 +63,9 @@ TOO_LONG = "the time allowed is over"
 class ControllerSettings:
     """What the controller's process is made of; it is sent there."""
 
+    gripper: NamedGripper
     port: str
-    baud: int
-    gripper: RhP12RnSettings
+    driver: RhP12RnSettings
     law: Law
     timing: Timing
     watchdog_ms: int
@@ -187,13 +188,14 @@ def run_controller(
     recorder = os.getppid()
     outbox = MessageWriter(pipe)
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
-    gripper: RhP12Rn | None = None
+    gripper: Gripper | None = None
     try:
         while not take_order(orders, ORDER_S):
             _raise_if_ended(ending)
         scheduling = set_realtime_priority(PRIORITY)
-        with RhP12Rn(settings.port, settings.baud, "position", settings.gripper) as gripper:
-            setup = {name: value for name, value in gripper.described.items() if name != "eeprom_written"}
+        gripper, setup = settings.gripper.open("position", settings.port, settings.driver)
+        assert gripper is not None
+        with contextlib.closing(gripper):
             outbox.put(GripperReady(setup, scheduling))
             outbox.flush(FLUSH_S)
             gc.collect()
@@ -287,7 +289,7 @@ def _command(
     pace = Pace(1.0 / timing.control_hz, clock, sleep)
     watch = Watch(settings.watchdog_ms, has_ended)
     parent = os.getppid()
-    wire_us = COMMAND_BYTES * 1e7 / settings.baud
+    wire_us = COMMAND_BYTES * 1e7 / settings.gripper.baud
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
     ended, error, alive_us = "", None, math.nan

@@ -183,8 +183,8 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
         parents = (*settings.parents(), *camera.parents())
         detector = DetectorSettings(camera, seeds, sensor, settings.detector, timing.end_ms)
         controller = ControllerSettings(
+            gripper,
             servo.port if servo is not None else gripper.port,
-            gripper.baud,
             trial.driver,
             settings.law,
             timing,

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.devices.rh_p12_rn.torque import release
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.realtime.emergency_key import EmergencyKey
@@ -148,9 +147,7 @@ class GraspProcesses:
         """
         self.controller.kill()
         self.controller.join(END_S)
-        settings, gripper = self._settings, self._settings.gripper
-        watchdog_ms, answer_ms = gripper.watchdog_ms, gripper.answer_ms
-        return release(settings.port, settings.baud, id_=gripper.id, watchdog_ms=watchdog_ms, answer_ms=answer_ms)
+        return self._settings.gripper.release(self._settings.port, self._settings.driver)
 
     def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
         """The first message of a kind; what went wrong before it comes is raised."""

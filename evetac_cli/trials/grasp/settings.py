@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import resources
+from evetac_cli import plugins, resources
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.grip import control as grip_control
-from evetac_cli.kernels.grip.control import Control, Law
+from evetac_cli.kernels.grip.control import Control, Law, OtherLaw
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import TrackerConstants
 from evetac_cli.stages.slip_detectors import check_graph, require_useful
@@ -67,6 +67,19 @@ class DetectorModel:
             dots_for(model, dot_xy_px)
 
 
+def _law(name: str, gain: float) -> Law:
+    """The law of a controller, ours or a plug-in's; InputError if there is none of this name and gain."""
+    law = plugins.find(plugins.CONTROLLERS, name, OtherLaw)
+    if law is not None and gain == 1.0:
+        return law
+    try:
+        return grip_control.make_law(name, gain)
+    except ValueError as error:
+        where = "--controller" if gain == 1.0 else "--controller, --gain"
+        more = "".join(f", or {other}" for other in plugins.usable(plugins.CONTROLLERS))
+        raise InputError("unknown value", where=where, expected=f"{error}{more}".removeprefix("expected ")) from None
+
+
 @dataclass(frozen=True)
 class GraspSettings:
     """Law, detector and timing of a series of grasps; detector: None for a law that does without."""
@@ -83,11 +96,7 @@ class GraspSettings:
     @classmethod
     def of(cls, params: Grasp) -> "GraspSettings":
         """As the flags say; InputError if there is no such controller, none with that gain, or no such model."""
-        try:
-            law = grip_control.make_law(params.controller, params.gain)
-        except ValueError as error:
-            where = "--controller" if params.gain == 1.0 else "--controller, --gain"
-            raise InputError("unknown value", where=where, expected=str(error).removeprefix("expected ")) from None
+        law = _law(params.controller, params.gain)
         detector = DetectorModel.of(params) if grip_control.uses_detector(law) else None
         lasts_s = params.lift_s, params.balance_s
         return cls(params.controller, params.gain, law, params.control_hz, params.latency_ms, *lasts_s, detector)

@@ -5,7 +5,6 @@ and ImportJob (imported.py). With --preview, a Preview (preview.py) shows what t
 is written.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +70,7 @@ def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: Name
 
 def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
     """The devices that are named; InputError for names that there are not, and for flags that do not fit them."""
-    cameras = tuple(map(named_cameras.parse, re.split(",(?=sim|virtual|dvxplorer|dv|replay:)", params.camera)))
+    cameras = named_cameras.parse_several(params.camera)
     gripper = named_grippers.parse(params.gripper if params.gripper is not None else cameras[0].own_gripper)
     if params.watchdog_ms is not None:
         if params.watchdog_ms % WATCHDOG_STEP_MS:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import SchemaError
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.resources import schemas
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.schema import KINDS, Schema
@@ -285,10 +284,3 @@ def test_limits_are_sound(kind: str, path: str) -> None:
         assert row.dims[-1] == 2
     for value in limits.one_of:
         assert isinstance(value, str) == (row.dtype == "utf8")
-
-
-def test_architectures_are_those_of_the_code() -> None:
-    """Assert that the schema of models names the architectures that there are, in their order."""
-    row = schema.load("model").find("architecture")
-    assert row is not None
-    assert row.limits.one_of == tuple(ARCHITECTURES)

@@ -14,6 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from evetac_cli.devices import GripperReading
+from evetac_cli.devices.grippers import Serial
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.control import Control, SlipSignal
@@ -185,7 +186,7 @@ class Bench:
         self._slips, self._slices, self._known, self._events_us = slips, 0, list[float](), 0.0
         self.clock.passing = self._publish
         self._reading, self._writing = multiprocessing.Pipe(duplex=False)
-        self.settings = ControllerSettings("nowhere", 2_000_000, RhP12RnSettings(), PAPER, timing, 60, 100.0)
+        self.settings = ControllerSettings(Serial("nowhere"), "nowhere", RhP12RnSettings(), PAPER, timing, 60, 100.0)
 
     def _publish(self) -> None:
         while self.clock.now_s >= self.zero_s + (self._slices + 1) * 1e-3 + FELT_S and self._slices < self.dies_at:

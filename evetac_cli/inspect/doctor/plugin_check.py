@@ -1,0 +1,54 @@
+"""doctor's part on plug-ins: all that are installed, each with its package, and why one cannot be used."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from evetac_cli import plugins
+from evetac_cli.devices.cameras import NamedCamera
+from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.errors import InputError
+from evetac_cli.formats import exports, imports
+from evetac_cli.kernels.grip.control import OtherLaw
+from evetac_cli.kernels.slip.architectures import OtherArchitecture
+from evetac_cli.plugins import Plugin
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.plan import named_objects, one_sensor
+
+# How the plug-ins of each group are loaded, as a command that asks for one does.
+LOADED: dict[str, Callable[[Plugin], object]] = {
+    plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
+    plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
+    plugins.IMPORTERS: lambda plugin: plugin.load(imports.Format),
+    plugins.EXPORTERS: lambda plugin: plugin.load(exports.Format),
+    plugins.CONTROLLERS: lambda plugin: plugin.load(OtherLaw),
+    plugins.NETWORKS: lambda plugin: plugin.load(OtherArchitecture),
+    plugins.SCENES: lambda plugin: scene_file.load(plugin.name),
+    plugins.SENSORS: lambda plugin: one_sensor(plugin.name),
+    plugins.OBJECTS: lambda plugin: named_objects(plugin.name),
+}
+
+
+def rows() -> Iterator[dict[str, Any]]:
+    """A row for every plug-in, those of one package together: device, check, ok, found, expected, fix."""
+    every = [plugin for group in LOADED for plugin in plugins.installed(group)]
+    for plugin in sorted(every, key=lambda each: each.package):
+        fault = why_not(plugin)
+        yield {
+            "device": f"plug-ins of {plugin.package} {plugin.version}",
+            "check": plugin.what,
+            "ok": not fault,
+            "found": fault or "loads",
+            "expected": None,
+            "fix": "install a version that fits this evetac, or uninstall it" if fault else None,
+        }
+
+
+def why_not(plugin: Plugin) -> str:
+    """Why a plug-in cannot be used, in words; empty if it can."""
+    if fault := plugin.fault():
+        return fault
+    try:
+        LOADED[plugin.group](plugin)
+    except InputError as error:
+        return error.found or error.message
+    return ""

@@ -1,0 +1,298 @@
+"""Contract tests for what other packages add: each function raises AssertionError where a contract is not kept.
+
+    from evetac_cli import testing
+
+    def test_my_camera():
+        testing.check_camera("mine:7")
+
+evetac's own cameras, grippers, formats, controllers, networks and files pass the same functions.
+"""
+
+import dataclasses
+import json
+import pickle
+import tempfile
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from evetac_cli import plugins
+from evetac_cli.devices import EventCamera, Gripper, GripperReading, cameras, grippers
+from evetac_cli.devices.cameras import CameraSettings
+from evetac_cli.devices.grippers import Mode
+from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, Events, slice_starts
+from evetac_cli.formats import exports, imports
+from evetac_cli.formats.imports import Imported, read_events
+from evetac_cli.kernels.grip.control import Control, OtherLaw, SlipSignal
+from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.slip.architectures import OtherArchitecture, weight_shapes
+from evetac_cli.names import Capability
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.plan import first_plan, named_objects, one_sensor
+from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.store.files import write_stage
+from evetac_cli.store.layout.provenance import Recipe
+
+# Cameras
+
+
+def check_camera(text: str) -> None:
+    """A camera by its name, as `--camera` takes it; it is opened four times and read for half a second."""
+    named = cameras.parse(text)
+    assert text.partition(":")[0] == named.name, f"it is called {named.name}, and {text} asks for it"
+    assert cameras.parse(str(named)) == named, f"{named}, which stands for it in errors, does not name it"
+    assert pickle.loads(pickle.dumps(named)) == named, "it is not the same in another process"
+    assert named.capabilities <= set(Capability), f"not all of {named.capabilities} are Capability"
+    assert named.has(Capability.DEVICE), "a camera of a plug-in is a device: it has Capability.DEVICE"
+    assert named.file_stem and "/" not in named.file_stem, "names of recordings begin with file_stem"
+    checks: tuple[Callable[[EventCamera], None], ...] = (check_slices, check_losses, check_clock, check_end)
+    for check in checks:
+        camera, setup, _ = named.open(CameraSettings(), None, np.random.SeedSequence(0))
+        with closing(camera):
+            json.dumps(setup, allow_nan=False)
+            width, height = named.frame_px()
+            assert tuple(camera.sensor["sensor/frame_px"]) == (width, height), "frame_px is that of the open camera"
+            assert all(isinstance(note, str) for note in camera.notes)
+            check(camera)
+
+
+def check_slices(camera: EventCamera, slices: int = 200) -> None:
+    """Slice k holds events of [k, k + 1) ms only, in order, of the right dtypes, inside the frame."""
+    width, height = camera.sensor["sensor/frame_px"]
+    for index in range(slices):
+        events = camera.read()
+        assert isinstance(events, Events), f"slice {index} is no Events"
+        assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
+        assert len({len(column) for column in events}) == 1
+        assert ((events.t // SLICE_US) == index).all(), f"slice {index} has events of another"
+        assert (np.diff(events.t) >= 0).all(), f"slice {index} is not in order"
+        assert (events.x < width).all()
+        assert (events.y < height).all()
+        assert (events.p <= 1).all()
+
+
+def check_end(camera: EventCamera, *, ends: bool = False, slices: int = 210) -> None:
+    """After its last slice, and once it is closed, a camera gives None as often as it is asked; it closes twice.
+
+    ends: whether its stream ends by itself; slices: that are read at least, if it goes on.
+    """
+    count = 0
+    while count < slices or ends:
+        if camera.read() is None:
+            break
+        count += 1
+    assert count > 0
+    assert ends == (camera.read() is None)
+    camera.close()
+    camera.close()
+    assert camera.read() is None
+    assert camera.read() is None
+
+
+def check_losses(camera: EventCamera) -> None:
+    """Losses are whole numbers by name, before, while and after it runs."""
+    for _ in range(3):
+        assert all(isinstance(name, str) and isinstance(count, int) for name, count in camera.counted.items())
+        camera.read()
+    camera.close()
+    assert all(count >= 0 for count in camera.counted.values())
+
+
+def check_clock(camera: EventCamera, *, ends: bool = False) -> None:
+    """Device time never goes back, and is about the end of the slice read last; to the us where the stream ends."""
+    previous, slack_us = -1, 0 if ends else SLICE_US
+    for index in range(50):
+        camera.read()
+        now_us = camera.now_us()
+        assert now_us >= previous - slack_us
+        assert now_us >= (index + 1) * SLICE_US - slack_us, f"after slice {index} it is {now_us} us"
+        previous = now_us
+
+
+# Grippers
+
+
+def check_gripper(text: str) -> None:
+    """A gripper by its name, as `--gripper` takes it; it is opened in both modes and commanded. A real one moves."""
+    named = grippers.parse(text)
+    assert text.partition(":")[0] == named.name, f"it is called {named.name}, and {text} asks for it"
+    assert grippers.parse(str(named)) == named, f"{named}, which stands for it in errors, does not name it"
+    assert pickle.loads(pickle.dumps(named)) == named, "it is not the same in another process"
+    assert named.capabilities <= set(Capability)
+    assert named.has(Capability.MOVED), "a gripper is moved: it has Capability.MOVED"
+    ways: tuple[tuple[Mode, RhP12RnSettings | None], ...] = (
+        ("current", None),
+        ("position", named.settings(max_current_ma=60, watchdog_ms=60)),
+    )
+    for mode, settings in ways:
+        gripper, setup = named.open(mode, named.port, settings)
+        assert gripper is not None
+        assert setup["name"] == named.name
+        json.dumps(setup, allow_nan=False)
+        with closing(gripper):
+            check_commands(gripper, mode)
+
+
+def check_commands(gripper: Gripper, mode: Mode) -> None:
+    """An open gripper takes commands of its mode, reads whole ticks, says what torque is, and closes twice."""
+    start = gripper.read()
+    assert isinstance(start, GripperReading)
+    for _ in range(5):
+        if mode == "current":
+            gripper.write_current(10)
+        else:
+            gripper.write_position(start.position_ticks)
+        reading = gripper.read()
+        assert isinstance(reading.position_ticks, int)
+        assert np.isfinite(reading.current_ma)
+    assert all(isinstance(name, str) and isinstance(count, int) for name, count in gripper.counted.items())
+    gripper.close()
+    gripper.close()
+    assert isinstance(gripper.release_words, str)
+
+
+# Formats
+
+
+def check_importer(name: str, file: Path) -> Imported:
+    """The format of a plug-in, by a file of it; returns what was read, to be compared with what is in the file."""
+    row = _plugin(plugins.IMPORTERS, name, imports.Format)
+    head = file.read_bytes()[: max(map(len, row.begins))]
+    assert head.startswith(row.begins), "the file does not begin as its format says"
+    assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is too short to be no chance"
+    read = read_events(file)
+    assert read.format == name, f"it was read as {read.format}"
+    assert set(row.said) <= set(imports.SAID), "options are some of --stream, --columns, --time-unit"
+    with tempfile.TemporaryDirectory() as folder:
+        for length in range(len(head), file.stat().st_size, max(1, file.stat().st_size // 50)):
+            part = Path(folder) / file.name
+            part.write_bytes(file.read_bytes()[:length])
+            try:  # a file that was cut anywhere is read or refused
+                read_events(part)
+            except InputError:
+                continue
+    return read
+
+
+def check_exporter(name: str, folder: Path) -> Path:
+    """The format of a plug-in, by a small recording; returns the file, to be compared with `small_recording`."""
+    row = _plugin(plugins.EXPORTERS, name, exports.Format)
+    assert row.suffixes and all(suffix.startswith(".") for suffix in row.suffixes)
+    source = small_recording(folder / "small.recording.h5")
+    target = exports.target_path(source, name, None)
+    said = exports.export(source, name, target)
+    assert said["size_bytes"] == target.stat().st_size > 0
+    return target
+
+
+def small_events() -> Events:
+    """A few hundred events of 20 ms in a frame of 640 x 480 px, the same each time."""
+    rng = np.random.default_rng(7)
+    columns = (rng.integers(0, high, 300) for high in (640, 480, 2))
+    x, y, p = (column.astype(dtype) for column, dtype in zip(columns, (np.uint16, np.uint16, np.uint8), strict=True))
+    return Events(np.sort(rng.integers(0, 20 * SLICE_US, 300)).astype(np.int64), x, y, p)
+
+
+def small_recording(path: Path) -> Path:
+    """A recording of `small_events`, written to a path that ends in .recording.h5."""
+    events, slices = small_events(), 20
+    arrays = {f"events/{column}": getattr(events, column) for column in Events._fields}
+    arrays |= {"ms_to_idx": slice_starts(events.t, slices), "t_offset": np.int64(0)}
+    arrays |= {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "small"}
+    write_stage(path, Recipe("recording", 1, {}, content="small", simulated_source=True), arrays)
+    return path
+
+
+# Controllers
+
+
+def check_controller(name: str) -> None:
+    """A controller of a plug-in: a frozen dataclass, the same in another process, that answers every step."""
+    law = _plugin(plugins.CONTROLLERS, name, OtherLaw)
+    assert dataclasses.is_dataclass(law)
+    json.dumps(dataclasses.asdict(law), allow_nan=False)
+    assert pickle.loads(pickle.dumps(law)) == law, "it is not the same in another process"
+    assert goals(law) == goals(law), "two grasps alike are not commanded alike"
+
+
+def goals(law: OtherLaw) -> list[int]:
+    """The goals of a grasp of half a second, whose fingers follow: whole, and within the gripper's range."""
+    control, position, slips, answers = Control(law), 300, 0, []
+    for step in range(250):
+        phase = Phase(min(step // 80, 2))
+        slips += step % 40 == 0
+        goal = control.step(phase, SlipSignal(slips, 0.5, 0.1 * step, 0.0), position)
+        assert type(goal) is int
+        assert PAPER.first_tick <= goal <= PAPER.last_tick
+        assert isinstance(control.u_ff_ticks, float)
+        assert isinstance(control.x_ref_ticks, float)
+        position += int(np.sign(goal - position))
+        answers.append(goal)
+    return answers
+
+
+# Networks
+
+
+def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
+    """A network of a plug-in, for so many dots: its graph is that of its weights, and computes what torch does."""
+    import torch
+
+    from evetac_cli.kernels.slip import networks, onnx_graphs
+    from evetac_cli.kernels.slip.detector import Detector
+
+    architecture = _plugin(plugins.NETWORKS, name, OtherArchitecture)
+    assert architecture.name == name, f"it calls itself {architecture.name}"
+    rng = np.random.default_rng(3)
+    network = networks.build(architecture, rows, columns)
+    weights = networks.weights(network)
+    shapes = {layer: array.shape for layer, array in weights.items()}
+    assert shapes == weight_shapes(architecture, rows, columns), "layers and modules are not of the same shapes"
+    weights = {layer: rng.normal(0.0, 0.3, shape).astype(np.float32) for layer, shape in shapes.items()}
+    graph = onnx_graphs.build(architecture, weights, rows, columns)
+    onnx_graphs.check(graph, architecture, rows, columns, weights)
+    batch = rng.normal(0.0, 1.0, (5, rows * columns, architecture.inputs_per_dot)).astype(np.float32)
+    with torch.no_grad():
+        logits = networks.from_weights(architecture, weights, rows, columns)(torch.from_numpy(batch))
+        wanted = torch.sigmoid(logits).numpy()
+    np.testing.assert_allclose(Detector(graph, architecture).probability(batch), wanted, rtol=0, atol=1e-5)
+
+
+# Scenes, sensors, objects
+
+
+def check_scene(name: str) -> Scene:
+    """A scene of a plug-in: it is read, bears its name, and can be planned."""
+    assert plugins.find_file(plugins.SCENES, name) is not None, f"no plug-in has a scene {name}"
+    scene = scene_file.load(name)
+    assert scene.name == name, f"its file calls it {scene.name}"
+    json.dumps(first_plan(name).parameters(), allow_nan=False)
+    return scene
+
+
+def check_sensor(name: str) -> Sensor:
+    """A sensor of a plug-in: it is read, whole, and can be simulated in the scene `rest`."""
+    assert plugins.find_file(plugins.SENSORS, name) is not None, f"no plug-in has a sensor {name}"
+    assert first_plan("rest", sensor=name).sensor_name == name
+    return one_sensor(name)
+
+
+def check_object(name: str) -> TouchedObject:
+    """An object of a plug-in: it is read, and can be held."""
+    assert plugins.find_file(plugins.OBJECTS, name) is not None, f"no plug-in has an object {name}"
+    ((called, touched),) = named_objects(name).items()
+    assert called == name
+    return touched
+
+
+def _plugin(group: str, name: str, wanted: type[plugins.T]) -> plugins.T:
+    """What a plug-in adds under a name."""
+    adds = plugins.find(group, name, wanted)
+    assert adds is not None, f"no plug-in adds {name} to {group}, or the name is evetac's own"
+    return adds

@@ -1,0 +1,1 @@
+"""What a package from outside can add to evetac, one small module each."""

@@ -1,0 +1,45 @@
+"""A controller: closes by so many ticks at every slip, and never opens."""
+
+from dataclasses import dataclass
+
+from evetac_cli.kernels.grip.control import LawState, OtherLaw, SlipSignal
+from evetac_cli.kernels.grip.paper import Phase
+
+
+@dataclass
+class FirmState(LawState):
+    """Where the fingers were when light contact ended."""
+
+    closed_ticks: float = 0.0
+
+
+@dataclass(frozen=True)
+class FirmLaw(OtherLaw):
+    """The constants, which are part of the recipe of every grasp."""
+
+    approach_ticks: int = 2
+    step_ticks: float = 1.0
+
+    def start(self, control_hz: float) -> FirmState:
+        """Before the first step."""
+        return FirmState(u_ff=-float(self.approach_ticks))
+
+    def step(self, state: LawState, phase: Phase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+        """The goal position: ahead of the fingers in contact, then ahead of where contact ended."""
+        assert isinstance(state, FirmState)
+        if phase is Phase.CONTACT:
+            state.x_ref = float(position_ticks)
+            return position_ticks + self.approach_ticks
+        state.closed_ticks += self.step_ticks * slip
+        state.u_ff = -self.approach_ticks - state.closed_ticks
+        return round(state.x_ref - state.u_ff)
+
+
+@dataclass(frozen=True)
+class BlindLaw(FirmLaw):
+    """The same without a slip detector: it stays where contact ended."""
+
+    needs_detector = False
+
+
+FIRM, BLIND = FirmLaw(), BlindLaw()

@@ -1,0 +1,19 @@
+"""Writes toy files, which importer.py reads."""
+
+from pathlib import Path
+
+from evetac_cli.formats.exports import Format
+from evetac_cli.formats.write.pieces import pieces
+from evetac_cli.jobs import Progress
+from evetac_cli.store.recordings.read import Recording
+
+
+def write(recording: Recording, path: Path, progress: Progress) -> None:
+    """A line for every event. What of the recording is left out need not be said here."""
+    with path.open("w", encoding="ascii") as file:
+        file.write("toy events {}x{}\n".format(*recording.frame_px))
+        for events in pieces(recording, progress):
+            file.writelines(f"{t},{x},{y},{p}\n" for t, x, y, p in zip(*events, strict=True))
+
+
+TOY = Format((".toy",), write)

@@ -1,0 +1,35 @@
+"""Reads toy files: a first line `toy events 640x480`, then a line `t_us,x,y,p` for every event."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.imports import Format
+from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
+
+MARK = b"toy events "
+
+
+def read(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+    """The file's frame at once, and its events batch by batch; times, order and frame are checked by evetac."""
+    with path.open(encoding="ascii", errors="replace") as file:
+        width, _, height = file.readline().removeprefix(MARK.decode()).strip().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise InputError("no frame in the first line", where=str(path), expected="as in toy events 640x480")
+    frame = choose_frame((int(width), int(height)), frame_px, str(path))
+    return Foreign("toy", frame, batches(path), may_be_empty=True)
+
+
+def batches(path: Path) -> Iterator[Columns]:
+    """All events; a large file comes in several batches."""
+    try:
+        table = np.loadtxt(path, np.int64, delimiter=",", skiprows=1, ndmin=2)
+    except ValueError as error:
+        raise InputError("not a line of an event", where=str(path), found=str(error)) from None
+    if table.size:
+        yield Columns(*table.T, place=lambda row: f"in line {row + 2}")
+
+
+TOY = Format((MARK,), read)

@@ -1,0 +1,56 @@
+"""The contracts of evetac, kept by this package."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evetac_cli import testing
+from evetac_cli.errors import InputError
+from evetac_cli.formats.imports import read_events
+
+
+def test_camera() -> None:
+    """Assert that the camera hands out slices as evetac wants them."""
+    testing.check_camera("stripe")
+    testing.check_camera("stripe:3")
+
+
+def test_gripper() -> None:
+    """Assert that the gripper takes commands as evetac gives them."""
+    testing.check_gripper("still")
+
+
+def test_formats(tmp_path: Path) -> None:
+    """Assert that events come back from a file as they were written into it."""
+    path = testing.check_exporter("toy", tmp_path)
+    read = testing.check_importer("toy", path)
+    written = testing.small_events()
+    assert np.array_equal(read.events.t, written.t - written.t[0])
+    assert all(np.array_equal(one, other) for one, other in zip(read.events[1:], written[1:], strict=True))
+
+
+def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
+    """Assert that what is no line of an event is said to be none."""
+    path = tmp_path / "wrong.toy"
+    path.write_text("toy events 640x480\n1,2,3\n1,2\n")
+    with pytest.raises(InputError, match="not a line of an event"):
+        list(read_events(path).events)
+
+
+def test_controller() -> None:
+    """Assert that the controller answers every step."""
+    testing.check_controller("firm")
+
+
+def test_network() -> None:
+    """Assert that the network computes the same in torch and as a graph."""
+    testing.check_network("mean-of-dots")
+
+
+def test_files() -> None:
+    """Assert that scenes, sensor and object are read as evetac's own."""
+    assert testing.check_scene("short-slip").kind == "ramp"
+    assert testing.check_scene("short-lift").kind == "lift"
+    assert testing.check_sensor("noisy").noise_hz == 0.3
+    assert testing.check_object("can").mass_g == 350

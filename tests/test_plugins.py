@@ -1,0 +1,279 @@
+"""Plug-ins: a package from outside is used from the command line, and broken ones are refused in words."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli import plugins
+from evetac_cli.cli import main
+from evetac_cli.devices import cameras
+from evetac_cli.errors import InputError
+from evetac_cli.formats.imports import read_events
+from evetac_cli.resources import PACKAGE
+from evetac_cli.store.files import StageFile
+from tests.conftest import Made
+from tests.patience import PATIENCE_S
+
+TOY = PACKAGE.parent / "tests" / "plugin"
+GROUPS = tomllib.loads((TOY / "pyproject.toml").read_text())["project"]["entry-points"]
+
+# Packages that cannot be used, each for another reason.
+BROKEN = {
+    "evetac-absent": {"evetac.cameras": {"absent": "no_such_module:Camera"}},
+    "evetac-dies": {"evetac.cameras": {"dies": "evetac_dies:Camera"}},
+    "evetac-other": {"evetac.cameras": {"other": "json:JSONDecoder"}, "evetac.grippers": {"mine": "evetac_dies:X"}},
+    "evetac-taken": {"evetac.cameras": {"sim": "json:JSONDecoder"}, "evetac.grippers": {"mine": "evetac_dies:X"}},
+    "evetac-named": {"evetac.scenes": {"Grand Scene": "json"}},
+}
+
+
+def install(folder: Path, package: str, groups: Mapping[str, Mapping[str, str]]) -> None:
+    """What pip leaves of a package beside its modules, so far as it tells of entry points."""
+    about = folder / f"{package.replace('-', '_')}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    with (about / "entry_points.txt").open("w") as file:
+        for group, entries in groups.items():
+            print(f"[{group}]", *(f"{name} = {value}" for name, value in entries.items()), sep="\n", file=file)
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of installed packages: the one from outside."""
+    folder = tmp_path_factory.mktemp("toy")
+    shutil.copytree(TOY, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    install(folder, "evetac-toy", GROUPS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of installed packages that cannot be used."""
+    folder = tmp_path_factory.mktemp("broken")
+    for package, groups in BROKEN.items():
+        install(folder, package, groups)
+    (folder / "evetac_dies.py").write_text('raise OSError("no camera library on this machine")\n')
+    return folder
+
+
+def run(packages: Path, *arguments: str | Path, module: str = "evetac_cli") -> "subprocess.CompletedProcess[str]":
+    """Run evetac where these packages are installed."""
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": f"{PACKAGE.parent}:{packages}", "HOME": str(packages)}
+    command = [sys.executable, "-P", "-m", module, *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=packages, env=environment
+    )
+
+
+def rows(packages: Path, *arguments: str | Path) -> list[dict[str, Any]]:
+    """The rows that a command prints; it ends well."""
+    done = run(packages, *arguments, "--json")
+    assert done.returncode == 0, done.stderr
+    printed: list[dict[str, Any]] = json.loads(done.stdout)["rows"]
+    return printed
+
+
+def refusal(packages: Path, *arguments: str | Path) -> str:
+    """What a command says that refuses; exit code 2."""
+    done = run(packages, *arguments)
+    assert done.returncode == 2, (done.stdout, done.stderr)
+    return done.stderr
+
+
+def test_it_keeps_the_contracts(toy: Path) -> None:
+    """Assert that the package passes its own tests, which are calls of evetac_cli.testing."""
+    done = run(toy, "-q", "-p", "no:cacheprovider", toy / "tests", module="pytest")
+    assert done.returncode == 0, done.stdout
+    assert "passed" in done.stdout
+
+
+def test_record_with_camera_and_gripper(toy: Path, tmp_path: Path) -> None:
+    """Assert that a camera and a gripper of a plug-in are recorded, and that the header names their package."""
+    out = tmp_path / "a.recording.h5"
+    (row,) = rows(toy, "record", "--camera", "stripe:7", "--gripper", "still", "--seconds", "0.3", "-o", out)
+    assert (row["slices"], row["events"]) == (300, 2100)
+    with StageFile(out, "recording") as file:
+        assert file.header["parameters"]["setup"]["camera"] == {"name": "stripe", "rows": 7}
+        assert file.header["parameters"]["setup"]["gripper"] == {"name": "still", "mode": "current"}
+        assert file.header["made"]["evetac-toy"] == "1.0"
+        assert file.header["simulated"]
+        assert set(file.read("gripper/position_ticks")) == {400}
+    (row,) = rows(toy, "validate", out)
+    assert row["valid"]
+
+
+@pytest.mark.slow  # in real time
+def test_grasp_in_real_time(toy: Path, tmp_path: Path) -> None:
+    """Assert that camera, gripper and controller of a plug-in make a grasp in three processes."""
+    (grid := tmp_path / "grid.json").write_text(
+        json.dumps(
+            {"frame_px": [640, 480], "radius_px": 15, "dot_xy_px": [[[99, 99], [199, 99]], [[99, 199], [199, 199]]]}
+        )
+    )
+    named = ("--camera", "stripe:3", "--gripper", "still", "--controller", "blind", "--scene", "short-lift")
+    took = ("--lift-s", "1", "--balance-s", "0", "--calibration", grid, "--watchdog-ms", "500")
+    done = run(toy, "grasp", *named, *took, "-o", tmp_path / "a.recording.h5")
+    assert done.returncode == 0 or "overloaded" in done.stderr  # a busy computer ends it early; what it did is kept
+    with StageFile(tmp_path / "a.recording.h5", "recording") as file:
+        assert file.header["parameters"]["controller"] == "blind"
+        assert file.header["parameters"]["law"] == {"approach_ticks": 2, "step_ticks": 1.0}
+        assert file.header["parameters"]["setup"]["gripper"]["name"] == "still"
+        assert set(file.read("control/goal_ticks")) == {402}
+
+
+def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) -> None:
+    """Assert that a recording goes out in the format of a plug-in, and comes back from it event for event."""
+    (made,) = rows(toy, "record", "--scene", "short-slip", "-o", tmp_path / "a.recording.h5")
+    (out,) = rows(toy, "export", made["output"], "--format", "toy")
+    (back,) = rows(toy, "record", "--from", out["output"], "-o", tmp_path / "b.recording.h5")
+    assert made["events"] == out["events"] == back["events"]
+    with StageFile(tmp_path / "b.recording.h5", "recording") as file:
+        assert file.header["parameters"]["format"] == "toy"
+    assert "toy" in refusal(toy, "export", made["output"], "--format", "toi")
+
+
+def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path) -> None:
+    """Assert that a network of a plug-in is trained, evaluated, and grasps with its scene, sensor, object, controller.
+
+    Without the package a model of it is refused.
+    """
+    model, features = tmp_path / "own.model.h5", [made.beside(path, "features") for path in made.recordings]
+    trained = ("--model", "mean-of-dots", "--preset", "adam", "--max-steps", "60", "--validate", features[-1])
+    (row,) = rows(toy, "train", *features, *trained, "-o", model)
+    assert row["model"] == "mean-of-dots"
+    (row,) = rows(toy, "validate", model)
+    assert row["valid"]
+    scored = rows(
+        toy, "evaluate", "slip", made.folder / "apart.features.h5", "--model", model, "-o", tmp_path / "r.report.h5"
+    )
+    assert scored[0]["model"] == "mean-of-dots"
+    named = ("--scene", "short-lift", "--object", "can", "--sensor", "noisy", "--controller", "firm", "--model", model)
+    (grasped,) = rows(toy, "grasp", *named, "--lift-s", "1", "--balance-s", "0", "-o", tmp_path)
+    assert grasped["output"].endswith("short-lift-can-s0-000.recording.h5")
+    with StageFile(Path(grasped["output"]), "recording") as file:
+        recipe = file.header["parameters"]
+        assert np.isfinite(file.read("control/probability")).any()
+    assert (recipe["object"], recipe["object_row"]["mass_g"]) == ("can", 350.0)
+    assert (recipe["sensor"], recipe["sensor_row"]["noise_hz"]) == ("noisy", 0.3)
+    assert recipe["law"] == {"approach_ticks": 2, "step_ticks": 1.0}
+    with pytest.raises(InputError, match="of a plug-in that is not installed"):
+        StageFile(model, "model")
+
+
+@pytest.mark.parametrize("text", ["1,2,3,0\n", "t_us x y p\n1 2 3 0\n", "# t_us x y p\n1 2 3 0\n"])
+def test_text_of_events_is_ours(text: str, tmp_path: Path, asked: list[str]) -> None:
+    """Assert that plug-ins are not asked for a text that begins with events, or with names of their columns."""
+    (tmp_path / "a.txt").write_text(text)
+    assert read_events(tmp_path / "a.txt").format == "text"
+    assert asked == []
+
+
+def test_doctor(toy: Path, broken: Path) -> None:
+    """Assert that doctor lists every plug-in with package and version, and says of each that fails what is wrong."""
+    listed = [row for row in rows(toy, "doctor") if "evetac-toy" in row["device"]]
+    named = {row["check"] for row in listed}
+    assert named == {plugins.Plugin(g, name, "", "", None).what for g, names in GROUPS.items() for name in names}  # type: ignore[arg-type]
+    assert all(row["ok"] and row["device"] == "plug-ins of evetac-toy 1.0" for row in listed)
+
+    done = run(broken, "doctor", "--json")
+    assert done.returncode == 3
+    faults = {
+        (row["device"].split()[2], row["check"]): row["found"]
+        for row in json.loads(done.stdout)["rows"]
+        if row["device"].startswith("plug-ins")
+    }
+    assert faults == {
+        ("evetac-absent", "camera absent"): "ModuleNotFoundError: No module named 'no_such_module'",
+        ("evetac-dies", "camera dies"): "OSError: no camera library on this machine",
+        ("evetac-named", "scene Grand Scene"): "a name has small letters, digits and -, as in lab-3",
+        ("evetac-other", "camera other"): "json:JSONDecoder is no evetac_cli.devices.cameras.NamedCamera",
+        ("evetac-other", "gripper mine"): "evetac-taken has one of this name, too",
+        ("evetac-taken", "camera sim"): "sim is a name of evetac's own",
+        ("evetac-taken", "gripper mine"): "evetac-other has one of this name, too",
+    }
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("--camera", "absent"), "No module named 'no_such_module'"),
+        (("--camera", "dies:3"), "no camera library on this machine"),
+        (("--camera", "other"), "is no evetac_cli.devices.cameras.NamedCamera"),
+        (("--camera", "stripy"), "dvxplorer[:SERIAL], dv[:SERIAL], replay:FILE, absent, dies or other"),
+        (("--camera", "virtual", "--gripper", "mine"), "evetac-taken has one of this name, too"),
+    ],
+)
+def test_a_broken_one_is_refused_where_it_is_asked_for(broken: Path, flags: tuple[str, ...], said: str) -> None:
+    """Assert that a command which asks for a plug-in that cannot be used says why, with exit code 2."""
+    assert said in refusal(broken, "record", *flags, "--seconds", "0.1")
+
+
+class _Counted:
+    """Stands in for metadata.entry_points, and remembers the groups that were asked for."""
+
+    def __init__(self) -> None:
+        self.groups: list[str] = []
+
+    def __call__(self, group: str) -> tuple[Any, ...]:
+        self.groups.append(group)
+        return ()
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """The groups of entry points that are read from now on."""
+    counted = _Counted()
+    plugins.installed.cache_clear()
+    monkeypatch.setattr(metadata, "entry_points", counted)
+    yield counted.groups
+    plugins.installed.cache_clear()
+
+
+def quietly(*arguments: str) -> None:
+    """Run a command here; it ends well."""
+    with pytest.raises(SystemExit) as ended:
+        main.app(list(arguments))
+    assert ended.value.code in (0, None)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda made: quietly("--help"),
+        lambda made: quietly("record", "--help"),
+        lambda made: quietly("info", str(made.model)),
+        lambda made: quietly("validate", str(made.model), str(made.recordings[0]), str(made.grasp)),
+        lambda made: quietly("record", "--camera", "virtual", "--sensor", "soft-gel", "--dry-run"),
+    ],
+    ids=["--help", "record --help", "info", "validate", "record"],
+)
+def test_entry_points_are_not_read_for_names_of_ours(
+    command: Callable[[Made], None], made: Made, asked: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that help, info and commands with names of ours alone read no entry points."""
+    command(made)
+    assert capsys.readouterr().out
+    assert asked == []
+
+
+def test_entry_points_are_read_for_other_names(asked: list[str]) -> None:
+    """Assert that the test above would see it, and that a group is read once."""
+    for _ in range(2):
+        with pytest.raises(InputError):
+            cameras.parse("unheard-of")
+    assert asked == [plugins.CAMERAS]
+
+
+def test_a_name_of_ours_is_never_replaced(asked: list[str]) -> None:
+    """Assert that no plug-in is asked for under a name of ours, in any group."""
+    assert [name for group, ours in plugins.OURS.items() for name in ours if plugins.named(group, name)] == []
+    assert asked == []
