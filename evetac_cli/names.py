@@ -10,17 +10,16 @@ from enum import StrEnum
 
 CAMERAS = {
     "sim": "",
-    "virtual": "a simulated world behind the real driver, with faults as in virtual:unplug@2 (docs/hardware.md lists"
-    " them)",
+    "virtual": "a simulated world before the real driver, faults as in virtual:unplug@2 (docs/hardware.md)",
     "dvxplorer[:SERIAL]": "",
     "dv[:SERIAL]": "through dv-processing",
     "replay:FILE": "",
 }
 GRIPPERS = {
     "sim": "",
-    "virtual": "with faults as in virtual:overload@1",
+    "virtual": "faults as in virtual:overload@1 (docs/hardware.md)",
     "none": "",
-    "PORT[:ID][@BAUD]": "as in /dev/ttyUSB0:5@57600, id 1 and 2000000 baud if left out",
+    "PORT[:ID][@BAUD]": "as in /dev/ttyUSB0:5@57600, else id 1, 2000000 baud",
 }
 IMPORTS = {
     "aedat4": "AEDAT4",

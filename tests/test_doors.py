@@ -31,6 +31,7 @@ DOORS = {
     "evaluate/cost/labels.py": {"TemporaryDirectory"},
     "evaluate/cost/pipeline.py": {"TemporaryDirectory"},
     "realtime/last_words.py": {"RawArray"},
+    "testing.py": {"TemporaryDirectory"},
     "trials/live_view/server.py": {"bind_sockets"},
     "trials/live_view/shared_view.py": {"RawArray"},
     "realtime/shared_status.py": {"RawArray"},

@@ -16,18 +16,18 @@ class Devices:
 
     camera: str = parameter(
         "sim",
-        f"Camera: {names.words(names.CAMERAS, ', ')}; or one of a plug-in.",
+        f"Camera: {names.words(names.CAMERAS, ', ')}; or a plug-in's.",
         recipe=False,
     )
     gripper: str | None = parameter(
         None,
-        f"Gripper: {names.words(names.GRIPPERS, ', ')}; or one of a plug-in; default: that of the camera.",
+        f"Gripper: {names.words(names.GRIPPERS, ', ')}; or a plug-in's; default: that of the camera.",
         recipe=False,
         needs=(Capability.SCENE, Capability.DEVICE),
     )
     arm: bool = parameter(
         False,
-        "Move a real gripper. Torque goes off at the end and if anything fails: what is held then falls.",
+        "Move a real gripper. Torque goes off at the end and at any failure: what is held falls.",
         recipe=False,
         consent=True,
         needs=(Capability.MOVED, Capability.GRASPED),
