@@ -18,6 +18,7 @@ from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.events import FRAME_PX
 from evetac_cli.names import Capability
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
 
@@ -281,12 +282,12 @@ def parse(text: str) -> NamedCamera:
     raise no_such_device("camera", NAMES, text, (Simulated.name, *KINDS, f"{Replay.name}:"))
 
 
-def prepared_words(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":
-    """Event words of one second of events at random, played again and again for two minutes."""
+def prepared_words(events_s: float, seeds: np.random.SeedSequence, time: TimeSource = HOST_TIME) -> "PreparedWords":
+    """Event words of one second of events at random, played again and again for two minutes of a clock."""
     from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
     second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))
-    return PreparedWords(second, times=PREPARED_S, period_ms=1000)
+    return PreparedWords(second, times=PREPARED_S, period_ms=1000, time=time)
 
 
 def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, backend: Any) -> OpenedCamera:

@@ -492,6 +492,7 @@ def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
 WRITES = (0x03, 0x83)  # instructions that write registers: with an answer, and without
 
 
+@pytest.mark.usefixtures("words_wait")
 def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the real drivers record from virtual devices every slice, event, and command that the servo got."""
     counts: list[int] = []
@@ -550,6 +551,7 @@ def test_gripper_fault(fault: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["unplug@0.3", "stall-for-good@0.3"])
+@pytest.mark.usefixtures("words_wait")
 def test_camera_fault(fault: str, tmp_path: Path) -> None:
     """Assert that a camera that fails ends the recording with its error, and what was recorded is valid."""
     params = Record(camera=f"virtual:prepared=1e4+{fault}", gripper="none", seconds=30.0, expected_event_rate=1e3)
@@ -643,7 +645,7 @@ def test_interrupted_recording_is_complete(number: int, long_recording: Path, tm
 SMALL_DISK = """
 import resource
 from evetac_cli.cli.main import main
-from evetac_cli.store import segments
+from evetac_cli.store.recordings import segments
 from tests.devices.stand_ins import StillCamera, StillGripper
 segments.SEGMENT_S, segments.SEGMENT_EVENTS = 1e9, 4000
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY))
