@@ -15,7 +15,8 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset(
-    {"names", "errors", "events", "jobs", "commands", "console", "resources", "kernel_cache", "text_files"}
+    {"names", "errors", "events", "interrupts", "jobs", "commands", "console", "resources", "kernel_cache"}
+    | {"text_files"}
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
@@ -27,11 +28,13 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "evaluate": GROUND | {"trials", "stages", "devices", "store", "sim", "kernels"},
     "trials": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "kernels"},
-    "devices": frozenset({"names", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
-    "formats": frozenset({"errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
-    "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
+    "devices": frozenset(
+        {"names", "console", "interrupts", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}
+    ),
+    "formats": frozenset({"interrupts", "errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
+    "store": frozenset({"interrupts", "errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
     "sim": frozenset({"errors", "events", "resources", "text_files", "kernels"}),
-    "realtime": frozenset({"errors", "events", "kernels"}),
+    "realtime": frozenset({"interrupts", "errors", "events", "kernels"}),
     "kernels": frozenset({"errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "errors"}),
@@ -39,6 +42,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "kernel_cache": frozenset({"errors"}),
     "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
+    "interrupts": frozenset(),
     "events": frozenset({"errors"}),
     "errors": frozenset(),
     "names": frozenset(),

@@ -29,9 +29,10 @@ import numpy as np
 
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.processes import ignore_interrupts, start_shielded, wait_while_computing
+from evetac_cli.realtime.processes import start_shielded, wait_while_computing
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
 from evetac_cli.sim.setup.plan import Plan
 
