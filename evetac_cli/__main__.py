@@ -6,31 +6,20 @@ Loading the commands takes half a second, in which Ctrl-C would end in a traceba
 import os
 import signal
 import sys
-from types import FrameType
 from typing import NoReturn
+
+from evetac_cli import interrupts
 
 
 def main() -> None:
     """Load the commands and run the one that was asked for."""
-    came: list[int] = []  # for an import may swallow what a signal raises
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        raise KeyboardInterrupt
-
-    def show(swallowed: "sys.UnraisableHookArgs") -> None:
-        if not came and not isinstance(swallowed.exc_value, KeyboardInterrupt):
-            sys.__unraisablehook__(swallowed)
-
-    sys.unraisablehook = show
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, interrupt)
     try:
+        interrupts.catch_interrupts()
         # Whoever started this may have held it back till now.
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         from evetac_cli.cli.main import main as run
 
-        if came:
+        if interrupts.interrupt_came():  # an import may swallow what a signal raises
             _end()
     except KeyboardInterrupt:
         _end()

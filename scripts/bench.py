@@ -66,8 +66,8 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     plan = first_plan(name, str(number))
     for slices in (100, 100_000):  # the first compiles
         simulated = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
-        mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated.gel_camera.render)
-        simulated._move, simulated.gel_camera.render = mechanics, camera  # type: ignore[method-assign, assignment]
+        mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated._render)
+        simulated._move, simulated._render = mechanics, camera  # type: ignore[method-assign]
         start_ma, law = simulated.command[1], paper.start()
         started = time.thread_time()
         while not simulated.finished and simulated.slices < slices:

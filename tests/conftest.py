@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -17,11 +18,13 @@ from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
+from evetac_cli.devices import cameras
+from evetac_cli.devices.cameras import prepared_words
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
-from evetac_cli.devices.virtual.world import VirtualWorld
+from evetac_cli.realtime.shared_time import SharedTime
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import featurize, label, track, train
 from evetac_cli.stages.force import train_force
@@ -53,13 +56,14 @@ SHORT = {
 }
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _patient_worlds() -> Iterator[None]:
-    """Time waits in virtual worlds, so that no test depends on how fast the machine is."""
-    with pytest.MonkeyPatch.context() as patch:
-        for source in (VirtualWorld, PreparedWords):
-            patch.setattr(source, "patient", True)
-        yield
+@pytest.fixture
+def words_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The prepared words of cameras that are opened by name wait for the machine, so that their counts are exact."""
+
+    def waiting(events_s: float, seeds: np.random.SeedSequence) -> PreparedWords:
+        return prepared_words(events_s, seeds, SharedTime())
+
+    monkeypatch.setattr(cameras, "prepared_words", waiting)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

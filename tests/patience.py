@@ -5,6 +5,10 @@ Beside four busy loops on two cores a process gets a quarter of a core, and next
 
 import time
 from collections.abc import Callable
+from typing import Any
+
+from evetac_cli.devices.virtual.word_sources import PreparedWords
+from evetac_cli.realtime.shared_time import SharedTime
 
 PATIENCE_S = 600.0
 
@@ -17,3 +21,8 @@ def until(condition: Callable[[], object], every_s: float = 0.01) -> bool:
             return False
         time.sleep(every_s)
     return True
+
+
+def patient_words(words: Any, **more: Any) -> PreparedWords:
+    """Prepared words that wait for a driver that is late."""
+    return PreparedWords(words, time=SharedTime(), **more)

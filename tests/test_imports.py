@@ -15,10 +15,8 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset(
-    {
-        *("names", "plugins", "errors", "events", "jobs", "commands", "console", "resources", "kernel_cache"),
-        "text_files",
-    }
+    {"names", "plugins", "errors", "events", "interrupts", "jobs", "commands", "console", "resources", "kernel_cache"}
+    | {"text_files"}
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
@@ -32,14 +30,17 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "trials": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "kernels"},
     "devices": frozenset(
-        {"names", "plugins", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}
+        {"names", "plugins", "console", "interrupts", "errors", "events", "resources", "store", "sim", "realtime"}
+        | {"kernels"}
     ),
     "formats": frozenset(
-        {"names", "plugins", "errors", "events", "jobs", "resources", "text_files", "store", "kernels"}
+        {"names", "plugins", "interrupts", "errors", "events", "jobs", "resources", "text_files", "store", "kernels"}
     ),
-    "store": frozenset({"plugins", "errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
+    "store": frozenset(
+        {"plugins", "interrupts", "errors", "events", "resources", "text_files", "kernels", "evetac_cli"}
+    ),
     "sim": frozenset({"plugins", "errors", "events", "resources", "text_files", "kernels"}),
-    "realtime": frozenset({"errors", "events", "kernels"}),
+    "realtime": frozenset({"interrupts", "errors", "events", "kernels"}),
     "kernels": frozenset({"plugins", "errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "plugins", "errors"}),
@@ -47,6 +48,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "kernel_cache": frozenset({"errors"}),
     "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
+    "interrupts": frozenset(),
     "events": frozenset({"errors"}),
     "errors": frozenset(),
     "plugins": frozenset({"names", "errors"}),

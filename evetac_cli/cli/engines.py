@@ -19,7 +19,6 @@ import os
 import pkgutil
 import platform
 import queue
-import signal
 import tempfile
 import threading
 import time
@@ -34,6 +33,7 @@ from typing import Any
 from evetac_cli import __version__, console, kernel_cache
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError, InputError, missing_extra, shortened
+from evetac_cli.interrupts import CTRL_C, SignalsLetThrough, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress
 
 LOCAL, DASK = "local", "dask"
@@ -180,15 +180,14 @@ def run_on_dask(
         os.environ.setdefault(name, "1")
     resource_tracker.ensure_running()  # or starting a worker does so, and lets interrupts through again
     # Ctrl-C of a terminal reaches all processes: workers that the cluster starts inherit this and stay deaf to it.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        progress(0, 0, "waiting for the cluster")
-        with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
-            command = Command(module, chosen, force, __version__, Path.cwd(), sign)
-            _Run(client, command, jobs, progress, results, engine).run()
-    finally:
-        workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with signals_blocked(CTRL_C):
+        try:
+            progress(0, 0, "waiting for the cluster")
+            with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
+                command = Command(module, chosen, force, __version__, Path.cwd(), sign)
+                _Run(client, command, jobs, progress, results, engine).run()
+        finally:
+            workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
 
 
 @contextmanager
@@ -392,13 +391,9 @@ class _Run:
 
     def _wait(self) -> Any:
         """The next future that ended, or None; here Ctrl-C comes up."""
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-        try:
+        with SignalsLetThrough(CTRL_C), suppress(queue.Empty):
             return self.ended.get(timeout=LOOK_S)
-        except queue.Empty:
-            return None
-        finally:
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        return None
 
     def _take(self, future: Any) -> None:
         """Note what came of jobs; those that were refused wait again."""

@@ -20,6 +20,7 @@ from evetac_cli.commands.command import Command
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.trials import Trials
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
+from evetac_cli.interrupts import interrupt_came
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
 
 MOST_ROWS = 100  # of one table on a terminal
@@ -43,7 +44,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             quiet = running.quiet
             with (
                 console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
-                compiling.announced(quiet=quiet, interrupted=workers.interrupted),
+                compiling.announced(quiet=quiet, interrupted=interrupt_came),
             ):
                 shown = stage.dry_run(jobs, chosen, force=running.force, progress=progress)
             _show_plan(f"{title} --dry-run", stage, shown, running)
@@ -214,6 +215,6 @@ def run_jobs(
             name = f"{command.name}{which} {job.output.name}"
             with (
                 console.progress_bar(name, command.unit, quiet=quiet) as progress,
-                compiling.announced(quiet=quiet, interrupted=workers.interrupted),
+                compiling.announced(quiet=quiet, interrupted=interrupt_came),
             ):
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)

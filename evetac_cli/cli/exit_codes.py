@@ -5,7 +5,6 @@ What nobody foresaw goes through all of this, so that tests see it as it was rai
 """
 
 import os
-import signal
 import sys
 import tempfile
 import traceback
@@ -17,7 +16,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from evetac_cli import __version__, console, kernel_cache
+from evetac_cli import __version__, console, interrupts, kernel_cache
 from evetac_cli.cli.flags import Group, Running
 from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
 from evetac_cli.errors import (
@@ -131,8 +130,7 @@ def run(program: Callable[[], Any]) -> NoReturn:
     except OutputError as error:
         console.say(f"error: {error}")
         code = error.exit_code
-    for number in (signal.SIGINT, signal.SIGTERM):  # all is done and said: from now on they only end what still runs
-        signal.signal(number, signal.SIG_DFL)
+    interrupts.stop_catching()  # all is done and said: from now on they only end what still runs
     if code == INTERRUPTED_CODE and not _children():
         sys.stderr.flush()
         os._exit(code)  # Python takes a second to take torch apart, several on a busy computer

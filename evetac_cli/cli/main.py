@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from evetac_cli import __version__, console, kernel_cache
-from evetac_cli.cli import config, execution, exit_codes, flags, workers
+from evetac_cli import __version__, console, interrupts, kernel_cache
+from evetac_cli.cli import config, execution, exit_codes, flags
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands import (
@@ -263,7 +263,7 @@ _add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, flags.OF_DOCTOR)
 
 def main() -> None:
     """Entry point of the command `evetac`."""
-    workers.catch_interrupts()
+    interrupts.catch_interrupts()
     exit_codes.run(_program)
 
 

@@ -1,7 +1,6 @@
 """Run jobs, one after the other or several at a time in processes of their own, so that Ctrl-C always ends them.
 
-Why so: KeyboardInterrupt may come up inside a callback of the compiler that numba uses, where it is swallowed or turned
-into another error. So it is remembered too, and looked at after every job. SIGTERM is treated as Ctrl-C.
+Interrupts are remembered too (interrupts.py), and looked at after every job. SIGTERM is treated as Ctrl-C.
 
 Why no pool of the standard library: there a worker that is killed takes the jobs of all others along, and one that was
 only told to end finishes its job first. Here each worker has a pipe of its own, which closes when either end dies.
@@ -10,81 +9,45 @@ only told to end finishes its job first. Here each worker has a pipe of its own,
 import importlib
 import os
 import signal
-import sys
 import threading
 import time
 import traceback
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from evetac_cli import console
 from evetac_cli.cli import compiling
 from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome, exit_code_words
+from evetac_cli.interrupts import SignalsLetThrough, catch_interrupts, interrupt_came, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 
 if TYPE_CHECKING:  # `evetac --help` loads none of it
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnContext
 
-_INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numerical libraries
 SAY_S = 0.2  # so often a worker tells how far it is
 GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
-_came = False
-
-
-def catch_interrupts() -> None:
-    """From now on SIGINT and SIGTERM raise KeyboardInterrupt, and are remembered."""
-    _catch(every=True)
-
-
-def _catch(*, every: bool) -> None:
-    """As catch_interrupts; unless `every` one, only the first raises, and what is then cleaned up is not disturbed."""
-
-    def remember(number: int, frame: FrameType | None) -> None:
-        global _came  # a signal handler has nowhere else to put it
-        first, _came = not _came, True
-        if first or every:
-            raise KeyboardInterrupt
-
-    for number in _INTERRUPTS:
-        signal.signal(number, remember)
-    sys.unraisablehook = _show_unless_interrupt
-
-
-def interrupted() -> bool:
-    """Whether an interrupt came since, even if what it raised was swallowed."""
-    return _came
-
-
-def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
-    """Print what was raised where nobody could catch it, but for an interrupt, which is remembered, and what follows.
-
-    An object that an interrupt left half made may raise at its own end.
-    """
-    if not _came and not isinstance(swallowed.exc_value, KeyboardInterrupt):
-        sys.__unraisablehook__(swallowed)
 
 
 def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
     """Run one job of a stage; an error in words is its result."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
-        if _came:  # swallowed while modules were loaded
+        if interrupt_came():  # swallowed while modules were loaded
             raise KeyboardInterrupt
         noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices end in order of their own
         result: Outcome = stage.run(job, chosen, force=force, progress=noticed)
     except EvetacError as error:
         return error
     except Exception:
-        if _came:
+        if interrupt_came():
             raise KeyboardInterrupt from None
         raise
-    if _came:
+    if interrupt_came():
         raise attach_outcome(KeyboardInterrupt(), result)
     return result
 
@@ -93,7 +56,7 @@ def _noticing_interrupts(progress: Progress) -> Progress:
     """The same progress, at which an interrupt that was swallowed comes up."""
 
     def report(done: float, total: float, doing: str = "") -> None:
-        if _came:
+        if interrupt_came():
             raise KeyboardInterrupt
         progress(done, total, doing)
 
@@ -104,17 +67,15 @@ def _in_worker(
     module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent
 ) -> Outcome | EvetacError | None:
     """As run_one, but Ctrl-C ends the job quietly: the parent process reports it. Nothing is begun after it."""
-    if _came:
+    if interrupt_came():
         return None
-    _catch(every=False)  # Ctrl-C comes from the terminal, and from the parent too
+    catch_interrupts(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)  # one that came while the process started, comes up now
-        return run_one(module, job, chosen, force, progress)
+        with SignalsLetThrough():  # one that came while the process started, comes up now
+            return run_one(module, job, chosen, force, progress)
     except KeyboardInterrupt as error:
         finished: Outcome | None = attached_outcome(error)
         return finished
-    finally:
-        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
 
 
 def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool) -> None:
@@ -124,17 +85,14 @@ def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
-    with compiling.announced(quiet=quiet, interrupted=interrupted, say=lambda text: _send_whole(pipe, text)):
+    with compiling.announced(quiet=quiet, interrupted=interrupt_came, say=lambda text: _send_whole(pipe, text)):
         _work_off(pipe, module, chosen, force)
 
 
 def _send_whole(pipe: "Connection", what: str | float) -> None:
     """Send something in the middle of a job: a message that an interrupt cuts in two would spoil all that follow."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
-    try:
+    with signals_blocked():
         pipe.send(what)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _sending(pipe: "Connection") -> Progress:
@@ -254,29 +212,28 @@ def run_parallel(
     progress(0, 0, f"starting {at_once} processes")
     resource_tracker.ensure_running()  # or starting the first worker does so, and lets interrupts through again
     # Workers inherit this, and lift it while they work; here interrupts come up only where nothing is half done.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
-    try:
-        while waiting or any(worker.job for worker in workers):
-            missing = min(at_once - len(workers), len(waiting))
-            for _ in range(missing):  # one of them speaks for all
-                workers.append(_Worker(context, module, chosen, force, quiet or bool(workers)))
+    with signals_blocked():
+        try:
+            while waiting or any(worker.job for worker in workers):
+                missing = min(at_once - len(workers), len(waiting))
+                for _ in range(missing):  # one of them speaks for all
+                    workers.append(_Worker(context, module, chosen, force, quiet or bool(workers)))
+                for worker in workers:
+                    if worker.job is None and waiting:
+                        worker.begin(waiting.popleft())
+                for worker in _ready(workers):
+                    interrupted |= _take(worker, workers, results)
+                done = sum(job.output in results for job in jobs)
+                progress(done + sum(worker.share for worker in workers if worker.job), len(jobs))
+        except KeyboardInterrupt:
+            interrupted = True
+            _stop(workers, results)
+        finally:
             for worker in workers:
-                if worker.job is None and waiting:
-                    worker.begin(waiting.popleft())
-            for worker in _ready(workers):
-                interrupted |= _take(worker, workers, results)
-            done = sum(job.output in results for job in jobs)
-            progress(done + sum(worker.share for worker in workers if worker.job), len(jobs))
-    except KeyboardInterrupt:
-        interrupted = True
-        _stop(workers, results)
-    finally:
-        for worker in workers:
-            worker.end()
-        begun = (job for job in jobs if job not in waiting)
-        broken_off = [job.output for job in begun if not isinstance(results.get(job.output), Outcome)]
-        remove_unfinished(broken_off)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+                worker.end()
+            begun = (job for job in jobs if job not in waiting)
+            broken_off = [job.output for job in begun if not isinstance(results.get(job.output), Outcome)]
+            remove_unfinished(broken_off)
     if interrupted:
         raise KeyboardInterrupt
 
@@ -286,12 +243,8 @@ def _ready(workers: Sequence[_Worker], timeout_s: float | None = None) -> list[_
     from multiprocessing.connection import wait
 
     busy = {worker.pipe: worker for worker in workers if worker.job is not None}
-    if timeout_s is None:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
-    try:
+    with SignalsLetThrough() if timeout_s is None else nullcontext():
         return [busy[pipe] for pipe in wait(list(busy), timeout_s)]  # type: ignore[index]
-    finally:
-        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
 
 
 def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) -> bool:

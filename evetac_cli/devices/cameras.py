@@ -19,6 +19,7 @@ from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.names import Capability
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
 
@@ -316,12 +317,12 @@ def _no_such_camera(text: str) -> InputError:
     return no_such_device("camera", names.either([*names.CAMERAS, *others]), text, (*KINDS, *others))
 
 
-def prepared_words(events_s: float, seeds: np.random.SeedSequence) -> "PreparedWords":
-    """Event words of one second of events at random, played again and again for two minutes."""
+def prepared_words(events_s: float, seeds: np.random.SeedSequence, time: TimeSource = HOST_TIME) -> "PreparedWords":
+    """Event words of one second of events at random, played again and again for two minutes of a clock."""
     from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
     second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))
-    return PreparedWords(second, times=PREPARED_S, period_ms=1000)
+    return PreparedWords(second, times=PREPARED_S, period_ms=1000, time=time)
 
 
 def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, backend: Any) -> OpenedCamera:

@@ -53,14 +53,16 @@ def open_peers(
     """Start the virtual world and the virtual servo that the names ask for; they are closed with `opened`.
 
     plan: what the world simulates, as in devices.simulated.rig; armed: whether a real gripper may be moved;
-    tells_truth: whether the world gives its truth.
+    tells_truth: whether the world gives its truth. The world's time waits for a busy machine, unless something real
+    moves.
     """
     require_arm(gripper, armed=armed)
     world = None
     if plan is not None and camera.has(Capability.SCENE):
         from evetac_cli.devices.virtual.world import VirtualWorld
 
-        world = VirtualWorld(plan, seeds, tells_truth=tells_truth, **durations)
+        waits = not gripper.has(Capability.HARDWARE)
+        world = VirtualWorld(plan, seeds, tells_truth=tells_truth, waits=waits, **durations)
         opened.callback(world.close)
     servo = gripper.open_peer(world.plant if world is not None else None)
     if servo is not None:

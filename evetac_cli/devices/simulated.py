@@ -10,6 +10,7 @@ import numpy as np
 from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan
@@ -89,12 +90,13 @@ class SimulatedGripper:
         self.simulation.command = ("current", 0)
 
 
-def rig(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Rig:
+def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **durations: float) -> Rig:
     """Build the devices of a simulated trial; mechanics and optics draw from random streams of their own.
 
-    durations: lift_s and balance_s of a scene in which an object is lifted. SceneError if nothing can be made of it.
+    timer: measures the parts of the scene. durations: lift_s and balance_s of a scene in which an object is lifted.
+    SceneError if nothing can be made of it.
     """
-    simulation = simulation_of(plan, seeds, **durations)
+    simulation = simulation_of(plan, seeds, timer, **durations)
     camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
     slices, sampled = simulation.slices_in_all, simulation.sampled.as_json()
     if not isinstance(simulation, GraspSimulation):

@@ -31,8 +31,8 @@ from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_text import is_text_of_events, open_text
 from evetac_cli.formats.read.time_order import OrderOptions
+from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.jobs import Progress, silent
-from evetac_cli.store.hdf5.disk import leave_if_interrupted
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import Steady
 

@@ -5,9 +5,6 @@ as the first thing that it does. But before it comes to that, it loads modules f
 signals are held back: so SIGINT is held back while one is started, in the child until it ignores it, here until the
 child runs, and none is lost.
 
-Why so, other signals: SIGTERM and the like may be meant for one of the processes alone. Each is remembered, and the
-loop ends in order at its next step: an exception in the middle of a command would leave it half sent.
-
 Why so, priority: a beat of 1 ms is shorter than what a usual scheduler promises on a busy computer. What is permitted
 depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only for what takes little:
 Linux stops all real-time processes of a core for the rest of a second of which they took 0.95 s (sched_rt_runtime_us),
@@ -17,7 +14,6 @@ waited for answers of its gripper, and missed one command in eight on two cores.
 """
 
 import os
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -28,16 +24,12 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from evetac_cli.errors import DeviceError
+from evetac_cli.interrupts import CTRL_C, signals_blocked
 
 STANDSTILL_S = 60.0  # a process that computed nothing for so long while it starts will not come up any more
 NICE = -10
 USUAL = "as usual"
 REALTIME = "real-time"
-ENDING = tuple(
-    getattr(signal, name)
-    for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGUSR1", "SIGUSR2")
-    if hasattr(signal, name)
-)  # signals that end a program, and that a program may handle; Ctrl-C is another matter
 
 
 def start_shielded(process: BaseProcess) -> None:
@@ -49,18 +41,12 @@ def start_shielded(process: BaseProcess) -> None:
     if unsafe:
         os.environ["PYTHONSAFEPATH"] = "1"
     resource_tracker.ensure_running()  # or starting the process does so, and lets signals through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        process.start()
+        with signals_blocked(CTRL_C):
+            process.start()
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if unsafe:
             del os.environ["PYTHONSAFEPATH"]
-
-
-def ignore_interrupts() -> None:
-    """From now on Ctrl-C is for whoever started this process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def cpu_time_s(process: int | None) -> float:
@@ -83,18 +69,6 @@ def wait_while_computing(pipe: Connection, process: BaseProcess, failure: str) -
             used_s, since_s = now_s, time.monotonic()
         elif time.monotonic() - since_s > STANDSTILL_S:
             raise DeviceError(failure, expected="a process that computes", found=f"none for {STANDSTILL_S:g} s")
-
-
-def remember_signals() -> list[int]:
-    """From now on signals that would end this process are only added to this list; its loop looks at it.
-
-    A signal that is ignored already, as SIGHUP under nohup, stays so.
-    """
-    came: list[int] = []
-    for number in ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, lambda number, frame: came.append(number))
-    return came
 
 
 def set_realtime_priority(rank: int, process: int = 0) -> str:

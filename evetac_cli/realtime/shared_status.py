@@ -20,7 +20,7 @@ _STOP_AT, _RECORDER_AT, _CONTROLLER_AT, _OPEN_AT = 768, 832, 896, 960
 
 
 class DetectorStatus(NamedTuple):
-    """What the detector has seen so far; times in us of the host's clock, or of a patient world's (shared_time.py)."""
+    """What the detector has seen so far; times in us of the host's clock, or of a virtual world's (shared_time.py)."""
 
     signal: SlipSignal
     slices: int  # that the detector has processed

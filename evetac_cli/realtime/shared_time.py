@@ -1,8 +1,8 @@
 """The time by which devices and control loops run: the host's, or one that several processes share and that can wait.
 
-With real devices it is `HOST_TIME`, time.monotonic. A virtual world that is `patient` has a `SharedTime`
-that stands still while the world has not simulated what is due, or the reader of the camera's slices lags
-behind. So a busy machine makes such a trial slower, and changes nothing in it.
+With real devices it is `HOST_TIME`, time.monotonic. A virtual world has a `SharedTime` that stands still while the
+world has not simulated what is due, or the reader of the camera's slices lags behind. So a busy machine makes such a
+trial slower, and changes nothing in it. Beside a real gripper it does not stand still.
 
 Why so: a world that is late on the host's clock misses the end of its own trial, and a controller that goes by the
 host's clock takes a late detector for a dead one. Both say something about the machine, not about the program.

@@ -2,12 +2,12 @@
 
 A scene pays only for what it names. What builds a part says that it did (`built` of a camera and of a simulation); here
 that is put into words. What a part costs, or would cost, is measured on the plan that `switched` makes: the trial with
-just this part left out, or with just this part built.
+just this part left out, or with just this part built; the time of calls that stand for parts is measured by a `Timer`.
 """
 
 from collections.abc import Callable, Set
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,19 @@ MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": 
 READOUTS = {"dvxplorer": "{:.0f} scans/s, global hold", "ideal": "every event to the us"}
 
 Switch = Callable[[Plan], Plan]
+Call = TypeVar("Call", bound=Callable[..., Any])
+
+
+class Timer(Protocol):
+    """What measures the calls that stand for parts: those who make them ask for them here, once, and keep them."""
+
+    def __call__(self, part: str, call: Call) -> Call:
+        """The call, so that its time counts as that of the part."""
+
+
+def untimed(part: str, call: Call) -> Call:
+    """The call itself: nothing is measured, and nothing is paid for it."""
+    return call
 
 
 class Part(NamedTuple):

@@ -18,10 +18,11 @@ from typing import Any, Self
 import h5py
 
 from evetac_cli.errors import EvetacError, ForeignFile, InputError, SchemaError, made_by
+from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
-from evetac_cli.store.hdf5.disk import existing_folder, leave_if_interrupted, new_file, taking_the_place_of
+from evetac_cli.store.hdf5.disk import existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.layout import contents, netcdf, schema
 from evetac_cli.store.layout.new_contents import NewContents
 from evetac_cli.store.layout.provenance import (

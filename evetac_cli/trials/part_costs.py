@@ -1,14 +1,15 @@
 """What the parts of a simulated scene cost a slice on this machine, measured on the first seconds of a trial.
 
-Parts that a scene can do without are measured with and without, in turn; gel, gripper and camera by timers about their
-calls. The trial is the same every time, so each stretch of it counts as the fastest of its runs: what else the machine
-does meanwhile is left out. Only the time of this thread counts; writing the file is not in it. A difference counts as
-measured where it is larger than what the machine's own ups and downs make of it; of a smaller one that limit is said.
+Parts that a scene can do without are measured with and without, in turn; gel, gripper, camera and the slip detector of
+a grasp by a timer of their calls that is passed to the trial. The trial is the same every time, so each stretch of it
+counts as the fastest of its runs: what else the machine does meanwhile is left out. Only the time of this thread
+counts; writing the file is not in it. A difference counts as measured where it is larger than what the machine's own
+ups and downs make of it; of a smaller one that limit is said.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import thread_time
 from typing import Any, TypeVar
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.sim.parts import rows_of, switched
+from evetac_cli.sim.parts import Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -32,8 +33,7 @@ SURE = 2.0  # a difference is noise that is smaller than so many standard errors
 
 Append = Callable[[Events, dict[str, Any]], None]
 SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
-Play = Callable[[SomeTrial, Append], Any]  # runs a trial and hands over every slice and its rows
-Timer = tuple[str, Any, str]  # a part, and the function or method that is timed: what it belongs to, and its name
+Play = Callable[[SomeTrial, Append, Timer], Any]  # runs a trial and hands over every slice and its rows
 Floats = NDArray[np.float64]
 
 
@@ -113,11 +113,9 @@ BESIDE_SCENE = {
 }
 
 
-def dry_run(
-    trials: Sequence[SomeTrial], play: Play[SomeTrial], more_timers: Sequence[Timer] = (), progress: Progress = silent
-) -> Outcome:
+def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
     """What the first trial builds and leaves out, and what each part of it costs here."""
-    costs = measure(trials[0], play, REPEATS, more_timers, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
+    costs = measure(trials[0], play, REPEATS, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
     files = {"files": len(trials), "first_file": str(trials[0].output)}
     if not costs.slices:  # over before there was anything to measure
         return Outcome(rows_of(trials[0].plan), True, files, made=False)
@@ -174,11 +172,29 @@ def _in_words(row: dict[str, Any], figure: str) -> str | None:
     return f"< {noise_us:.2g}" if noise_us is not None and us <= noise_us else f"{us:.3g}"
 
 
+class CallTimer:
+    """Counts the seconds of this thread in the calls that stand for parts, by part."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    def __call__(self, part: str, call: Call) -> Call:
+        """The call, so that its seconds count; those that were counted before stay."""
+        self.seconds.setdefault(part, 0.0)
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            started = thread_time()
+            result = call(*arguments, **named)
+            self.seconds[part] += thread_time() - started
+            return result
+
+        return timed  # type: ignore[return-value]
+
+
 def measure(
     trial: SomeTrial,
     play: Play[SomeTrial],
     repeats: int,
-    more_timers: Sequence[Timer] = (),
     *,
     moving_s: float = MOVING_S,
     budget_s: float = math.inf,
@@ -190,35 +206,36 @@ def measure(
     fewer repeats, where these would take longer.
     """
     others = {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
-    with _timers((*_scene_timers(), *more_timers)) as seconds:
-        for one in (trial, *others.values()):
-            _run(one, play, 2 * BLOCK, seconds)  # compiles, or loads what was compiled
-        slices = _slices_within(trial, play, _moving_slices(trial.plan.scene, moving_s), budget_s / (2 + len(others)))
-        plain: list[Floats] = []
-        with_other: dict[str, list[Floats]] = {part: [] for part in others}
-        started = thread_time()
-        for done in range(repeats):
-            if done and (thread_time() - started) * (done + 1) / done > budget_s:
-                break
-            plain.append(_run(trial, play, slices, seconds))
-            for number, (part, other) in enumerate(others.items(), 1):
-                progress(done * (1 + len(others)) + number, repeats * (1 + len(others)))
-                with_other[part].append(_run(other, play, slices, seconds))
-        in_calls = np.min(plain, axis=0)[:, 1:].T
+    timer = CallTimer()
+    for one in (trial, *others.values()):
+        _run(one, play, 2 * BLOCK, timer)  # compiles, or loads what was compiled
+    most_slices = _moving_slices(trial.plan.scene, moving_s)
+    slices = _slices_within(trial, play, most_slices, budget_s / (2 + len(others)), timer)
+    plain: list[Floats] = []
+    with_other: dict[str, list[Floats]] = {part: [] for part in others}
+    started = thread_time()
+    for done in range(repeats):
+        if done and (thread_time() - started) * (done + 1) / done > budget_s:
+            break
+        plain.append(_run(trial, play, slices, timer))
+        for number, (part, other) in enumerate(others.items(), 1):
+            progress(done * (1 + len(others)) + number, repeats * (1 + len(others)))
+            with_other[part].append(_run(other, play, slices, timer))
+    in_calls = np.min(plain, axis=0)[:, 1:].T
     return PartCosts(
         parts=rows_of(trial.plan),
         whole=np.min(plain, axis=0)[:, 0],
-        timed={part: us for part, us in zip(seconds, in_calls, strict=True) if us.any()},
+        timed={part: us for part, us in zip(timer.seconds, in_calls, strict=True) if us.any()},
         switched={part: np.min(runs, axis=0)[:, 0] for part, runs in with_other.items()},
     )
 
 
-def _slices_within(trial: SomeTrial, play: Play[SomeTrial], slices: int, most_s: float) -> int:
+def _slices_within(trial: SomeTrial, play: Play[SomeTrial], slices: int, most_s: float, timer: CallTimer) -> int:
     """As many of the first slices of a trial as it runs in `most_s`; at least a block."""
     if math.isinf(most_s):
         return slices
     for _ in range(2):  # what was cut short may have been compiling
-        ran = BLOCK * len(_run(trial, play, slices, {}, most_s))
+        ran = BLOCK * len(_run(trial, play, slices, timer, most_s))
         if ran >= slices:
             break
     return max(ran, BLOCK)
@@ -239,10 +256,8 @@ class _Enough(Exception):
     """As many slices as were asked for."""
 
 
-def _run(
-    trial: SomeTrial, play: Play[SomeTrial], slices: int, seconds: dict[str, float], most_s: float = math.inf
-) -> Floats:
-    """Microseconds a slice of each block, (blocks, 1 + timers): in all, and what each timer in `seconds` counted.
+def _run(trial: SomeTrial, play: Play[SomeTrial], slices: int, timer: CallTimer, most_s: float = math.inf) -> Floats:
+    """Microseconds a slice of each block, (blocks, 1 + parts): in all, and in the calls of each part.
 
     It ends before a block that begins later than `most_s`.
     """
@@ -254,7 +269,7 @@ def _run(
     def append(events: Events, rows: dict[str, Any]) -> None:
         nonlocal done, last
         if done % BLOCK == 0:
-            now = [thread_time(), *seconds.values()]
+            now = [thread_time(), *timer.seconds.values()]
             if done:
                 blocks.append([after - before for before, after in zip(last, now, strict=True)])
             last = now
@@ -263,37 +278,5 @@ def _run(
         done += 1
 
     with suppress(_Enough):
-        play(trial, append)
-    return np.reshape(np.array(blocks), (-1, 1 + len(seconds))) / BLOCK * 1e6
-
-
-def _scene_timers() -> tuple[Timer, ...]:
-    from evetac_cli.sim import gripper  # these build on numba: only when there is something to simulate
-    from evetac_cli.sim.camera.gel_camera import GelCamera
-    from evetac_cli.sim.gel.adaptive import Stepper
-
-    return (("gel and friction", Stepper, "advance"), ("gripper", gripper, "step"), ("camera", GelCamera, "render"))
-
-
-@contextmanager
-def _timers(timers: Sequence[Timer]) -> Iterator[dict[str, float]]:
-    """Seconds of this thread in the calls that stand for parts, which are wrapped for as long as this lasts."""
-    seconds = {part: 0.0 for part, _, _ in timers}
-
-    def watched(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def timed(*arguments: Any, **named: Any) -> Any:
-            started = thread_time()
-            result = call(*arguments, **named)
-            seconds[part] += thread_time() - started
-            return result
-
-        return timed
-
-    originals = [getattr(owner, name) for _, owner, name in timers]
-    try:
-        for (part, owner, name), call in zip(timers, originals, strict=True):
-            setattr(owner, name, watched(part, call))
-        yield seconds
-    finally:
-        for (_, owner, name), call in zip(timers, originals, strict=True):
-            setattr(owner, name, call)
+        play(trial, append, timer)
+    return np.reshape(np.array(blocks), (-1, 1 + len(timer.seconds))) / BLOCK * 1e6

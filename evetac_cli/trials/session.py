@@ -4,11 +4,8 @@ Before a device is touched: whether the outputs may be written and fit on the di
 runs: Ctrl-C ends it between slices. Afterwards: the file is joined, and an error or Ctrl-C goes on with what was saved.
 """
 
-import os
-import signal
-import threading
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,7 +17,6 @@ from evetac_cli.devices import losses
 from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome
 from evetac_cli.jobs import Outcome
 from evetac_cli.realtime.emergency_key import KEY_NAME, EmergencyKey, emergency_key
-from evetac_cli.realtime.processes import ENDING
 from evetac_cli.store.hdf5.disk import require_room
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.recovery import SUFFIX
@@ -36,7 +32,6 @@ SPEED = "`evetac doctor --speed` says what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
 RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
-ENDS = (signal.SIGINT, *ENDING)
 LOST = "capture/lost/"
 JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
 SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
@@ -116,89 +111,6 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, list):
         return [without_nan(item) for item in value]
     return None if value != value else value
-
-
-@contextmanager
-def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
-    """Ctrl-C and other signals that end a program are counted at first, so that a recording ends between slices.
-
-    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so. came: those that came before,
-    and should have broken off: then nothing is begun.
-    """
-    signals: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield signals
-        return
-
-    def count(number: int, frame: Any) -> None:
-        signals.append(number)
-        if len(signals) > 1:
-            raise KeyboardInterrupt
-
-    with _handled(count):
-        if came:
-            raise KeyboardInterrupt
-        yield signals
-
-
-@contextmanager
-def signals_interrupt() -> Iterator[list[int]]:
-    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded.
-
-    They are counted, too, for `signals_counted`: what is raised while modules and compiled code are loaded may come up
-    inside a callback, which swallows it.
-    """
-    came: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield came
-        return
-    before = {number: signal.getsignal(number) for number in ENDS}
-
-    def interrupt(number: int, frame: Any) -> None:
-        came.append(number)
-        handler = before[number]
-        if callable(handler):
-            handler(number, frame)
-        raise KeyboardInterrupt
-
-    with _handled(interrupt):
-        yield came
-
-
-@contextmanager
-def signals_held() -> Iterator[None]:
-    """Signals wait until the block is over, in which a gripper is let go of: nothing may break that off."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[tuple[int, Any]] = []
-    before = {number: signal.getsignal(number) for number in ENDS}
-    with _handled(lambda number, frame: came.append((number, frame))):
-        yield
-    raised: BaseException | None = None
-    for number, frame in came:
-        handler = before[number]
-        try:
-            if callable(handler):
-                handler(number, frame)
-            elif handler == signal.SIG_DFL:
-                os.kill(os.getpid(), number)
-        except BaseException as error:  # every handler is called, then the first error raised
-            raised = raised or error
-    if raised is not None:
-        raise raised
-
-
-@contextmanager
-def _handled(handler: Callable[[int, Any], None]) -> Iterator[None]:
-    """Let a function handle the signals of ENDS, but for those that are ignored."""
-    heeded = [number for number in ENDS if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, handler) for number in heeded}
-    try:
-        yield
-    finally:
-        for number, earlier in before.items():
-            signal.signal(number, earlier)
 
 
 def spread(values: "array[float]") -> Any:

@@ -60,12 +60,13 @@ PROGRAM = """
 import json, sys
 from pathlib import Path
 import standing_stage
-from evetac_cli.cli import engines, workers
+from evetac_cli import interrupts
+from evetac_cli.cli import engines
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, silent
 
 if __name__ == "__main__":
-    workers.catch_interrupts()
+    interrupts.catch_interrupts()
     results = {}
     ended = ""
     try:

@@ -17,6 +17,7 @@ from tests.patience import PATIENCE_S, until
 PROGRAM = """
 import json, os, platform, signal, sys, time, types
 from pathlib import Path
+from evetac_cli import interrupts
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, Outcome, silent
@@ -47,7 +48,7 @@ stage = sys.modules["evetac_cli.standing"] = types.ModuleType("evetac_cli.standi
 stage.run = run
 
 if __name__ == "__main__":
-    workers.catch_interrupts()
+    interrupts.catch_interrupts()
     names = sys.argv[2:]
     results = {}
     interrupted = False

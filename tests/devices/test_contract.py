@@ -41,6 +41,8 @@ def named(camera: str, gripper: str, made: Made, mode: Mode = "current") -> Rig:
     )
 
 
+pytestmark = pytest.mark.usefixtures("words_wait")
+
 # Cameras whose stream ends by itself, and those that go on until they are closed.
 ENDING: dict[str, Callable[[Made], EventCamera]] = {
     "simulated": lambda made: simulated(made).camera,

@@ -2,6 +2,7 @@
 
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ from evetac_cli.commands.record import Record
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.opening import open_peers, open_rig
+from evetac_cli.devices.virtual import world as virtual_world
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import InputError
 from evetac_cli.resources import PACKAGE
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.trials import grasp, record
 
 CAMERAS = ("virtual:prepared=1e5", "virtual", "dvxplorer", "dv", "virtual:prepared=1e5,virtual:prepared=1e5")
@@ -59,6 +62,23 @@ def test_both_ways_to_a_gripper_ask(gripper: VirtualGripper) -> None:
     with pytest.raises(InputError, match="--arm"), ExitStack() as opened:
         open_peers(camera, named, None, np.random.SeedSequence(0), opened, armed=False, tells_truth=False)
     assert gripper.instructions() == before
+
+
+@pytest.mark.parametrize(("port", "waits"), [("none", True), ("/dev/ttyNothing", False)])
+def test_time_waits_for_no_real_gripper(port: str, waits: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the time of a virtual world waits for a busy machine, but not where a real gripper moves."""
+    asked: list[bool] = []
+
+    def world(*_: Any, waits: bool, **__: Any) -> Any:
+        asked.append(waits)
+        return SimpleNamespace(plant=None, close=lambda: None)
+
+    monkeypatch.setattr(virtual_world, "VirtualWorld", world)
+    seeds = np.random.SeedSequence(0)
+    with ExitStack() as opened:
+        gripper = grippers.parse(port)
+        open_peers(cameras.parse("virtual"), gripper, first_plan("lift"), seeds, opened, armed=True, tells_truth=False)
+    assert asked == [waits]
 
 
 def test_there_is_no_other_way_to_a_gripper() -> None:

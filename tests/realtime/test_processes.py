@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from evetac_cli import interrupts
 from evetac_cli.realtime import processes
 
 
@@ -18,7 +19,7 @@ def child(pipe: Connection) -> None:
     """Tell whether Ctrl-C was held back until now, and go on though it came."""
     held_back = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     os.kill(os.getpid(), signal.SIGINT)
-    processes.ignore_interrupts()
+    interrupts.ignore_interrupts()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.kill(os.getpid(), signal.SIGINT)
     pipe.send(held_back)

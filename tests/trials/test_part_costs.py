@@ -1,10 +1,10 @@
 """What the parts of a scene cost, against a clock that the test moves, and once for real."""
 
+import itertools
 import json
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,10 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.jobs import Outcome
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.trials import grasp, part_costs, record
-from evetac_cli.trials.part_costs import BLOCK, Append, for_people, measure
+from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, for_people, measure
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -32,8 +33,6 @@ class SlowedClock:
         self.runs = 0
         self.slowed_us = 50.0
         self.rng = np.random.default_rng(0)
-        self.gel = SimpleNamespace(step=lambda: self.take(GEL_US))
-        self.camera = SimpleNamespace(render=self._render)
 
     def take(self, us: float) -> None:
         self.now_s += us * 1e-6
@@ -43,11 +42,12 @@ class SlowedClock:
         self.take(DOTS_US + WINDOW_US * (texture is not None and texture.show))
         self.take(NOISE_US * (sensor.noise_hz > 0) + CUT_US * (sensor.cut_contrast > 0))
 
-    def play(self, trial: SimulatedTrial, append: Append) -> None:
+    def play(self, trial: SimulatedTrial, append: Append, timer: Timer) -> None:
         self.runs += 1
+        advance, render = timer("gel and friction", lambda: self.take(GEL_US)), timer("camera", self._render)
         for _ in range(100_000):
-            self.gel.step()
-            self.camera.render(trial.plan)
+            advance()
+            render(trial.plan)
             self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // 4 % 2))
             append(None, {})  # type: ignore[arg-type]
 
@@ -56,8 +56,6 @@ class SlowedClock:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowedClock]:
     made = SlowedClock()
     monkeypatch.setattr(part_costs, "thread_time", lambda: made.now_s)
-    timers = (("gel and friction", made.gel, "step"), ("camera", made.camera, "render"))
-    monkeypatch.setattr(part_costs, "_scene_timers", lambda: timers)
     yield made
 
 
@@ -92,17 +90,31 @@ def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
     assert machine.now_s < 4 * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, 4 * block_s)
 
 
-def test_timers_are_taken_off_again(machine: SlowedClock) -> None:
-    """Assert that the calls which were timed are afterwards what they were, also where a trial fails."""
-    before = machine.gel.step, machine.camera.render
+def test_what_fails_in_a_trial_is_raised(machine: SlowedClock) -> None:
+    """Assert that a measurement ends with what a trial raises."""
     (trial,) = record.jobs([], Record(), None)
 
-    def fails(trial: SimulatedTrial, append: Append) -> None:
-        machine.play(trial, append if machine.runs < 5 else lambda events, rows: 1 / 0)  # type: ignore[arg-type, return-value]
+    def fails(trial: SimulatedTrial, append: Append, timer: Timer) -> None:
+        machine.play(trial, append if machine.runs < 5 else lambda events, rows: 1 / 0, timer)  # type: ignore[arg-type, return-value]
 
     with pytest.raises(ZeroDivisionError):
         measure(trial, fails, 2)
-    assert (machine.gel.step, machine.camera.render) == before
+
+
+@pytest.mark.parametrize("scene", ["slip", "edge", "vibration"])
+def test_a_timer_changes_nothing(scene: str) -> None:
+    """Assert that a trial makes the same events and rows with a timer and without, which leaves calls as they are."""
+    trial = record.jobs([], Record(scene=scene), None)[0]
+    assert isinstance(trial, SimulatedTrial)
+    timer = CallTimer()
+    both = (simulated.play(trial)[1], simulated.play(trial, timer)[1])
+    for (events, rows), (timed_events, timed_rows) in itertools.islice(zip(*both, strict=True), 60):
+        assert all(map(np.array_equal, events, timed_events))
+        assert all(np.array_equal(rows[name], timed_rows[name], equal_nan=True) for name in rows | timed_rows)
+    parts = {"slip": ["camera", "gripper", "gel and friction"], "vibration": ["camera"]}
+    assert list(timer.seconds) == parts.get(scene, ["camera", "gel and friction"])
+    assert all(seconds > 0.0 for seconds in timer.seconds.values())
+    assert untimed("camera", simulated.play) is simulated.play
 
 
 @pytest.mark.parametrize(("stage", "params"), [(record, Record(scene="slip")), (grasp, Grasp())])

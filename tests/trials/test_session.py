@@ -1,12 +1,8 @@
 """What `record` and `grasp` in real time share: how a trial ends, and what is said of it."""
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from array import array
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -71,17 +67,6 @@ def test_times_of_a_long_recording_are_bounded(monkeypatch: pytest.MonkeyPatch) 
     assert most == 77_777
 
 
-def test_the_second_signal_breaks_off() -> None:
-    """Assert that a first Ctrl-C is counted, a second one raised, and that handlers are then what they were."""
-    before = signal.getsignal(signal.SIGINT)
-    with session.signals_counted() as signals:
-        signal.raise_signal(signal.SIGINT)
-        assert signals == [signal.SIGINT]
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGTERM)
-    assert signal.getsignal(signal.SIGINT) == before
-
-
 def test_json_has_no_nan() -> None:
     """Assert that missing dots, wherever they are nested, become null."""
     assert session.without_nan({"a": [1.0, float("nan"), [float("nan")]], "b": "c"}) == {
@@ -119,64 +104,6 @@ def test_low_a_full_disk_before_the_first_segment_advises_no_repair(tmp_path: Pa
     run = [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.recording.h5")]
     done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent)
     assert (done.stdout, done.stderr) == ("True False False\n", "")
-
-
-class SlowGripper:
-    """A gripper that is being let go of when a signal comes."""
-
-    def __init__(self) -> None:
-        self.released = False
-
-    def close(self) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.01)
-        self.released = True
-
-
-def test_low_ctrl_c_inside_close_waits_until_the_gripper_is_released() -> None:
-    """Assert that a second and third Ctrl-C do not break off the end of torque, and are raised after it."""
-    gripper = SlowGripper()
-    with session.signals_counted() as signals:
-        os.kill(os.getpid(), signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt), session.signals_held():
-            gripper.close()
-        assert gripper.released
-        assert len(signals) == 3
-
-
-def test_low_other_signals_interrupt_before_anything_is_recorded() -> None:
-    """Assert that signals which would end the program without a word break off as Ctrl-C does; ignored ones do not."""
-    numbers = [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1]
-    before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
-    try:
-        with session.signals_interrupt():
-            for number in numbers:
-                with pytest.raises(KeyboardInterrupt):
-                    os.kill(os.getpid(), number)
-        assert all(signal.getsignal(number) is signal.SIG_DFL for number in numbers)
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        with session.signals_interrupt(), session.signals_counted() as signals:
-            os.kill(os.getpid(), signal.SIGHUP)
-            assert not signals
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
-
-
-def test_h2_a_swallowed_ctrl_c_still_ends_before_anything_is_recorded() -> None:
-    """Assert that Ctrl-C counts, too, where a callback of the compiler or an import swallowed what it raised.
-
-    Else a recording would begin, and run on, after somebody has ended it.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    with session.signals_interrupt() as came:
-        with suppress(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-        assert came == [signal.SIGINT]
-        with pytest.raises(KeyboardInterrupt), session.signals_counted(came):
-            pytest.fail("a recording was begun")
-    assert signal.getsignal(signal.SIGINT) == before
 
 
 def test_a_slice_is_late_where_events_follow_it() -> None:

@@ -21,14 +21,11 @@ import atexit
 import contextlib
 import operator
 import os
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import FrameType
 from typing import Any, Literal, TypeVar
 
 from evetac_cli import console
@@ -47,6 +44,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, B
 from evetac_cli.devices.rh_p12_rn.measurements import Measurements
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.interrupts import end_in_order
 
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
@@ -373,10 +371,7 @@ def _close_at_exit(gripper: RhP12Rn) -> None:
         atexit.unregister(_close_all)
         atexit.register(_close_all)
     _OPEN.append(gripper)
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _end_in_order)
+    end_in_order()
 
 
 def _close_all() -> None:
@@ -386,7 +381,3 @@ def _close_all() -> None:
             gripper.close()
         with contextlib.suppress(OSError, ValueError, AttributeError):
             console.say(f"gripper at {gripper.port}: {gripper.release_words}")
-
-
-def _end_in_order(number: int, frame: FrameType | None) -> None:
-    sys.exit(128 + number)

@@ -11,7 +11,6 @@ import json
 import os
 import pty
 import select
-import signal
 import sys
 import termios
 import time
@@ -26,6 +25,7 @@ from evetac_cli.devices.virtual.dynamixel_frames import FrameReader
 from evetac_cli.devices.virtual.faults import GRIPPER_FAULTS, Fault, gripper_fault
 from evetac_cli.devices.virtual.servo import Answer, VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics, Plant, SharedPlant
+from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 LATE_S = 0.5  # of a late answer
@@ -204,7 +204,7 @@ def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s:
 
 def serve(choice: Mapping[str, Any]) -> None:
     """Be the servo until stdin ends or the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host, which still wants to switch torque off
+    ignore_interrupts()  # Ctrl-C is for the host, which still wants to switch torque off
     parent = os.getppid()
     faults = Faults([gripper_fault(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
     plant = make_plant(choice["plant"])

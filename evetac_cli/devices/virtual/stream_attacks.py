@@ -17,6 +17,7 @@ from evetac_cli.devices.losses import events_lost
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 from evetac_cli.events import SLICE_US
+from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 SHARE = 0.01  # of all events by which a number of lost ones may differ from the camera's own
 IN_FLIGHT_S = 0.05  # of events that the camera sent, and that no slice was to hold any more, where nobody counts them
@@ -85,18 +86,17 @@ class Ending:
         return wrong
 
 
-def attack(attacked: Attack, seconds: float, events_s: float) -> Ending:
-    """Read so many seconds of a stream with a fault, by the real driver, as a recording does."""
+def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource = HOST_TIME) -> Ending:
+    """Read so many seconds of a stream with a fault, by the real driver, as a recording does; time: of the stream."""
     words = random_event_words(events_s, 2.0 * seconds, np.random.default_rng(0))
-    source = PreparedWords(words)
-    device = VirtualDvxplorer(source, faults=(attacked.fault,))
+    device = VirtualDvxplorer(PreparedWords(words, time=time), faults=(attacked.fault,))
     slices = events = 0
     with closing(DvxplorerCamera(backend=device)) as camera:
-        began_s = source.time.now_s()
+        began_s = time.now_s()
         while slices < round(1000 * seconds) and (part := camera.read()) is not None:
             slices += 1
             events += part.size
-        host_ms = 1e3 * (source.time.now_s() - began_s)
+        host_ms = 1e3 * (time.now_s() - began_s)
         said = events_lost(camera.counted)
     # Once it is closed nothing moves any more: however busy the computer is, each event is in one place.
     waiting, words_left = camera.waiting

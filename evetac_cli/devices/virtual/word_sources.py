@@ -21,29 +21,32 @@ class PreparedWords:
 
     paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, there are words
     whenever a reader waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
-    driver believes no silence of more than a second. `patient`: paced words wait for a driver whose slices are not
-    read in time; tests set it.
+    driver believes no silence of more than a second.
     """
 
-    patient = False
+    def __init__(
+        self,
+        words: NDArray[np.uint32],
+        *,
+        paced: bool = True,
+        times: int = 1,
+        period_ms: int = 0,
+        time: TimeSource = HOST_TIME,
+    ) -> None:
+        """times: how often the words are sent, each time with TIMESTAMPs that are period_ms later.
 
-    def __init__(self, words: NDArray[np.uint32], *, paced: bool = True, times: int = 1, period_ms: int = 0) -> None:
-        """times: how often the words are sent, each time with TIMESTAMPs that are period_ms later."""
+        time: the clock by which words are due; a SharedTime waits for a driver whose slices are not read in time.
+        """
         self._words = words.astype("<u4")
         self._is_stamp = words >> 26 == 2
-        self._times, self._period_ms = times, period_ms
+        self.times, self._period_ms = times, period_ms
         self._due_us = due_us(words) if paced else None
-        self._time = SharedTime() if paced and self.patient else HOST_TIME
+        self.time = time
         self._at = 0  # bytes taken
         self._bytes = 4 * len(words) * times
         self._ran_us = 0.0  # before the last run
         self._began_s: float | None = None  # of this run
         self._changed = Condition()
-
-    @property
-    def time(self) -> TimeSource:
-        """The clock by which words are due; the host's unless it is patient."""
-        return self._time
 
     @property
     def left(self) -> int:
@@ -53,7 +56,7 @@ class PreparedWords:
     def run(self, on: bool) -> None:
         """Let time pass (True), or stand still."""
         with self._changed:
-            now_s = self._time.now_s()
+            now_s = self.time.now_s()
             if self._began_s is not None:
                 self._ran_us += 1e6 * (now_s - self._began_s)
             self._began_s = now_s if on else None
@@ -89,9 +92,9 @@ class PreparedWords:
 
     def _limit_time(self) -> None:
         """Let time go on as far as the reader of the slices has come."""
-        if isinstance(self._time, SharedTime):
+        if isinstance(self.time, SharedTime):
             ends = self._began_s is None or self._at == self._bytes
-            self._time.limit(math.inf if ends else self._time.reader_s + READER_S)
+            self.time.limit(math.inf if ends else self.time.reader_s + READER_S)
 
     def _due(self) -> int:
         """Number of bytes from the start whose time has come."""
@@ -99,8 +102,8 @@ class PreparedWords:
             return self._at
         if self._due_us is None:
             return self._bytes
-        passed_us = int(self._ran_us + 1e6 * (self._time.now_s() - self._began_s))
-        turn = min(passed_us // (SLICE_US * self._period_ms), self._times - 1) if self._times > 1 else 0
+        passed_us = int(self._ran_us + 1e6 * (self.time.now_s() - self._began_s))
+        turn = min(passed_us // (SLICE_US * self._period_ms), self.times - 1) if self.times > 1 else 0
         within_us = passed_us - turn * SLICE_US * self._period_ms
         return 4 * (turn * len(self._words) + int(self._due_us.searchsorted(within_us, side="right")))
 
@@ -112,7 +115,7 @@ class PreparedWords:
             return None
         turn, place = divmod(self._at // 4, len(self._words))
         next_us = float(self._due_us[place]) + turn * SLICE_US * self._period_ms
-        return max(1e-6, self._began_s + 1e-6 * (next_us - self._ran_us) - self._time.now_s())
+        return max(1e-6, self._began_s + 1e-6 * (next_us - self._ran_us) - self.time.now_s())
 
 
 def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:

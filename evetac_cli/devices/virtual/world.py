@@ -8,9 +8,9 @@ Why so: device time is the world's time. A world that cannot keep up with the ho
 counts the slices that were late. When a camera answers that it has no words, none may be left from before the question:
 so before it gives that answer, a late world first catches up with the moment at which it was asked.
 
-A world that is `patient` is never late: `time`, by which the camera's driver, the virtual servo and the control loops
-of a grasp go, stands still until the world has made what is due and the driver's slices were read. Tests set it
-(`VirtualWorld.patient = True`), so that they pass on a busy machine; how well time is kept is measured without it.
+A world that `waits` is never late: `time`, by which the camera's driver, the virtual servo and the control loops of a
+grasp go, stands still until the world has made what is due and the driver's slices were read. It waits unless a real
+gripper moves beside it. How well time is kept is measured with prepared words, which come by the host's clock.
 """
 
 import gc
@@ -29,9 +29,10 @@ import numpy as np
 
 from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.processes import ignore_interrupts, start_shielded, wait_while_computing
+from evetac_cli.realtime.processes import start_shielded, wait_while_computing
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
 from evetac_cli.sim.setup.plan import Plan
 
@@ -46,7 +47,7 @@ WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp co
 WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
 TRUTH_SLICES = 50  # whose truth is sent at once
 CATCH_UP_S = 10.0  # a world that is later than this is given up on, for the moment
-STANDING_S = 5e-4  # how often a patient world checks whether its time may go on
+STANDING_S = 5e-4  # how often a world that waits checks whether its time may go on
 _LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
 
 
@@ -55,10 +56,8 @@ class VirtualWorld:
 
     It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
     the world ends it. `truths` gives the truth of slices, a row of every array
-    for each, and None after the last, if asked for. `patient`: whether `time` waits for whoever is late.
+    for each, and None after the last, if asked for.
     """
-
-    patient = False
 
     def __init__(
         self,
@@ -66,9 +65,13 @@ class VirtualWorld:
         seeds: np.random.SeedSequence,
         *,
         tells_truth: bool = False,
+        waits: bool = True,
         **durations: float,
     ) -> None:
-        """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`."""
+        """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`.
+
+        waits: whether `time` waits for whoever is late.
+        """
         context = multiprocessing.get_context("spawn")
         self.plant = SharedPlant()
         self._asked_s = 0.0
@@ -82,7 +85,7 @@ class VirtualWorld:
         self._process: BaseProcess | None = context.Process(
             target=telling,
             args=(
-                *(self._last_words, _run_world, plan, seeds, durations, self.patient),
+                *(self._last_words, _run_world, plan, seeds, durations, waits),
                 *(self.plant, orders, words, truth_pipe, self._counters),
             ),
             name="evetac-world",
@@ -194,7 +197,7 @@ def _run_world(
     plan: Plan,
     seeds: np.random.SeedSequence,
     durations: dict[str, float],
-    patient: bool,
+    waits: bool,
     plant: SharedPlant,
     orders: Connection,
     words: Connection,
@@ -203,7 +206,7 @@ def _run_world(
 ) -> None:
     """The world's process: build, say so, then obey orders until the other side is gone."""
     ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
-    running_world, reply = _build(plan, seeds, durations, patient, plant, words, truths, counters)
+    running_world, reply = _build(plan, seeds, durations, waits, plant, words, truths, counters)
     try:
         orders.send(reply)
     except OSError:  # the recorder did not wait
@@ -242,7 +245,7 @@ class _RunningWorld:
         plan: Plan,
         seeds: np.random.SeedSequence,
         durations: dict[str, float],
-        patient: bool,
+        waits: bool,
         plant: SharedPlant,
         words: Connection,
         truths: Connection | None,
@@ -269,7 +272,7 @@ class _RunningWorld:
         self._gain_ma_tick = self._world.drive.gain_ma_tick / PAPER_P_GAIN
         self._plant = plant
         self._time = plant.time
-        self._patient = patient
+        self._waits = waits
         self._fd = words.fileno()
         os.set_blocking(self._fd, False)
         self._words = words
@@ -307,7 +310,7 @@ class _RunningWorld:
         if not self._running or self._world.finished:
             return None
         left_s = self._began_s + (self._world.slices + 1) * SLICE_S - self._time.now_s()
-        return max(left_s, STANDING_S) if self._patient and left_s > 0.0 else max(left_s, 0.0)
+        return max(left_s, STANDING_S) if self._waits and left_s > 0.0 else max(left_s, 0.0)
 
     @property
     def waiting_for(self) -> list[Connection | MessageWriter]:
@@ -347,7 +350,7 @@ class _RunningWorld:
 
     def _limit_time(self) -> None:
         """Let time go on as far as this world and the reader of its slices have come."""
-        if not self._patient:
+        if not self._waits:
             return
         until_s = math.inf
         if self._running and not self._world.finished:

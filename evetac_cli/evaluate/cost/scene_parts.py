@@ -27,7 +27,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     rows: Rows = []
     trials = list(_trials(params.seed))
     for done, (name, trial, play) in enumerate(trials, 1):
-        costs = measure_parts(trial, play, REPEATS.pick(params.full), grasp.TIMERS)
+        costs = measure_parts(trial, play, REPEATS.pick(params.full))
         rows += [{"part": name, **row} for row in _rows(costs)]
         progress(done, len(trials))
     return rows

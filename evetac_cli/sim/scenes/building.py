@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from evetac_cli.errors import SceneError
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
@@ -18,17 +19,20 @@ DRIVEN: dict[str, type[Pressing] | type[Vibration]] = {"press": Pressing, "rub":
 Simulation = GraspSimulation | Pressing | Vibration
 
 
-def simulation_of(plan: Plan, seeds: np.random.SeedSequence, **durations: float) -> Simulation:
+def simulation_of(
+    plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **durations: float
+) -> Simulation:
     """Build what a plan names; mechanics and optics draw from random streams of their own.
 
-    durations: lift_s and balance_s of a scene in which an object is lifted. SceneError where nothing can be made of it.
+    timer: measures its parts. durations: lift_s and balance_s of a scene in which an object is lifted. SceneError where
+    nothing can be made of it.
     """
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
     driven = DRIVEN.get(plan.scene.kind)
     with scene_in_words(plan.scene.name):
         if driven is not None:
-            return driven(plan, mechanics, optics)
-        return GraspSimulation(plan, mechanics, optics, **durations)
+            return driven(plan, mechanics, optics, timer=timer)
+        return GraspSimulation(plan, mechanics, optics, timer=timer, **durations)
 
 
 @contextmanager

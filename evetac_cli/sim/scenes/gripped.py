@@ -22,6 +22,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
 from evetac_cli.sim.scenes.second_finger import SecondFinger
@@ -64,6 +65,7 @@ class GraspSimulation:
         *,
         lift_s: float = 10.0,
         balance_s: float = 20.0,
+        timer: Timer = untimed,
     ) -> None:
         """Build what a plan names; ValueError where values of a scene do not go together."""
         assert plan.touched is not None
@@ -80,8 +82,10 @@ class GraspSimulation:
         texture = self._texture(plan.called, optics_rng)
         self._shows_texture = texture is not None
         self.gel_camera = GelCamera(sensor, scene=self._scene, texture=texture, rng=optics_rng, readout=plan.readout)
+        self._render = timer("camera", self.gel_camera.render)
+        self._step_finger = timer("gripper", gripper.step)
         self._faults = sampling.gripper_faults(self._scene, sensor)
-        self._build_mechanics(touched, sensor)
+        self._build_mechanics(touched, sensor, timer)
         self._encoder_noise_ticks = self._faults.encoder_noise_ticks
         delay, jitter = (ms * 1e-3 / STEP_S for ms in (self._faults.command_delay_ms, self._faults.command_jitter_ms))
         self._commands = None
@@ -140,7 +144,7 @@ class GraspSimulation:
         drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called)])
         return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
-    def _build_mechanics(self, touched: TouchedObject, sensor: Sensor) -> None:
+    def _build_mechanics(self, touched: TouchedObject, sensor: Sensor, timer: Timer) -> None:
         nodes = pad(self._solver, sensor, cut=self._scene.gel.cut)
         sampled = self.sampled
         width_m = touched.held_mm * 1e-3
@@ -189,7 +193,7 @@ class GraspSimulation:
         self._middle_m = np.array(middle_m)  # the centre of mass at the start
         second_pad = None if self._second is None else self._second.pad(self._gel)
         self._pads = (self._gel,) if second_pad is None else (self._gel, second_pad)
-        self._gel_slices = GelSlices(self._gel, self._solver, second_pad)
+        self._gel_slices = GelSlices(self._gel, self._solver, second_pad, timer)
         self._press()
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
@@ -235,7 +239,7 @@ class GraspSimulation:
         shift_m, object_m, contrast, cut_m = self._seen
         path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
         now_us = self.slices * SLICE_US
-        events = self.gel_camera.render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
+        events = self._render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
         self.slices += 1
         self.finished = self.slices >= self.slices_in_all or self._over()
         return events
@@ -279,7 +283,7 @@ class GraspSimulation:
         mode, command = self.command if self._commands is None else self._commands.at(self.slices, self.command)
         if self._encoder_noise_ticks > 0.0:
             self.finger.encoder_off_ticks = self._encoder_noise_ticks * float(self._encoder_rng.normal())
-        after_n = gripper.step(self.finger, self.drive, self._curve, mode, command, STEP_S)
+        after_n = self._step_finger(self.finger, self.drive, self._curve, mode, command, STEP_S)
         if self.finger.indentation_m != self._shares_at_m:
             self._press()
         shares = self._shares

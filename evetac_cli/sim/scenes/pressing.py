@@ -18,6 +18,7 @@ from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
@@ -70,6 +71,8 @@ class Pressing:
         optics_rng: np.random.Generator,
         outline: Outline | None = None,
         outline_at_px: Floats | None = None,
+        *,
+        timer: Timer = untimed,
     ) -> None:
         """Build what a plan names. The camera sees the face's outline, if there is one."""
         assert plan.touched is not None
@@ -85,6 +88,7 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
         )
+        self._render = timer("camera", self.gel_camera.render)
         self.sampled = sample_trial(self._scene, plan.touched, sensor, mechanics)
         nodes = pad(solver, sensor, cut=self._scene.gel.cut)
         self._material = material(sensor)
@@ -93,7 +97,7 @@ class Pressing:
         # a driven face: its mass is of no account
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1, friction_factor=varies)
         sampled = self.sampled
-        self._gel_slices = GelSlices(self._gel, solver)
+        self._gel_slices = GelSlices(self._gel, solver, timer=timer)
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
@@ -218,7 +222,7 @@ class Pressing:
             self._shift_m, self._cut_m = seen_m[:dots] + self._dilation_m, seen_m[dots:]
         path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
         now_us, strength = self.slices * SLICE_US, self._strength()
-        return self.gel_camera.render(
+        return self._render(
             self._shift_m, self._xy_m, 0.0, now_us, path_m, cut_m=self._cut_m, strength=strength, still=still
         )
 

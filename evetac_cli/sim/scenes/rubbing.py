@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
@@ -43,7 +44,14 @@ class Rubbing(Pressing):
 
     follows = True
 
-    def __init__(self, plan: Plan, mechanics: np.random.Generator, optics_rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        mechanics: np.random.Generator,
+        optics_rng: np.random.Generator,
+        *,
+        timer: Timer = untimed,
+    ) -> None:
         """Build what a plan names."""
         rub = plan.scene.rub
         assert rub is not None
@@ -59,7 +67,8 @@ class Rubbing(Pressing):
             [mechanics.uniform(*span) for span in STARTS_PX]
         )  # to one side: the first rub crosses the view
         self._starts_px: Floats = far_px * mechanics.choice([-1.0, 1.0], 2)
-        super().__init__(plan, mechanics, optics_rng, outline, np.array(FRAME_PX) / 2 + self._starts_px)
+        at_px = np.array(FRAME_PX) / 2 + self._starts_px
+        super().__init__(plan, mechanics, optics_rng, outline, at_px, timer=timer)
         base: dict[str, Any] = asdict(self.sampled)
         self.sampled = SampledRub(
             **base, object_name=object_name, normal_n=self._normal_n, edge_log_contrast=contrast, edge_blur_px=blur_px

@@ -13,6 +13,7 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.friction import varied
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.sampling import SampledTrial
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import Sensor
@@ -116,11 +117,18 @@ class GelSlices:
     had gone in. `still_for` counts such slices.
     """
 
-    def __init__(self, pad_state: gel.GelState, solver: Solver, second: gel.GelState | None = None) -> None:
+    def __init__(
+        self,
+        pad_state: gel.GelState,
+        solver: Solver,
+        second: gel.GelState | None = None,
+        timer: Timer = untimed,
+    ) -> None:
         """Start with a pad, and the second finger's where it is no mirror image of the first (see `Stepper`)."""
         self._gel = pad_state
         self._pads = (pad_state,) if second is None else (pad_state, second)
-        self._stepper = Stepper(solver, second=second)
+        self._advance = timer("gel and friction", Stepper(solver, second=second).advance)
+        self._least_steps = solver.fixed_steps or 1  # of a slice that is not cut finer than it has to be
         self._done = Slice()
         self._acting: tuple[Any, ...] = ()
         self._shares = self._second_shares = np.zeros(0)
@@ -150,17 +158,12 @@ class GelSlices:
             self.still_for += 1
             return self._done
         self._acting, self._shares = acting, shares
-        self._done = self._stepper.advance(
+        self._done = self._advance(
             state, shares, force_n, body_force_n, friction, twist, each, second_shares=second_shares
         )
         self.still_for = 0
         self._rests = same and self._done.steps == self._least_steps and self._has_come_to_rest()
         return self._done
-
-    @property
-    def _least_steps(self) -> int:
-        """Steps of a slice that is not cut finer than it has to be."""
-        return self._stepper.solver.fixed_steps or 1
 
     def _has_come_to_rest(self) -> bool:
         """Whether the slice has left gel and object as they were; motion too small to tell is set to 0."""

@@ -30,6 +30,7 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.shared import built_of_gel, material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
 from evetac_cli.sim.setup.plan import Plan
@@ -146,13 +147,21 @@ class Motion(NamedTuple):
 class Vibration:
     """A trial with one tone: `step` makes a slice, `truth` returns what only a simulation knows of it."""
 
-    def __init__(self, plan: Plan, mechanics: np.random.Generator, optics_rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        mechanics: np.random.Generator,
+        optics_rng: np.random.Generator,
+        *,
+        timer: Timer = untimed,
+    ) -> None:
         """Build what a plan names."""
         scene, tone = plan.scene, plan.scene.tone
         assert tone is not None and plan.tone_hz is not None
         sensor = sensor_with_gel(scene, plan.sensor)
         self._time = scene.time
         self.gel_camera = GelCamera(sensor, scene=scene, texture=None, rng=optics_rng, readout=plan.readout)
+        self._render = timer("camera", self.gel_camera.render)
         layer = material(sensor)
         radius_m = tone.radius_mm * 1e-3
         offset_m = mechanics.uniform(-1.0, 1.0, 2) * tone.offset_mm * 1e-3
@@ -205,7 +214,7 @@ class Vibration:
             self._start_block()
         end = first + self._pieces
         path_m = self._paths(slice(first, end + 1))
-        events = self.gel_camera.render(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
+        events = self._render(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
         self._now = Motion(*(column[end] for column in self._block))
         self.slices += 1
         self.finished = self.slices >= self.slices_in_all

@@ -16,10 +16,8 @@ import os
 import platform
 import secrets
 import shutil
-import signal
 import stat
 import tempfile
-import threading
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
@@ -31,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.interrupts import interrupts_wait, leave_if_interrupted
 from evetac_cli.text_files import as_utf8
 
 # HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
@@ -266,37 +265,10 @@ def open_lock(path: Path) -> BinaryIO:
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
     """A new HDF5 file, open for writing; OSError if something is there already, or the disk did not take all of it."""
-    with _interrupts_wait(), _Disk(path, "x+") as disk:
+    with interrupts_wait(), _Disk(path, "x+") as disk:
         try:
             with h5py.File(disk, "w", libver=LIBVER) as h5:
                 yield h5
         finally:
             if disk.error is not None:
                 raise disk.error
-
-
-_came: list[int] = []  # SIGINT and SIGTERM, while a file is being written
-
-
-@contextmanager
-def _interrupts_wait() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():  # signals come up in the main thread only
-        yield
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    handlers = [signal.signal(number, lambda number, frame: _came.append(number)) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, handlers, strict=True):
-            signal.signal(number, handler)
-        came = _came[:1]
-        _came.clear()
-        if came:
-            signal.raise_signal(came[0])
-
-
-def leave_if_interrupted() -> None:
-    """KeyboardInterrupt if Ctrl-C or SIGTERM waits for the file that is being written: for whoever writes for long."""
-    if _came:
-        raise KeyboardInterrupt

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events, concatenate
+from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.store.files import StageWriter, writing
-from evetac_cli.store.hdf5.disk import leave_if_interrupted
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.provenance import Header, Recipe
 

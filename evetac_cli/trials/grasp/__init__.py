@@ -22,14 +22,12 @@ from evetac_cli.names import Capability
 from evetac_cli.store.files import up_to_date
 from evetac_cli.trials import part_costs
 from evetac_cli.trials.grasp import simulated
-from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
 from evetac_cli.trials.trial import simulated_trials
 
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "tracker")
-TIMERS = (("slip detector", OnlineSlipDetector, "step"),)  # what a dry run times beside the scene
 NEVER = frozenset({Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED})  # words of `record`
 
 
@@ -100,7 +98,7 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
         return real_time.dry_run(others, force=force)
     for trial in trials:
         up_to_date(trial.output, simulated.make_recipe(trial), force=force)
-    return part_costs.dry_run(trials, simulated.play, TIMERS, progress)
+    return part_costs.dry_run(trials, simulated.play, progress)
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:

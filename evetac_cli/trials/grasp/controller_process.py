@@ -30,10 +30,11 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
+from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import Control, Law
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import ignore_interrupts, remember_signals, set_realtime_priority
+from evetac_cli.realtime.processes import set_realtime_priority
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.trials.grasp.loop import Timing, control_row

@@ -23,13 +23,12 @@ from evetac_cli.devices import EventCamera
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
+from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
 from evetac_cli.realtime.processes import (
     NICE,
-    ignore_interrupts,
-    remember_signals,
     set_niceness,
 )
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus

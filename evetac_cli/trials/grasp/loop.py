@@ -13,6 +13,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.sim.parts import Timer, untimed
 
 SLICES_S = 1_000_000 // SLICE_US
 
@@ -82,9 +83,10 @@ def control_row(
 
 
 def grasp_slices(
-    devices: Rig, detector: SlipDetector | None, control: Control, timing: Timing
+    devices: Rig, detector: SlipDetector | None, control: Control, timing: Timing, timer: Timer = untimed
 ) -> Iterator[tuple[Events, dict[str, Any]]]:
-    """Read, detect, control, until the scene has ended; each slice with its rows."""
+    """Read, detect, control, until the scene has ended; each slice with its rows. timer: measures the detector."""
+    detect = None if detector is None else timer("slip detector", detector.step)
     gripper = devices.gripper
     assert gripper is not None
     every_ms = timing.every_ms
@@ -92,7 +94,7 @@ def grasp_slices(
     slice_ = 0
     while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
-        rows["control/probability"] = float("nan") if detector is None else detector.step(events)
+        rows["control/probability"] = float("nan") if detect is None else detect(events)
         if detector is not None and (timing.latency_ms or slice_ % every_ms == 0):
             signals.append(detector.signal)
         if slice_ % every_ms == 0:
@@ -113,10 +115,14 @@ def run_grasp(
     timing: Timing,
     append: Callable[[Events, dict[str, Any]], None],
     progress: Callable[[int], None],
+    timer: Timer = untimed,
 ) -> int:
-    """Hand each slice of a grasp and its rows to `append`, until the scene has ended; returns how many there were."""
+    """Hand each slice of a grasp and its rows to `append`, until the scene has ended; returns how many there were.
+
+    timer: measures the detector.
+    """
     slices = 0
-    for events, rows in grasp_slices(devices, detector, control, timing):
+    for events, rows in grasp_slices(devices, detector, control, timing, timer):
         append(events, rows)
         slices += 1
         if slices % 100 == 0:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evetac_cli import console
+from evetac_cli import console, interrupts
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import VIRTUAL_WATCHDOG_FACTOR, NamedGripper
@@ -172,13 +172,13 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
     if is_hardware:
         session.wait_for_object(trial)
     with ExitStack() as opened:
-        came = opened.enter_context(session.signals_interrupt())
+        came = opened.enter_context(interrupts.signals_interrupt())
         view = opened.enter_context(live_view.opened(trial, f"grasp {trial.output.name}", moves=True))
         durations = {"lift_s": settings.lift_s, "balance_s": settings.balance_s}
         world, servo = open_peers(
             camera, gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
         )
-        signals = opened.enter_context(session.signals_counted(came))  # until here Ctrl-C breaks off
+        signals = opened.enter_context(interrupts.signals_counted(came))  # until here Ctrl-C breaks off
         sensor = _sensor(trial, world)
         parents = (*settings.parents(), *camera.parents())
         detector = DetectorSettings(camera, seeds, sensor, settings.detector, timing.end_ms)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.interrupts import signals_held
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
@@ -39,7 +40,6 @@ from evetac_cli.trials.session import (
     OPENED,
     LateSlices,
     lost_datasets,
-    signals_held,
     spread,
 )
 

@@ -13,6 +13,7 @@ from evetac_cli.devices import Rig
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome, silent
 from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
@@ -53,24 +54,26 @@ def run(trial: SimulatedGrasp, *, force: bool, progress: Progress) -> Outcome:
 def play(
     trial: SimulatedGrasp,
     append: Callable[[Events, dict[str, Any]], None],
+    timer: Timer = untimed,
     *,
     progress: Progress = silent,
     view: LiveView | None = None,
 ) -> tuple[Rig, int]:
     """Hand over every slice of a grasp and its rows, until it ends or `append` raises.
 
-    Returns its devices, closed, and in how many slices the detector saw slip.
+    timer: measures its parts. Returns its devices, closed, and in how many slices the detector saw slip.
     """
     from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
 
     settings, timing = trial.settings, trial.timing
-    devices = rig(trial.plan, trial.seeds(), lift_s=settings.lift_s, balance_s=settings.balance_s)
+    devices = rig(trial.plan, trial.seeds(), timer, lift_s=settings.lift_s, balance_s=settings.balance_s)
     try:
         if view is not None:
             view.begin(devices.camera.sensor)
         append = shown_in_real_time(view, append)
         detector = None if settings.detector is None else settings.detector.open(devices.camera.sensor)
-        run_grasp(devices, detector, settings.control(), timing, append, lambda done: progress(done, timing.end_ms))
+        control = settings.control()
+        run_grasp(devices, detector, control, timing, append, lambda done: progress(done, timing.end_ms), timer)
     finally:
         devices.close()
     return devices, detector.count if detector else 0

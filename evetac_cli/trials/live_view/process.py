@@ -12,8 +12,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from evetac_cli import console
+from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.message_pipe import MessageReader
-from evetac_cli.realtime.processes import ignore_interrupts, set_niceness
+from evetac_cli.realtime.processes import set_niceness
 from evetac_cli.trials.live_view import terminal
 from evetac_cli.trials.live_view.messages import (
     BROWSER,

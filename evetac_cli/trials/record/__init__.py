@@ -108,7 +108,7 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progres
     for trial in scenes:
         if not params.preview:
             up_to_date(trial.output, simulated.make_recipe(trial), force=force)
-    return part_costs.dry_run(scenes, simulated.play_through, progress=progress)
+    return part_costs.dry_run(scenes, simulated.play_through, progress)
 
 
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:

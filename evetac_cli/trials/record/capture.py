@@ -23,7 +23,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from evetac_cli import console
+from evetac_cli import console, interrupts
 from evetac_cli.devices import EventCamera, GripperReading, Rig
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.losses import LossNews
@@ -165,7 +165,7 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> O
     if trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE):
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
-        came = opened.enter_context(session.signals_interrupt())
+        came = opened.enter_context(interrupts.signals_interrupt())
         name = f"record {trial.output.name}"
         view = opened.enter_context(live_view.opened(trial, name, moves=trial.hold is not None))
         # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
@@ -184,10 +184,10 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> O
                 console.say(note)
             recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
-        with session.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
+        with interrupts.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
             _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
-            with session.signals_held():
+            with interrupts.signals_held():
                 _release(recordings)
             if view is not None:
                 view.end(recordings[0].ended)

@@ -14,6 +14,7 @@ import numpy as np
 from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.held import GripperCurrent
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.store.files import up_to_date
@@ -73,22 +74,24 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
     return outcome(trial, made=True, simulated=True, slices=written, events=event_count, **figures)
 
 
-def play(trial: SimulatedTrial) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:
+def play(trial: SimulatedTrial, timer: Timer = untimed) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:
     """The devices of a trial, and its slices, each with the truth of the slice and every 2 ms a gripper row.
 
-    A slice is simulated when it is asked for; whoever asks closes the devices.
+    A slice is simulated when it is asked for; whoever asks closes the devices. timer: measures the scene's parts.
     """
     from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
 
     seeds = trial.seeds()
     ramp = np.random.default_rng(seeds.spawn(1)[0])
-    devices = rig(trial.plan, seeds)
+    devices = rig(trial.plan, seeds, timer)
     return devices, _slices(devices, GripperSchedule.of_scene(trial.plan.scene), ramp)
 
 
-def play_through(trial: SimulatedTrial, append: Callable[[Events, dict[str, Any]], None]) -> None:
-    """Hand over every slice of a trial and its rows, until the trial ends or `append` raises."""
-    devices, slices = play(trial)
+def play_through(
+    trial: SimulatedTrial, append: Callable[[Events, dict[str, Any]], None], timer: Timer = untimed
+) -> None:
+    """Hand over every slice of a trial and its rows, until the trial ends or `append` raises; `timer` as for `play`."""
+    devices, slices = play(trial, timer)
     try:
         for events, rows in slices:
             append(events, rows)

@@ -23,6 +23,7 @@ from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.realtime.shared_time import CREEP, HOST_TIME, PATIENCE_S, READER_S
+from tests.patience import patient_words
 
 
 def few(seconds: float, events_per_s: float = 20_000) -> NDArray[np.uint32]:
@@ -103,7 +104,7 @@ def test_no_event_is_lost(firmware: int, slices: int) -> None:
     """Assert that every event of a second comes at a million a second, in 1000 slices; and so with firmware 9."""
     words = random_event_words(1e6, (slices + 10) / 1000, np.random.default_rng(0))
     expected = decoded(words)
-    device = VirtualDvxplorer(PreparedWords(words), firmware=firmware)
+    device = VirtualDvxplorer(patient_words(words), firmware=firmware)
     with closing(DvxplorerCamera(backend=device)) as camera:
         events = read(camera, slices)
         assert camera.sensor["sensor/frame_px"].tolist() == [640, 480]
@@ -115,7 +116,7 @@ def test_no_event_is_lost(firmware: int, slices: int) -> None:
 
 def test_it_is_a_camera_and_a_clock() -> None:
     """Assert that its clock runs with that of its words, that it is closed twice, and that nothing comes after it."""
-    source = PreparedWords(few(1.0))
+    source = patient_words(few(1.0))
     camera: EventCamera = DvxplorerCamera(backend=VirtualDvxplorer(source))
     read(camera, 50)
     times = [(source.time.now_s(), camera.now_us(), source.time.now_s())]
@@ -133,7 +134,7 @@ def test_it_is_a_camera_and_a_clock() -> None:
 
 def test_host_time_of_a_slice() -> None:
     """Assert that no slice is handed out before it is over by the host's clock, as host_us tells it."""
-    source = PreparedWords(few(0.4))
+    source = patient_words(few(0.4))
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(source))) as camera:
         for index in range(300):
             camera.read()
@@ -144,7 +145,7 @@ def test_host_time_of_a_slice() -> None:
 
 def test_time_waits_for_the_first_read() -> None:
     """Assert that the stream of a virtual camera waits for who reads it from its start, not from the first slice on."""
-    source = PreparedWords(few(0.4))
+    source = patient_words(few(0.4))
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(source))) as camera:
         began_s = time.monotonic()
         time.sleep(0.3)  # as a program that is kept from running
@@ -266,7 +267,7 @@ def test_settings_out_of_range() -> None:
 @pytest.mark.parametrize("firmware", [9, 10])
 def test_flash_is_never_written(firmware: int) -> None:
     """Assert that the request to store to flash is not among those sent, in a life with faults."""
-    device = VirtualDvxplorer(PreparedWords(few(0.3)), firmware=firmware, faults=("stall@0.05", "damage@0.1"))
+    device = VirtualDvxplorer(patient_words(few(0.3)), firmware=firmware, faults=("stall@0.05", "damage@0.1"))
     with closing(DvxplorerCamera(backend=device)) as camera:
         read(camera, 200)
     assert device.log
@@ -280,7 +281,7 @@ def test_stale_words_are_not_ours() -> None:
         device = VirtualDvxplorer(PreparedWords(few(0.2, 500_000), paced=False), firmware=firmware)
         left_running(device)
         words = few(0.2)
-        device._model._source = PreparedWords(words)
+        device._model._source = patient_words(words)
         with closing(DvxplorerCamera(backend=device)) as camera:
             events = read(camera, 100)
             assert lost(camera) == {}
@@ -328,7 +329,7 @@ def test_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_cameras_are_told_apart_by_serial() -> None:
     """Assert that each of two cameras on a bus gives its own events, and that no name, or a wrong one, is refused."""
     streams = [random_event_words(20_000, 0.3, np.random.default_rng(seed)) for seed in range(2)]
-    devices = [VirtualDvxplorer(PreparedWords(words), serial=f"CAM{k}") for k, words in enumerate(streams)]
+    devices = [VirtualDvxplorer(patient_words(words), serial=f"CAM{k}") for k, words in enumerate(streams)]
     bus = VirtualBus(*devices)
     assert [camera.serial for camera in find_cameras(bus)] == ["CAM0", "CAM1"]
     with pytest.raises(DeviceError, match="several cameras") as error:
@@ -375,7 +376,7 @@ def test_log_of_the_camera() -> None:
 
 def test_unplugged() -> None:
     """Assert that slices that were over come first, then an error in words, each time, and that close is quiet."""
-    device = VirtualDvxplorer(PreparedWords(few(0.5)), faults=("unplug@0.4",))
+    device = VirtualDvxplorer(patient_words(few(0.5)), faults=("unplug@0.4",))
     camera = DvxplorerCamera(backend=device)
     slices = 0
     with pytest.raises(DeviceError, match="no longer on the bus") as error:
@@ -405,7 +406,7 @@ def test_camera_that_answers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_stall_is_cleared() -> None:
     """Assert that a halted endpoint costs nothing, and that one that stays halted is an error after some tries."""
     words = few(0.4)
-    with closing(DvxplorerCamera(backend=VirtualDvxplorer(PreparedWords(words), faults=("stall@0.1",)))) as camera:
+    with closing(DvxplorerCamera(backend=VirtualDvxplorer(patient_words(words), faults=("stall@0.1",)))) as camera:
         events = read(camera, 300)
         assert lost(camera) == {"usb_errors": 1}
     assert same(events, decoded(words).part(0, events.size))
@@ -418,7 +419,7 @@ def test_a_stall_is_cleared() -> None:
 def test_a_bad_transfer_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that after an error that may have cost bytes nothing is believed before the next TIMESTAMP."""
     words = few(0.4, 200_000)
-    device = VirtualDvxplorer(PreparedWords(words))
+    device = VirtualDvxplorer(patient_words(words))
     bulk_read = device.bulk_read
     sent = [0]
 
@@ -455,7 +456,7 @@ def test_damage_is_counted_and_ends(fault: str) -> None:
     """Assert that no fault stops the slices, that it costs only its own time, and that what can be known is counted."""
     words = few(0.4, 200_000)
     expected = decoded(words)
-    device = VirtualDvxplorer(PreparedWords(words), faults=(fault,))
+    device = VirtualDvxplorer(patient_words(words), faults=(fault,))
     with closing(DvxplorerCamera(backend=device)) as camera:
         parts = [camera.read() for _ in range(350)]
         missing = lost(camera)
@@ -479,7 +480,7 @@ def test_reader_too_slow() -> None:
     """Assert that a full queue drops the oldest, that its events are counted, and that the rest is whole."""
     words = few(0.3, 500_000)
     expected = decoded(words)
-    device = VirtualDvxplorer(PreparedWords(words))
+    device = VirtualDvxplorer(patient_words(words))
     with closing(DvxplorerCamera(backend=device, queue_bytes=100_000)) as camera:
         while camera.counted["events_in_full_queue"] <= 20_000:
             time.sleep(0.01)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera, WordSlices
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
-from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
+from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.events import Events, Slicer
 from tests.devices.dvxplorer.test_camera import Nothing
+from tests.patience import patient_words
 
 BLOCK_US = 1000.0  # of the host's time from one read to the next
 AHEAD_MS = 25  # that slices may be ahead of the host's time
@@ -130,7 +131,7 @@ def test_m8_a_camera_that_sends_nothing_is_no_quiet_scene() -> None:
             camera.read()
         assert camera.counted["ms_without_time"] >= 250
     stamps = np.concatenate([event_words.timestamp(ms) for ms in range(1, 400)])
-    with closing(DvxplorerCamera(backend=VirtualDvxplorer(PreparedWords(stamps)))) as camera:
+    with closing(DvxplorerCamera(backend=VirtualDvxplorer(patient_words(stamps)))) as camera:
         for _ in range(300):
             camera.read()
         assert not any(camera.counted.values())
@@ -139,7 +140,7 @@ def test_m8_a_camera_that_sends_nothing_is_no_quiet_scene() -> None:
 @pytest.mark.parametrize(("fault", "ms"), [("silence@0.2:0.3", 300), ("silence@0.3:0.2", 200)])
 def test_m8_a_stream_with_a_hole_is_counted(fault: str, ms: int) -> None:
     """Assert that the time in which a stream stood still is counted once it goes on, to the millisecond or two."""
-    device = VirtualDvxplorer(PreparedWords(prepared(0.9)), faults=(fault,))
+    device = VirtualDvxplorer(patient_words(prepared(0.9)), faults=(fault,))
     with closing(DvxplorerCamera(backend=device)) as camera:
         for _ in range(800):
             camera.read()
@@ -149,7 +150,7 @@ def test_m8_a_stream_with_a_hole_is_counted(fault: str, ms: int) -> None:
 def test_m8_events_of_damaged_frames_are_counted_but_none_that_never_were() -> None:
     """Assert that most events that damage cost are counted, and no more than the virtual camera's own count."""
     words = prepared(0.6)
-    device = VirtualDvxplorer(PreparedWords(words), faults=("damage@0:3",))
+    device = VirtualDvxplorer(patient_words(words), faults=("damage@0:3",))
     with closing(DvxplorerCamera(backend=device)) as camera:
         got = sum(part.size for part in (camera.read() for _ in range(550)) if part is not None)
         missing = camera.counted

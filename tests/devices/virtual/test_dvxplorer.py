@@ -18,6 +18,7 @@ from evetac_cli.devices.virtual.dvxplorer import STORE_TO_FLASH, VirtualDvxplore
 from evetac_cli.devices.virtual.word_sources import PreparedWords, due_us, random_event_words
 from evetac_cli.events import Events, concatenate
 from tests.devices.stepped import SteppedWords
+from tests.patience import patient_words
 
 WRITE, READ = 0x40, 0xC0
 SIZE = {9: 4, 10: 8}
@@ -70,7 +71,7 @@ def same(one: Events, other: Events) -> bool:
 @pytest.mark.parametrize("firmware", SIZE)
 def test_descriptors(firmware: int) -> None:
     """Assert what lsusb would show of a Mini: id, model and firmware, strings, and its two endpoints."""
-    device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=firmware, serial="ABC"))
+    device = plugged(VirtualDvxplorer(patient_words(prepared(0.1)), firmware=firmware, serial="ABC"))
     assert device.bcdDevice == 0x0400 | firmware
     assert (device.serial_number, device.product) == ("ABC", "DVXplorer Mini")
     interface = device.get_active_configuration()[(0, 0)]
@@ -81,7 +82,7 @@ def test_descriptors(firmware: int) -> None:
 @pytest.mark.parametrize(("firmware", "wrong"), [(10, 4), (9, 8), (10, 7), (9, 3)])
 def test_wrong_length_stalls(firmware: int, wrong: int) -> None:
     """Assert a STALL for values of the other generation's length, both ways, and the right ones obeyed."""
-    device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=firmware))
+    device = plugged(VirtualDvxplorer(patient_words(prepared(0.1)), firmware=firmware))
     size = SIZE[firmware]
     assert (read(device, 1, 0, size), read(device, 1, 1, size)) == (640, 480)
     assert write(device, 3, 5, 11, size) == size
@@ -110,7 +111,7 @@ def test_wrong_length_stalls(firmware: int, wrong: int) -> None:
 )
 def test_requests(firmware: int, request_: tuple[Any, ...], refused: bool) -> None:
     """Assert which requests each generation knows, and that those obeyed are logged."""
-    camera = VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=firmware)
+    camera = VirtualDvxplorer(patient_words(prepared(0.1)), firmware=firmware)
     device = plugged(camera)
     if refused:
         with pytest.raises(usb.core.USBError) as error:
@@ -124,7 +125,7 @@ def test_requests(firmware: int, request_: tuple[Any, ...], refused: bool) -> No
 
 def test_system_information_of_firmware_9() -> None:
     """Assert the logic version 18 and patch 2 that the maker's older driver asks for."""
-    device = plugged(VirtualDvxplorer(PreparedWords(prepared(0.1)), firmware=9))
+    device = plugged(VirtualDvxplorer(patient_words(prepared(0.1)), firmware=9))
     assert [read(device, 6, parameter, 4) for parameter in (0, 1, 7)] == [18, 20, 2]
 
 
@@ -184,7 +185,7 @@ def test_flush_time(flush_us: int, least: int, most: int, monkeypatch: pytest.Mo
 def test_overflow_loses_the_oldest() -> None:
     """Assert that words nobody fetched are counted, and that the latest are still there."""
     words = prepared(0.1, 500_000)
-    camera = VirtualDvxplorer(PreparedWords(words), fifo_bytes=4000)
+    camera = VirtualDvxplorer(patient_words(words), fifo_bytes=4000)
     device = plugged(camera)
     run(device)
     time.sleep(0.15)
@@ -229,7 +230,7 @@ def test_crop_flip_and_flatten(name: str) -> None:
 
 def test_unplugged() -> None:
     """Assert that nothing answers, that the bus is empty, and that a waiting read ends."""
-    camera = VirtualDvxplorer(PreparedWords(prepared(0.01)), faults=("unplug@0.05",))
+    camera = VirtualDvxplorer(patient_words(prepared(0.01)), faults=("unplug@0.05",))
     device = plugged(camera)
     run(device)
     with pytest.raises(usb.core.USBError) as error:
@@ -298,7 +299,7 @@ def test_paced_words_come_in_time() -> None:
     """Assert that no word comes before its time, that a stop stops time, and that silence ends a wait."""
     words = prepared(0.3)
     due = due_us(words)
-    source = PreparedWords(words)
+    source = patient_words(words)
     assert source.take(100, 0.01) == b""
     began = source.time.now_s()
     source.run(True)
@@ -321,7 +322,7 @@ def test_words_that_are_sent_again_and_again(most: int) -> None:
     words = prepared(0.02)
     stamps = words >> 26 == 2
     expected = np.concatenate([np.where(stamps, words + np.uint32(20 * turn), words) for turn in range(3)])
-    source = PreparedWords(words, times=3, period_ms=20)
+    source = patient_words(words, times=3, period_ms=20)
     due = due_us(expected)
     began = source.time.now_s()
     source.run(True)

@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.devices.dvxplorer.usb_reader import UsbReader
 from evetac_cli.devices.virtual.stream_attacks import ATTACKS, Attack, Ending, attack
-from evetac_cli.devices.virtual.word_sources import PreparedWords
+from evetac_cli.realtime.shared_time import SharedTime
 
 EVENTS_S = 100_000
 QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "fast@0.2", "slow@0.2", "silence@0.5:0.3")
@@ -19,7 +19,7 @@ QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "fast@
 )
 def test_the_driver_outlasts_every_attack(attacked: Attack) -> None:
     """Assert slices that follow the host's time, and losses that are the camera's own count, or at least so many."""
-    ending = attack(attacked, 1.0, EVENTS_S)
+    ending = attack(attacked, 1.0, EVENTS_S, SharedTime())
     assert ending.slices == 1000
     assert ending.faults(attacked, EVENTS_S) == []
 
@@ -34,7 +34,6 @@ def test_a_computer_that_stands_still_changes_no_count(
     From so long after its first read, for so long: as on a computer that others need, at the start or over the fault.
     The camera's time does not wait here, so of how far the slices came nothing is said.
     """
-    monkeypatch.setattr(PreparedWords, "patient", False)
     at_s, for_s = late
     started_s: list[float] = []  # of the first read, and of the one that is late
     put = UsbReader._put

@@ -97,10 +97,9 @@ def test_time_stands_still_until_it_runs(world: VirtualWorld) -> None:
 
 
 @pytest.mark.slow
-def test_looking_comes_to_an_end(made: Made, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+def test_looking_comes_to_an_end(made: Made, request: pytest.FixtureRequest) -> None:
     """Assert that who looks for words until there are none gets to an end though a late world still makes some."""
-    monkeypatch.setattr(VirtualWorld, "patient", False)
-    world = VirtualWorld(short_plan(made), seeds())
+    world = VirtualWorld(short_plan(made), seeds(), waits=False)
     request.addfinalizer(world.close)
     world.run(True)
     time.sleep(0.3)

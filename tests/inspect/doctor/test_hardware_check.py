@@ -40,6 +40,7 @@ def tried(folder: Path, gripper: str, ask: Any = None, **flags: Any) -> tuple[Ou
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("words_wait")
 def test_a_good_camera_and_gripper(tmp_path: Path) -> None:
     """Assert that every step is as expected, and the report holds steps, all registers, and what ran where."""
     made, report = tried(tmp_path, "virtual", camera="virtual:prepared=1e4")

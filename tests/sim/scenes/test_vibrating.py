@@ -118,7 +118,7 @@ def test_dots_move_as_far_as_the_table_says(hz: float, motion_px: float, tmp_pat
     """Assert that a pure tone is a sine at its frequency with the table's amplitude (rms over the dots), no jumps."""
     name = changed(tmp_path, {"tone_s": 10.0}, dot_motion_px=[motion_px] * 5, amplitude_factor=[1.0, 1.0], **PURE)
     trial = vibration(name, hz)
-    trial.gel_camera.render = lambda *given: slices.append(given[4])
+    trial._render = lambda *given: slices.append(given[4])
     slices: list[np.ndarray] = []
     while trial.slices < 240:
         trial.step()

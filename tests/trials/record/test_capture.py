@@ -492,6 +492,7 @@ def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
 WRITES = (0x03, 0x83)  # instructions that write registers: with an answer, and without
 
 
+@pytest.mark.usefixtures("words_wait")
 def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the real drivers record from virtual devices every slice, event, and command that the servo got."""
     counts: list[int] = []
@@ -550,6 +551,7 @@ def test_gripper_fault(fault: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["unplug@0.3", "stall-for-good@0.3"])
+@pytest.mark.usefixtures("words_wait")
 def test_camera_fault(fault: str, tmp_path: Path) -> None:
     """Assert that a camera that fails ends the recording with its error, and what was recorded is valid."""
     params = Record(camera=f"virtual:prepared=1e4+{fault}", gripper="none", seconds=30.0, expected_event_rate=1e3)

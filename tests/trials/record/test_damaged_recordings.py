@@ -37,6 +37,7 @@ def number(lost: str) -> int:
     return int(least.replace(",", ""))
 
 
+@pytest.mark.usefixtures("words_wait")
 def test_m8_a_silent_camera_is_news(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Assert that a stream that stops is said while it lasts, and that what it cost is unknown, not nothing."""
     row = recorded("silence@0.2:60", 1.5, tmp_path)
@@ -46,6 +47,7 @@ def test_m8_a_silent_camera_is_news(tmp_path: Path, capfd: pytest.CaptureFixture
     assert "sends nothing, not even the time" in said
 
 
+@pytest.mark.usefixtures("words_wait")
 def test_m8_damage_is_accounted_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Assert that damage is said while it happens, and that its count comes near the virtual camera's, not above."""
     row = recorded("damage@0:3", 1.0, tmp_path)
@@ -54,6 +56,7 @@ def test_m8_damage_is_accounted_for(tmp_path: Path, capfd: pytest.CaptureFixture
     assert "damaged" in capfd.readouterr().err
 
 
+@pytest.mark.usefixtures("words_wait")
 def test_a_sound_recording_lost_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Assert that nothing is said of a sound stream, and that its loss is the number 0."""
     row = recorded("odd@0.1:0.1", 0.5, tmp_path)

@@ -1,0 +1,101 @@
+"""Signals that end a program: counted, raised, or held back for as long as a block lasts."""
+
+import os
+import signal
+import time
+from contextlib import suppress
+
+import pytest
+
+from evetac_cli import interrupts
+
+
+def test_the_second_signal_breaks_off() -> None:
+    """Assert that a first Ctrl-C is counted, a second one raised, and that handlers are then what they were."""
+    before = signal.getsignal(signal.SIGINT)
+    with interrupts.signals_counted() as signals:
+        signal.raise_signal(signal.SIGINT)
+        assert signals == [signal.SIGINT]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+class SlowGripper:
+    """A gripper that is being let go of when a signal comes."""
+
+    def __init__(self) -> None:
+        self.released = False
+
+    def close(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+        self.released = True
+
+
+def test_low_ctrl_c_inside_close_waits_until_the_gripper_is_released() -> None:
+    """Assert that a second and third Ctrl-C do not break off the end of torque, and are raised after it."""
+    gripper = SlowGripper()
+    with interrupts.signals_counted() as signals:
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt), interrupts.signals_held():
+            gripper.close()
+        assert gripper.released
+        assert len(signals) == 3
+
+
+def test_low_other_signals_interrupt_before_anything_is_recorded() -> None:
+    """Assert that signals which would end the program without a word break off as Ctrl-C does; ignored ones do not."""
+    numbers = [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1]
+    before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
+    try:
+        with interrupts.signals_interrupt():
+            for number in numbers:
+                with pytest.raises(KeyboardInterrupt):
+                    os.kill(os.getpid(), number)
+        assert all(signal.getsignal(number) is signal.SIG_DFL for number in numbers)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        with interrupts.signals_interrupt(), interrupts.signals_counted() as signals:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not signals
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def test_h2_a_swallowed_ctrl_c_still_ends_before_anything_is_recorded() -> None:
+    """Assert that Ctrl-C counts, too, where a callback of the compiler or an import swallowed what it raised.
+
+    Else a recording would begin, and run on, after somebody has ended it.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    with interrupts.signals_interrupt() as came:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        assert came == [signal.SIGINT]
+        with pytest.raises(KeyboardInterrupt), interrupts.signals_counted(came):
+            pytest.fail("a recording was begun")
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_a_signal_that_is_held_back_comes_up_where_it_is_let_through() -> None:
+    """Assert that what came while signals were held back comes up, and that they are then held back again."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    with interrupts.signals_blocked(interrupts.CTRL_C):
+        os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt), interrupts.SignalsLetThrough(interrupts.CTRL_C):
+            pytest.fail("it did not come up")
+        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+def test_a_file_is_written_to_its_end() -> None:
+    """Assert that a signal waits for a file, is known to whoever writes for long, and comes up afterwards, once."""
+    with pytest.raises(KeyboardInterrupt), interrupts.interrupts_wait():
+        interrupts.leave_if_interrupted()
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.leave_if_interrupted()
+    interrupts.leave_if_interrupted()
