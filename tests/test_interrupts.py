@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 from contextlib import suppress
 
@@ -83,7 +84,7 @@ def test_a_signal_that_is_held_back_comes_up_where_it_is_let_through() -> None:
     """Assert that what came while signals were held back comes up, and that they are then held back again."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     with interrupts.signals_blocked(interrupts.CTRL_C):
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)  # to this thread alone: libraries have others
         with pytest.raises(KeyboardInterrupt), interrupts.SignalsLetThrough(interrupts.CTRL_C):
             pytest.fail("it did not come up")
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
