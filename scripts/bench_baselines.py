@@ -87,7 +87,7 @@ def seen(state: camera.CameraState, slice_: int) -> Events:
     """Our camera's events of one slice of the motion; the dots move on a straight line."""
     still = np.zeros(2)
     ends = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
-    return camera.step(state, *ends, still, still, 0.0, 1000 * slice_, np.random.default_rng(0))
+    return camera.step(state, *ends, still, still, 0.0, SLICE_US * slice_, np.random.default_rng(0))
 
 
 class DenseFrames:
@@ -109,7 +109,7 @@ class DenseFrames:
             y, x = np.nonzero(fired)
             self._reference[fired] = level[fired]
             p = (change[fired] > 0).astype(np.uint8)
-            parts.append(Events(1000 * slice_ + readout_us[x], x.astype(np.uint16), y.astype(np.uint16), p))
+            parts.append(Events(SLICE_US * slice_ + readout_us[x], x.astype(np.uint16), y.astype(np.uint16), p))
         made = concatenate(parts)
         return Events(*(column[np.argsort(made.t, kind="stable")] for column in made))
 

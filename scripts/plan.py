@@ -35,6 +35,7 @@ from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS
 
 Row = dict[str, Any]
@@ -280,7 +281,7 @@ def measure(folder: Path) -> Costs:
         lengths = []
         for path in sorted((folder / scene).glob("*.recording.h5")):
             with open_recording(path) as recording:
-                lengths.append(len(recording) / 1e3)
+                lengths.append(len(recording) / SLICES_PER_S)
         costs[scene] = {"cpu_s": cpu_s, "seconds": sum(lengths) / count,
                         "size_bytes": size(f"{scene}/*.recording.h5") / count}  # fmt: skip
         print(scene, costs[scene], flush=True)

@@ -28,6 +28,7 @@ from evetac_cli.evaluate import (
     report_job,
 )
 from evetac_cli.evaluate.gel_force import ForceReportJob
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Stage, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
@@ -241,7 +242,7 @@ def _draw(figure: Any, trials: list[TrialForce]) -> None:
         shown.setdefault(one.sensor, one)
     panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
     for row, (sensor, one) in zip(panels, shown.items(), strict=True):
-        order = one.samples.slice_ / 1000
+        order = one.samples.slice_ / SLICES_PER_S
         for axis, axes in enumerate(row):
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
             for name, (colour, words) in STYLES.items():

@@ -21,6 +21,7 @@ from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import ModelsReportJob, Rows, picture, report
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress
 from evetac_cli.kernels.force.gel_forces import Floats, Forces
 from evetac_cli.kernels.force.models import CONTACT_N
@@ -245,7 +246,7 @@ def _draw(figure: Any, trial: Trial) -> None:
     """The first trajectory: forces with one standard deviation about them, for each state of knowledge."""
     names = list(trial.predicted)
     panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
-    time_s = np.arange(len(trial.normal_n)) * readings.EVERY / 1000
+    time_s = np.arange(len(trial.normal_n)) * readings.EVERY / SLICES_PER_S
     for column, name in enumerate(names):
         forces, _ = trial.predicted[name]
         shown = (

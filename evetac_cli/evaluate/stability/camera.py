@@ -11,6 +11,7 @@ import numpy as np
 
 from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.stability.bounds import EVENTS, FINITE, ORDER, case_rows, run_case
+from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.scanning import camera
 
@@ -72,11 +73,11 @@ def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Row
     for k in range(slices):
         moved, object_px = (np.array([path(k), path(k + 1)]) for path in (case.dots, case.object))
         start, end = DOTS_PX + moved[0], DOTS_PX + moved[1]
-        events = camera.step(state, start, end, object_px[0], object_px[1], 1.0, 1000 * k, rng)
+        events = camera.step(state, start, end, object_px[0], object_px[1], 1.0, SLICE_US * k, rng)
         counts.append(len(events.t))
         least, most = case.events
         astray += max(least - counts[-1], counts[-1] - most, 0)
-        off_slice = (events.t < 1000 * k) | (events.t >= 1000 * (k + 1))
+        off_slice = (events.t < SLICE_US * k) | (events.t >= SLICE_US * (k + 1))
         off_frame = (events.x >= case.model.frame_px[0]) | (events.y >= case.model.frame_px[1])
         wrong += int((off_slice | off_frame).sum() + (np.diff(events.t) < 0).sum())
     not_finite = sum(int((~np.isfinite(array)).sum()) for array in (state.reference, state.window_reference))

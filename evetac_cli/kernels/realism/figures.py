@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -131,7 +131,7 @@ def spectrum(events_a_slice: Ints) -> tuple[Floats, Floats]:
     counts = np.asarray(events_a_slice, np.float64)
     if len(counts) < WINDOW_SLICES:
         return np.empty(0), np.empty(0)
-    frequency_hz, power = signal.welch(counts, 1e6 / SLICE_US, nperseg=WINDOW_SLICES)
+    frequency_hz, power = signal.welch(counts, SLICES_PER_S, nperseg=WINDOW_SLICES)
     return frequency_hz[1:], power[1:]
 
 

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
@@ -188,7 +188,8 @@ class Vibration:
         self._pieces = PIECES * math.ceil(PIECES_A_PERIOD * self._hz * 1e-3 / PIECES)
         self._now = Motion(*(np.zeros(()) for _ in Motion._fields))
         self.slices = 0
-        self.slices_in_all = round(1000 * (self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s))
+        whole_s = self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s
+        self.slices_in_all = round(SLICES_PER_S * whole_s)
         self.finished = False
         exists = {**built_of_gel(None, layer, scene), "gel and friction": False}
         self.built = frozenset(part for part, is_there in exists.items() if is_there)

@@ -8,6 +8,7 @@ import numpy as np
 from evetac_cli.commands.parameter import recipe_of, refuse_unused
 from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import Prediction
@@ -94,7 +95,7 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
             f"{which}_modulus": "adapted" if model.adapted is not None else "known" if modulus in given else "unknown"
             for which, modulus in gel_model.MODULI.items()
         },
-        contact_s=float(contact.sum() / 1000),
+        contact_s=float(contact.sum() / SLICES_PER_S),
         **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),
         **_most("normal_n", estimated.forces.normal_n, estimated.forces.normal_sd_n),
     )

@@ -29,7 +29,7 @@ from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.losses import LossNews
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, EvetacError, InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.names import Capability
 from evetac_cli.realtime.emergency_key import EmergencyKey
@@ -335,7 +335,7 @@ def _write(
         first.loop = GripperLoop(first.rig.gripper, act, camera.now_us, camera.time, watchdog_ms, key)
     for recording in recordings[1:]:
         recording.thread = SliceThread(recording.rig.camera)
-    most = round(1000 * seconds) if seconds is not None else None
+    most = round(SLICES_PER_S * seconds) if seconds is not None else None
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     try:
