@@ -15,11 +15,12 @@ import cv2
 import h5py
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 import evetac_cli
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.tracker import DOTS_PX
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
@@ -38,9 +39,6 @@ PERIOD, RADIUS_PX = 1000, 3.0
 SLICES = 50  # of it in one call
 FRAME_MS = 10  # events that are summed into one picture for Lucas-Kanade and Farneback
 BLOCK = 1000  # slices that are read at once
-
-Row = dict[str, Any]
-Floats = NDArray[np.float64]
 
 
 def fastest(calls: Mapping[str, Callable[[], int]]) -> dict[str, float]:

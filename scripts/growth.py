@@ -31,7 +31,7 @@ import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 from statistics import fmean
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from attack.long_recording import Repeated
@@ -43,6 +43,7 @@ from results import put_measured
 from evetac_cli.console import print_table
 from evetac_cli.evaluate import picture
 from evetac_cli.events import FRAME_PX, SLICES_PER_S, Events
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
@@ -50,8 +51,6 @@ from evetac_cli.resources import MODEL
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
-
-Row = dict[str, Any]
 
 
 class Measured(TypedDict):

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from statistics import median
-from typing import Any
 
 from experiment_steps import Command
 from experiments import EXPERIMENTS
@@ -36,9 +35,9 @@ from results import put_measured
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
 from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS
 
-Row = dict[str, Any]
 Costs = dict[str, dict[str, float]]
 
 COSTS = Path(__file__).with_name("plan_costs.json")

@@ -15,7 +15,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset(
-    {"names", "errors", "events", "jobs", "commands", "console", "resources", "kernel_cache", "text_files"}
+    {"names", "errors", "events", "arrays", "jobs", "commands", "console", "resources", "kernel_cache", "text_files"}
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
@@ -28,11 +28,11 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "trials": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "kernels"},
     "devices": frozenset({"names", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
-    "formats": frozenset({"errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
+    "formats": frozenset({"arrays", "errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
     "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
-    "sim": frozenset({"errors", "events", "resources", "text_files", "kernels"}),
+    "sim": frozenset({"arrays", "errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"errors", "events", "kernels"}),
-    "kernels": frozenset({"errors", "events"}),
+    "kernels": frozenset({"arrays", "errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "errors"}),
     "resources": frozenset({"errors"}),
@@ -40,6 +40,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "text_files": frozenset({"errors"}),
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),
+    "arrays": frozenset(),
     "errors": frozenset(),
     "names": frozenset(),
 }

@@ -17,9 +17,9 @@ import numpy as np
 from evetac_cli.commands.evaluate import EvaluateDataRate
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words

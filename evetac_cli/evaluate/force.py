@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import (
-    Rows,
     gel_force,
     paper,
     picture,
@@ -29,7 +29,7 @@ from evetac_cli.evaluate import (
 )
 from evetac_cli.evaluate.gel_force import ForceReportJob
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
 from evetac_cli.stages.related_files import named_files, recording_with_truth
@@ -53,7 +53,7 @@ class TrialForce(NamedTuple):
     sensor_name: str
     fitted: bool  # whether the model was fitted on this built sensor
     samples: Samples
-    predicted_n: dict[str, forces.Floats]  # regression or network -> (models, samples, 2)
+    predicted_n: dict[str, Floats]  # regression or network -> (models, samples, 2)
 
 
 def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:

@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import ModelsReportJob, Rows, picture, report
+from evetac_cli.evaluate import ModelsReportJob, picture, report
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Outcome, Progress
-from evetac_cli.kernels.force.gel_forces import Floats, Forces
+from evetac_cli.jobs import Outcome, Progress, Rows
+from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import adapt_gel, gel_model, readings

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateVibration
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.events import SLICE_US, SLICES_PER_S
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import vibration
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -30,8 +31,6 @@ READ_MS = 250  # events read at once
 ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty by how much they differ
 PANELS = 10  # of the picture
 TONE = "truth/tone_hz"
-
-Floats = NDArray[np.float64]
 
 
 class Survey(NamedTuple):

@@ -31,6 +31,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import fft, special
 
+from evetac_cli.arrays import Floats, Singles
+
 FINEST_HZ = 5000  # the rate of the camera's scans
 CELL_PX = 16  # a dot's two sides are 30 px apart
 HANN_SQUARED = 0.375  # mean square of the window
@@ -42,8 +44,6 @@ CELLS_AT_ONCE = 64
 LINE_HALF_BINS = 2.0  # half the width of a line
 SPREAD_BINS = 0.608  # sd of a line's place times the root of its power over the noise, see `locate`
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Tally = NDArray[np.int16]
 
 

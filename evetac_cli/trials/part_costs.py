@@ -14,8 +14,8 @@ from time import thread_time
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import rows_of, switched
@@ -34,7 +34,6 @@ Append = Callable[[Events, dict[str, Any]], None]
 SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
 Play = Callable[[SomeTrial, Append], Any]  # runs a trial and hands over every slice and its rows
 Timer = tuple[str, Any, str]  # a part, and the function or method that is timed: what it belongs to, and its name
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match, reference_events, window_events
-from evetac_cli.evaluate.rows import Row, run_times
+from evetac_cli.evaluate.rows import run_times
 from evetac_cli.events import SLICE_US, concatenate
+from evetac_cli.jobs import Row
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.cost.camera import Workload, oscillation, play_ideal, play_scans
 from evetac_cli.evaluate.plots import STILL
-from evetac_cli.evaluate.rows import Extent, Row, collect, run_times
+from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.jobs import Progress
+from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
 from evetac_cli.sim.camera.scanning import camera

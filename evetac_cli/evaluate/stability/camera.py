@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.stability.bounds import EVENTS, FINITE, ORDER, case_rows, run_case
 from evetac_cli.events import SLICE_US
+from evetac_cli.jobs import Rows
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.scanning import camera
 

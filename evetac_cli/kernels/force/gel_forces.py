@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.special import expit
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels import logistic
 from evetac_cli.kernels.force.models import Layer
-
-Floats = NDArray[np.float64]
 
 SLICE_S = 1e-3
 LEAST_MM = 2e-3  # added to the field's root mean square: a gel at rest moves by what the tracker errs

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force.dot_field import mirrored
 from evetac_cli.kernels.force.gel_forces import LEAST_MM, GelNetwork
 from evetac_cli.kernels.force.models import Layer
@@ -22,8 +22,6 @@ LEARNING_RATE = 3e-3
 DECAY = 1e-2
 BATCH = 256
 SQUARE_TO = 0.3  # where the loss turns from square to linear
-
-Floats = NDArray[np.float64]
 
 
 class GelTraining(NamedTuple):

@@ -20,7 +20,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from evetac_cli.kernels.force.models import Floats, Layer, Network, check_samples
+from evetac_cli.arrays import Floats
+from evetac_cli.kernels.force.models import Layer, Network, check_samples
 
 HIDDEN = (128, 128)
 DROPOUT = 0.25

@@ -25,10 +25,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
+from evetac_cli.arrays import Floats, Ints
 from evetac_cli.kernels.estimates import Estimate, of_samples
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 SCAN_US = 200.0  # of a DVXplorer
 LONGEST_US = 20_000  # between two events that one passing rim makes

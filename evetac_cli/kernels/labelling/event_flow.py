@@ -32,7 +32,7 @@ part slips for short times only.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,8 +40,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.events import SLICE_US, Events
-from evetac_cli.kernels.labelling.flow import Labels, Region
+from evetac_cli.arrays import Floats
+from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.labelling.flow import Between, Labels, Region
 
 BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices
 STEP_MS = 50  # of the measurement of the window's events a pixel, and of its noise
@@ -55,9 +56,6 @@ CELL_PX = 35.0  # events farther from every dot's place at rest belong to none
 RING_PX = 8.0  # and so do those farther off its rim
 MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
 TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been seen
-
-Between = Callable[[int, int], Events]  # events of the slices [start, stop)
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

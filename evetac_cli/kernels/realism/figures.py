@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from evetac_cli.arrays import Floats, Ints
 from evetac_cli.events import SLICE_US, SLICES_PER_S
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 HOT_HZ = 20.0
 FEWEST_INTERVALS = 10  # of a pixel that counts in the typical pixel's figures

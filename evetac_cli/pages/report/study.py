@@ -15,15 +15,13 @@ from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICE_US
-from evetac_cli.jobs import Progress
+from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import Row, foreign_note, open_index, recording_of
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
-
-Rows = list[dict[str, Any]]
 
 OF_TRIAL = ("recording", "labels", "tracks", "features", "forces")
 SHOWN_MS = 5  # of events in a thumbnail

@@ -9,12 +9,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place, check_place
 
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
-
-Floats = NDArray[np.float64]
 
 
 class ObjectMotion(NamedTuple):

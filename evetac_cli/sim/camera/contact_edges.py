@@ -18,6 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.arrays import Floats
+
 # An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
 EDGE_SIGMAS = 3.5
 # Compared again once a level can have changed by this, a fortieth of a threshold.
@@ -27,8 +29,6 @@ HALF_DEPTH = math.sqrt(1.0 - math.sqrt(0.5))
 STEEPEST = 8.0 / (3.0 * math.sqrt(3.0))
 FARTHEST_PX = 1e6
 NONE = 1 << 40  # of a row without any pixel to visit: beyond every column
-
-Floats = NDArray[np.float64]
 
 
 class Outline(NamedTuple):

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.ideal import camera as ideal
@@ -17,8 +18,6 @@ from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
 from evetac_cli.sim.setup.scene import CalibrationOffset, Scene, VanishingDots
 from evetac_cli.sim.setup.sensor import Sensor
-
-Floats = NDArray[np.float64]
 
 CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
 FARTHEST_CUT_PX = 4.0  # from where the window begins

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.setup.object_file import Shape
-
-Floats = NDArray[np.float64]
 
 
 def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m: tuple[float, float]) -> Floats:

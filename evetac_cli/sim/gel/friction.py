@@ -17,9 +17,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats
 
 WAVES = 256  # that make up a smooth random field
 

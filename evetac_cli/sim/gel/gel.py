@@ -34,13 +34,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, Layer, spring
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
 MOST_ARMS = 8

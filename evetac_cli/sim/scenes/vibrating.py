@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
@@ -41,7 +42,6 @@ PIECES = 5  # a slice, or a multiple: the scanning camera scans 5 times a slice,
 PIECES_A_PERIOD = 16  # at least; 8 of the second harmonic
 BLOCK = 50  # slices whose waves are evaluated at once: 0.3 ms a slice otherwise, as numpy is slow to begin
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 

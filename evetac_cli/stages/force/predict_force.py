@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.parameter import recipe_of, refuse_unused
 from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.errors import InputError
@@ -101,7 +102,7 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
     )
 
 
-def _most(name: str, force_n: forces.Floats, sd_n: forces.Floats) -> dict[str, float | None]:
+def _most(name: str, force_n: Floats, sd_n: Floats) -> dict[str, float | None]:
     """The largest force and its standard deviation; None where there is no slice with a force."""
     if not np.isfinite(force_n).any():
         return {f"max_{name}": None, f"max_{name}_sd": None}

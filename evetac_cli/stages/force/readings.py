@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.text_files import read_text
-
-Floats = NDArray[np.float64]
 
 COLUMNS = ["t_s", "shear_x_n", "shear_y_n", "normal_n"]
 EVERY = 40  # slices from one reading that is used to the next

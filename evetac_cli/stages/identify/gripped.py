@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify import gripper, held_gel
@@ -25,8 +26,6 @@ from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import DriveFit, GripperRows
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.recordings.read import Recording
-
-Floats = NDArray[np.float64]
 
 STEP_MS = 1.0  # a simulated command takes effect in the next ms
 PAD_NODES = (36, 27)  # columns and rows

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.ideal import camera as ideal
@@ -17,7 +17,6 @@ from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.setup.plan import one_sensor
 from tests.sim.camera.gel_cameras import gel_camera
 
-Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
 Fired = defaultdict[tuple[int, int, int], list[float]]
 PIECES = 20

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Singles
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
@@ -23,7 +24,6 @@ from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.recordings.read import Recording
 
-Floats = NDArray[np.float32]
 STATE = ("gripper_position_ticks", "gripper_current_ma")
 # Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
 # policies cannot take for an action; so what was written to the goal current stands in both.
@@ -126,9 +126,9 @@ def frame_edges(slices: int, fps: int) -> NDArray[np.int64]:
 class Episode(NamedTuple):
     """The frames of a trial: (frames, values) each, and where the slices of each frame begin and end."""
 
-    state: Floats
-    tactile: Floats
-    action: Floats
+    state: Singles
+    tactile: Singles
+    action: Singles
     edges: NDArray[np.int64]  # (frames + 1,)
 
 
@@ -161,7 +161,7 @@ def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Ep
     )
 
 
-def known(values: Masked) -> Floats:
+def known(values: Masked) -> Singles:
     """The values with the last known one wherever none is known, 0 before the first; by columns of (slices, n)."""
     missing = np.ma.getmaskarray(values)
     rows = np.where(missing, 0, np.arange(len(values))[:, None])
@@ -170,7 +170,7 @@ def known(values: Masked) -> Floats:
     return np.asarray(np.take_along_axis(filled, latest, axis=0), np.float32)
 
 
-def frames_of(values: Floats, edges: NDArray[np.int64], per_frame: str, stacked: int) -> Floats:
+def frames_of(values: Singles, edges: NDArray[np.int64], per_frame: str, stacked: int) -> Singles:
     """One row a frame from the slices (slices, n) of each; of `stacked` that many slices, as (frames, stacked * n)."""
     begins, ends = edges[:-1], edges[1:]
     if per_frame == "last":

@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.camera_input import check_range
@@ -40,8 +41,6 @@ from evetac_cli.sim.setup.scene import LightSettings
 
 # More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
 ROUNDING = 1e-5
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
