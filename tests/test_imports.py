@@ -15,7 +15,19 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset(
-    {"names", "errors", "events", "arrays", "jobs", "commands", "console", "resources", "kernel_cache", "text_files"}
+    {
+        "names",
+        "errors",
+        "events",
+        "arrays",
+        "checks",
+        "jobs",
+        "commands",
+        "console",
+        "resources",
+        "kernel_cache",
+        "text_files",
+    }
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
@@ -27,12 +39,14 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "evaluate": GROUND | {"trials", "stages", "devices", "store", "sim", "kernels"},
     "trials": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "kernels"},
-    "devices": frozenset({"names", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}),
+    "devices": frozenset(
+        {"checks", "names", "console", "errors", "events", "resources", "store", "sim", "realtime", "kernels"}
+    ),
     "formats": frozenset({"arrays", "errors", "events", "jobs", "resources", "text_files", "store", "kernels"}),
     "store": frozenset({"errors", "events", "resources", "text_files", "kernels", "evetac_cli"}),
-    "sim": frozenset({"arrays", "errors", "events", "resources", "text_files", "kernels"}),
+    "sim": frozenset({"arrays", "checks", "errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"errors", "events", "kernels"}),
-    "kernels": frozenset({"arrays", "errors", "events"}),
+    "kernels": frozenset({"arrays", "checks", "errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "errors"}),
     "resources": frozenset({"errors"}),
@@ -41,6 +55,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "jobs": frozenset({"errors"}),
     "events": frozenset({"errors"}),
     "arrays": frozenset(),
+    "checks": frozenset(),
     "errors": frozenset(),
     "names": frozenset(),
 }

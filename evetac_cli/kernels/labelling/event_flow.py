@@ -41,6 +41,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region
 
@@ -79,11 +80,8 @@ class EventFlowConstants:
     def __post_init__(self) -> None:
         may_be_zero = ("follow_share", "least_px_ms", "back_px_ms", "hidden_px", "pause_ms", "after_ms")
         for name, value in vars(self).items():
-            low = ">= 0" if name in may_be_zero else "> 0"
-            if not math.isfinite(value) or value < 0 or (name not in may_be_zero and value == 0):
-                raise ValueError(f"{name}: expected a finite number {low}, found {value}")
-        if self.follow_share >= 1.0:
-            raise ValueError(f"follow_share: expected less than 1, found {self.follow_share}")
+            check_range(name, value, above=name not in may_be_zero)
+        check_range("follow_share", self.follow_share, 0.0, 1.0, below=True)
 
 
 class Motion(NamedTuple):

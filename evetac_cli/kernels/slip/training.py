@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from evetac_cli.checks import check_range
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
 from evetac_cli.kernels.slip.sampling import (
     Samples,
@@ -146,8 +147,8 @@ def train(
     `resume_from` is the state of another run.
     """
     epochs = preset.epochs if epochs is None else epochs
-    if epochs < 1 or (max_steps is not None and max_steps < 1):
-        raise ValueError(f"expected at least one epoch and one step, found {epochs} and {max_steps}")
+    check_range("epochs", epochs, 1)
+    check_range("max_steps", 1 if max_steps is None else max_steps, 1)
     per_epoch = steps_per_epoch(samples)
     planned = epochs * per_epoch
     steps = planned if max_steps is None else min(planned, max_steps)

@@ -1,4 +1,4 @@
-"""Checks of what both cameras are given: positions and paths in px, window, texture, lines, numbers in a range.
+"""Checks of what both cameras are given: positions and paths in px, window, texture, lines.
 
 ValueError with expected and found on anything else, before a camera changes.
 """
@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place, check_place
 
 FARTHEST_PX = 1e6
@@ -157,16 +158,3 @@ def line_motion(
     if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0):
         return None
     return contact_edges.motion(*places)
-
-
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Refuse a number out of a range whose ends are allowed, and NaN."""
-    if not low <= value <= high:
-        raise ValueError(f"{name}: expected {low:g} to {high:g}, found {value}")
-
-
-def check_whole(name: str, value: int, low: int, high: int) -> None:
-    """Refuse what is not a whole number, or out of a range."""
-    if not isinstance(value, (int, np.integer)):
-        raise ValueError(f"{name}: expected a whole number, found {value!r}")
-    check_range(name, value, low, high)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
@@ -89,8 +90,7 @@ def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> 
         raise ValueError("threshold_off: expected none with an ideal camera, found one")
     if np.isnan(shared.reference).any() or np.isnan(shared.window_reference).any():
         raise ValueError("reference: expected finite levels, found those of refractory pixels")
-    if not 1e-3 <= line_step_px <= 10.0:
-        raise ValueError(f"line_step_px: expected 0.001 to 10, found {line_step_px}")
+    check_range("line_step_px", line_step_px, 1e-3, 10.0)
     shape = shared.reference.shape
     blind = shared.model.refractory_us > 0.0
     state = IdealState(

@@ -26,9 +26,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
-from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
+from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns

@@ -23,9 +23,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
-from evetac_cli.sim.camera.camera_input import check_range
 from evetac_cli.sim.camera.contact_edges import LineMotion
 from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
