@@ -27,6 +27,7 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
@@ -78,14 +79,14 @@ def circle(slice_: float) -> Floats:
 def gel_camera(scans_per_ms: int = 5) -> camera.CameraState:
     """A camera without noise before the dots, from which the naive one takes references and thresholds."""
     model = camera.CameraModel(scans_per_ms=scans_per_ms, noise_rate_hz=0.0, hot_pixels=0)
-    return camera.start(model, circle(0), None, None, None, np.random.default_rng(0))
+    return camera.start(model, circle(0), None, None, np.random.default_rng(0))
 
 
 def seen(state: camera.CameraState, slice_: int) -> Events:
     """Our camera's events of one slice of the motion; the dots move on a straight line."""
     still = np.zeros(2)
     ends = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
-    return camera.step(state, *ends, still, still, 0.0, SLICE_US * slice_, np.random.default_rng(0))
+    return camera.step(state, SliceMotion(*ends, still, still, 0.0), SLICE_US * slice_, np.random.default_rng(0))
 
 
 class DenseFrames:

@@ -97,7 +97,7 @@ def _slow_shift(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _simulate(load: Workload, rng: np.random.Generator, *, scans: bool = False) -> Scenario:
-    state = camera.start(load.model, load.path_px(1)[0], None, None, None, rng)
+    state = camera.start(load.model, load.path_px(1)[0], None, None, rng)
     fine, _ = (play_scans if scans else play_ideal)(state, load, PATH_PIECES)
     edges = np.searchsorted(fine.t, np.arange(load.slices + 1) * float(SLICE_US))
     columns = (fine.t.astype(np.int64), fine.x.astype(np.uint16), fine.y.astype(np.uint16), fine.p.astype(np.uint8))

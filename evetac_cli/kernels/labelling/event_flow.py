@@ -168,7 +168,7 @@ def follow(
         dot_px = np.empty((stop - first + 1, len(dots), 2))
         dot_px[0] = centre - dots
         window_events = np.zeros(stop - first + 1, np.int64)
-        _follow(*between(first, stop), part, dots, centre, radius_px, step, first, stop, dot_px, window_events)
+        _follow(tuple(between(first, stop)), part, (dots, centre, radius_px, step), first, stop, dot_px, window_events)
         window_events = counted + np.cumsum(window_events)
         counted = int(window_events[-1])
         yield first, Motion(dot_px, window_events)
@@ -331,24 +331,22 @@ def _parts(hot: NDArray[np.bool_], dots: Floats, window: Region, gel: Region) ->
     return part
 
 
-# Why so many arguments: called from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _follow(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    columns: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
     part: NDArray[np.int16],
-    rest: Floats,
-    centre: Floats,
-    radius: float,
-    step: float,
+    dots: tuple[Floats, Floats, float, float],
     first: int,
     stop: int,
     dot_px: Floats,
     window_events: NDArray[np.int64],
 ) -> None:
-    """Move the centres by the events of the slices [first, stop), and write them down at the end of every slice."""
+    """Move the centres by the events of the slices [first, stop), and write them down at the end of every slice.
+
+    dots: their places at rest and now, their radius, and how far an event moves one.
+    """
+    t, x, y, p = columns
+    rest, centre, radius, step = dots
     height, width = part.shape
     event = 0
     for slice_ in range(first, stop):

@@ -268,7 +268,7 @@ def sample_texture(
     place = texture_place(texture, first_x, first_y, object_x_px, object_y_px, contrast)
     rows, columns = level.shape
     for row in range(rows):
-        sample_texture_run(texture, *place, row, 0, columns, level[row])
+        sample_texture_run(texture, place, row, 0, columns, level[row])
 
 
 @njit(cache=True)
@@ -304,19 +304,10 @@ def texture_place(
 
 @njit(cache=True)
 def sample_texture_run(
-    texture: NDArray[np.float32],
-    whole_x: int,
-    whole_y: int,
-    upper_left: np.float32,
-    upper_right: np.float32,
-    lower_left: np.float32,
-    lower_right: np.float32,
-    row: int,
-    first: int,
-    end: int,
-    level: NDArray[np.float32],
+    texture: NDArray[np.float32], place: TexturePlace, row: int, first: int, end: int, level: NDArray[np.float32]
 ) -> None:
     """Fill level[: end - first] with pixels first to end of a row, counted from that of `texture_place`."""
+    whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     texture_rows, texture_columns = texture.shape
     # Unsigned indices, as in `profile_level`, and no slices, whose making takes longer than a short run.
     upper = np.uint64((whole_y + row) & (texture_rows - 1))

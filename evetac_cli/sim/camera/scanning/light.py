@@ -254,7 +254,7 @@ def _shine(
             own[x] -= change
         if window_low[row] < light < window_high[row]:
             continue
-        optics.sample_texture_run(window.texture, *place, row, 0, columns, line)
+        optics.sample_texture_run(window.texture, place, row, 0, columns, line)
         window_low[row], window_high[row], made = _compare_run(
             line[:columns],
             own,
