@@ -1,13 +1,17 @@
 """An ideal event camera: every pixel fires at the very time at which its log brightness has changed by its threshold.
 
-The counterpart of the scanning camera (scanning/camera.py), which shares its optics, noise and interface. Here a pixel
-fires as often as its level passes a threshold, several times a slice if need be, and an event's time is that of the
-crossing, rounded down to a microsecond. Use it to tell what a scanning camera loses, or as a camera without scans.
+What it is for: `--readout ideal`, a camera whose times are right to the microsecond; and `evaluate cost camera`, which
+says by it what the scans of the other one lose. Here a pixel fires as often as its level passes a threshold, several
+times a slice if need be, and an event's time is that of the crossing, rounded down to a microsecond.
 
-Crossings are solved, not stepped through: those of the gel in dots, of the window in window, of pixels under moving
-lines in lines. Leak is that of the scanning camera: an event comes late by up to the 40 ms between two visits.
+What it shares with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with what `start` draws, and
+the noise, which are that camera's own; what moves in a slice (camera_input), optics, rings of dots, contact edges, keys
+of events, and the drift of leak, which are one level up. What it has of its own: no scan compares pixels here, the
+crossings are solved, those of the gel in dots, of the window in window, of pixels under moving lines in lines. Leak
+visits a row in 40 ms, too, so an event of leak comes late by up to that.
 
-Left out: bandwidth (a low pass has no closed form for the crossing), and what the scanning camera leaves out.
+Left out: bandwidth (a low pass has no closed form for the crossing), light that changes, a limit of the readout,
+thresholds of ON and OFF that are apart, dots that differ, and what the scanning camera leaves out.
 """
 
 from dataclasses import dataclass
