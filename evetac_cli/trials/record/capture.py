@@ -34,7 +34,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.names import Capability
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.processes import raised_priority
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import header_of
 from evetac_cli.store.layout.provenance import Recipe, first_difference
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials import live_view, session
@@ -199,7 +199,7 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> O
 
 def _earlier(trial: DeviceRecording) -> Outcome:
     """The rows of a trial that was recorded before."""
-    simulated = [bool(_header(output)["simulated"]) for output in trial.outputs]
+    simulated = [bool(header_of(output, OUTPUT)["simulated"]) for output in trial.outputs]
     rows = [
         row
         for output, each in zip(trial.outputs, simulated, strict=True)
@@ -258,7 +258,7 @@ def check_series(others: Iterable[Path], recipe: Recipe) -> None:
     for other in others:
         if not other.exists():
             continue
-        header = _header(other)
+        header = header_of(other, OUTPUT)
         own = {name: header["parameters"].get(name) for name in OWN_PARAMETERS}
         wanted = {**recipe.parameters, **{name: value for name, value in own.items() if name in recipe.parameters}}
         now = Recipe(OUTPUT, METHOD, wanted, header["seed"], recipe.parents, header["content"], recipe.simulated_source)
@@ -269,11 +269,6 @@ def check_series(others: Iterable[Path], recipe: Recipe) -> None:
                 found=first_difference(now, header),
                 hint="set it up as it was, or begin a series of its own with -o",
             )
-
-
-def _header(path: Path) -> dict[str, Any]:
-    with StageFile(path, OUTPUT) as file:
-        return file.header
 
 
 def _discard_empty(recordings: Sequence[CameraRecording], *, failed: bool) -> None:

@@ -24,7 +24,7 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.recordings import segments
 from evetac_cli.store.recordings.read import open_recording
@@ -351,7 +351,7 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
 
     trials(1, 10.0)
     paths = trials(2, 19.0, resume=True)
-    headers = [capture._header(path)["parameters"] for path in paths]
+    headers = [header_of(path, "recording")["parameters"] for path in paths]
     assert [header["sampled_holding_ma"] for header in headers] == [10.0, 19.0]
     assert [header["current_ramp"]["holding_ma"] for header in headers] == [None, None]
     with pytest.raises(InputError, match="another set-up(.|\n)*holding_ma"):
