@@ -29,7 +29,7 @@ from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.recordings import segments
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record, session
-from evetac_cli.trials.record import capture
+from evetac_cli.trials.record import camera_recording, capture
 from tests.conftest import Made
 from tests.devices.stand_ins import StillCamera, StillGripper
 from tests.patience import PATIENCE_S, until
@@ -792,8 +792,8 @@ def test_thousands_of_slices_behind_schedule_and_a_full_disk(
 
 def test_slices_of_another_camera_wait_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a camera is not read while too many of its slices wait, and is again once they are taken."""
-    monkeypatch.setattr(capture, "WAITING_SLICES", 20)
-    thread = capture.SliceThread(Camera(slices=100))
+    monkeypatch.setattr(camera_recording, "WAITING_SLICES", 20)
+    thread = camera_recording.SliceThread(Camera(slices=100))
     thread.start()
     taken = 0
     while taken < 100:
