@@ -148,7 +148,6 @@ check: $(DEVELOPING)  ## ruff, mypy --strict and the documentation, side by side
 lint: $(DEVELOPING)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python scripts/words.py
 
 types: $(DEVELOPING)
 	$(BIN)/mypy

@@ -16,7 +16,7 @@ from evetac_cli import resources
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
@@ -242,7 +242,7 @@ class Simulation:
         width, height = sensor["sensor/frame_px"]
         self.frame_px = int(width), int(height)
         self.dot_radius_px = float(sensor["sensor/dot_radius_px"])
-        self.sensitivity = Sensitivity(*(float(sensor[f"sensor/{name}"]) for name in Sensitivity._fields))
+        self.sensitivity = sensitivity_of(sensor)
         self.window_px: tuple[int, int, int, int] | None = None  # of a cut gel: x0, y0, x1, y1, ends excluded
         if "sensor/window_px" in sensor:
             x0, y0, x1, y1 = (int(edge) for edge in sensor["sensor/window_px"])

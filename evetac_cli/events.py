@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SLICE_US = 1000
+SLICES_PER_S = 1_000_000 // SLICE_US
 FRAME_PX = (640, 480)  # width, height of the DVXplorer Mini
 
 

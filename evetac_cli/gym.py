@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from evetac_cli import kernel_cache, resources
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError, missing_library
-from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
+from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.sim.grasp_outcome import LIFTED_MM
@@ -111,7 +111,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         plan = next(iter(self._plans.values())).of_trial((0,))
         self._durations = {"lift_s": float(lift_s), "balance_s": float(balance_s)}
         touch_s = plan.scene.time.touch_s
-        touch_ms, lift_ms, balance_ms = (round(1000 * each) for each in (touch_s, lift_s, balance_s))
+        touch_ms, lift_ms, balance_ms = (round(SLICES_PER_S * each) for each in (touch_s, lift_s, balance_s))
         self._timing = Timing(touch_ms, lift_ms, balance_ms, control_hz)
         if self._timing.balance_ms < 0:
             raise InputError("too short", where="balance_s", expected="0 s or more", found=f"{balance_s} s")

@@ -52,7 +52,8 @@ class Outcome:
     made: bool = True
 
 
-Rows = list[dict[str, Any]]
+Row = dict[str, Any]
+Rows = list[Row]
 
 
 def no_cautions(jobs: Sequence[Any], params: Any) -> list[str]:

@@ -28,7 +28,7 @@ from evetac_cli.console import show
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import rig
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
-from evetac_cli.events import Events
+from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features
@@ -41,7 +41,6 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
 ROOT = Path(__file__).resolve().parents[1]
-SLICE_US = 1000.0
 TOUCH_MS, LIFT_MS = 1500, 10_000
 OBJECTS = (8, 11, 17, 18)
 
@@ -82,7 +81,7 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
                     simulated.command = ("current", round(start_ma - 0.01375 * (simulated.slices - 900) / 2))
             simulated.step()
         seconds = time.thread_time() - started
-    what = f"simulate {name}, object {number}, {simulated.slices / 1000:.1f} s"
+    what = f"simulate {name}, object {number}, {simulated.slices / SLICES_PER_S:.1f} s"
     parts = (("", seconds), (": mechanics", mechanics.seconds), (": camera", camera.seconds))
     return [row(what + part, np.array([part_s / simulated.slices])) for part, part_s in parts]
 
@@ -96,7 +95,7 @@ def edges() -> list[dict[str, object]]:
             devices = rig(plan, np.random.SeedSequence([1, trial]))
             times = slice_times(devices, slices)
         what = json.loads(devices.sampled)["object_name"]
-        rows.append(row(f"simulate edge, a {what}, {len(times) / 1000:.1f} s", np.array([times.mean()])))
+        rows.append(row(f"simulate edge, a {what}, {len(times) / SLICES_PER_S:.1f} s", np.array([times.mean()])))
     return rows
 
 

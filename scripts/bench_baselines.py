@@ -15,17 +15,19 @@ import cv2
 import h5py
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 import evetac_cli
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.tracker import DOTS_PX
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
@@ -38,9 +40,6 @@ PERIOD, RADIUS_PX = 1000, 3.0
 SLICES = 50  # of it in one call
 FRAME_MS = 10  # events that are summed into one picture for Lucas-Kanade and Farneback
 BLOCK = 1000  # slices that are read at once
-
-Row = dict[str, Any]
-Floats = NDArray[np.float64]
 
 
 def fastest(calls: Mapping[str, Callable[[], int]]) -> dict[str, float]:
@@ -80,14 +79,14 @@ def circle(slice_: float) -> Floats:
 def gel_camera(scans_per_ms: int = 5) -> camera.CameraState:
     """A camera without noise before the dots, from which the naive one takes references and thresholds."""
     model = camera.CameraModel(scans_per_ms=scans_per_ms, noise_rate_hz=0.0, hot_pixels=0)
-    return camera.start(model, circle(0), None, None, None, np.random.default_rng(0))
+    return camera.start(model, circle(0), None, None, np.random.default_rng(0))
 
 
 def seen(state: camera.CameraState, slice_: int) -> Events:
     """Our camera's events of one slice of the motion; the dots move on a straight line."""
     still = np.zeros(2)
     ends = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
-    return camera.step(state, *ends, still, still, 0.0, 1000 * slice_, np.random.default_rng(0))
+    return camera.step(state, SliceMotion(*ends, still, still, 0.0), SLICE_US * slice_, np.random.default_rng(0))
 
 
 class DenseFrames:
@@ -109,7 +108,7 @@ class DenseFrames:
             y, x = np.nonzero(fired)
             self._reference[fired] = level[fired]
             p = (change[fired] > 0).astype(np.uint8)
-            parts.append(Events(1000 * slice_ + readout_us[x], x.astype(np.uint16), y.astype(np.uint16), p))
+            parts.append(Events(SLICE_US * slice_ + readout_us[x], x.astype(np.uint16), y.astype(np.uint16), p))
         made = concatenate(parts)
         return Events(*(column[np.argsort(made.t, kind="stable")] for column in made))
 

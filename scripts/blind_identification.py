@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.evaluate import realism
+from evetac_cli.jobs import Row
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
@@ -67,7 +68,6 @@ OPEN_M = 0.060  # about which the fingers bend
 QUARTER, HELD = 0.25, 0.9  # an interval so wide, in prior ranges, that holds the truth in so many cases, is told
 AUC_ROOM, AUC_OTHER = 0.05, 0.9
 
-Row = dict[str, Any]
 Windows = dict[str, NDArray[np.float64]]
 
 

@@ -31,17 +31,15 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from digests import digest
 from reproduce import commit
 from results import put_measured
 
 from evetac_cli.console import print_table
+from evetac_cli.jobs import Row
 from evetac_cli.resources import SCENES
 from evetac_cli.text_files import as_toml
-
-Row = dict[str, Any]
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("record", "label", "track", "featurize")

@@ -29,18 +29,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags
 from evetac_cli.console import show
 from evetac_cli.evaluate.cost.chain import Trial, run_chain, run_grasp, slip_trial
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
 from evetac_cli.evaluate.paired import Interval, known, share, share_difference
 from evetac_cli.evaluate.rows import Setting
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.store.recordings.read import open_recording
-
-Row = dict[str, Any]
-Flags = NDArray[np.bool_]
 
 OBJECTS = 20
 COUNTS = {"slip": 100, "grasp": 40}

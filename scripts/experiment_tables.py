@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from experiment_steps import TRACKING_SCENES
 
 from evetac_cli.evaluate.paper import COLUMNS, FIGURES
-
-Row = dict[str, Any]
-Rows = list[Row]
+from evetac_cli.jobs import Row, Rows
 
 
 class Evaluation(NamedTuple):

@@ -31,7 +31,7 @@ import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 from statistics import fmean
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from attack.long_recording import Repeated
@@ -42,7 +42,8 @@ from results import put_measured
 
 from evetac_cli.console import print_table
 from evetac_cli.evaluate import picture
-from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.events import FRAME_PX, SLICES_PER_S, Events
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.tracking import tracker
@@ -50,8 +51,6 @@ from evetac_cli.resources import MODEL
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
-
-Row = dict[str, Any]
 
 
 class Measured(TypedDict):
@@ -220,7 +219,7 @@ def means(rows: list[Row]) -> list[Row]:
 def _stages(place: Path, repeated: Repeated, length_s: int, stages: Collection[str]) -> list[Row]:
     """A row for each stage on one recording, in a folder that is made for it and removed."""
     place.mkdir()
-    repeated.write(place / "long.recording.h5", 1000 * length_s)
+    repeated.write(place / "long.recording.h5", SLICES_PER_S * length_s)
     rows: list[Row] = []
     before = {earlier for stage in stages for earlier in BEFORE.get(stage, ())}
     for stage, words in stage_commands("long").items():

@@ -46,7 +46,7 @@ from evetac_cli.evaluate.cost.chain import (
     timed,
 )
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
-from evetac_cli.jobs import silent
+from evetac_cli.jobs import Row, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.sim.setup.scene_file import changed
@@ -57,9 +57,6 @@ from evetac_cli.text_files import as_toml
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp import simulated as simulated_grasp
 from evetac_cli.trials.trial import SimulatedTrial
-
-Row = dict[str, Any]
-Floats = NDArray[np.float64]
 
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn

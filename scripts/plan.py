@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from statistics import median
-from typing import Any
 
 from experiment_steps import Command
 from experiments import EXPERIMENTS
@@ -35,9 +34,10 @@ from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD
 from evetac_cli.console import print_table
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS
 
-Row = dict[str, Any]
 Costs = dict[str, dict[str, float]]
 
 COSTS = Path(__file__).with_name("plan_costs.json")
@@ -280,7 +280,7 @@ def measure(folder: Path) -> Costs:
         lengths = []
         for path in sorted((folder / scene).glob("*.recording.h5")):
             with open_recording(path) as recording:
-                lengths.append(len(recording) / 1e3)
+                lengths.append(len(recording) / SLICES_PER_S)
         costs[scene] = {"cpu_s": cpu_s, "seconds": sum(lengths) / count,
                         "size_bytes": size(f"{scene}/*.recording.h5") / count}  # fmt: skip
         print(scene, costs[scene], flush=True)

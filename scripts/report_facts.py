@@ -5,8 +5,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from experiment_tables import Row
 from results import MODULES, ranges
+
+from evetac_cli.jobs import Row
 
 
 def report_header(path: Path) -> Row:

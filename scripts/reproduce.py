@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from experiment_steps import Command, Sizes
-from experiment_tables import Column, Evaluation, Row, Table
+from experiment_tables import Column, Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
 from report_facts import facts, methods, report_header, words_for
 from results import fill, keys, text
@@ -33,6 +33,7 @@ from results import fill, keys, text
 from evetac_cli.errors import EvetacError
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.source import Source
+from evetac_cli.jobs import Row
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.source import Source
+from evetac_cli.jobs import Row
 
-Row = dict[str, Any]
 Result = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 

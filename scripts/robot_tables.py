@@ -13,11 +13,11 @@ from experiment_tables import Evaluation, Evaluations
 from studies import trials_file
 
 import evetac_cli as evetac
+from evetac_cli.jobs import Row
 
 BOX = {"shape": "flat", "static_friction": 0.8}
 BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
 
-Row = dict[str, Any]
 Drive = Callable[[int], dict[str, Any]]  # what is asked for at the end of a millisecond
 
 # What is done to the sensor: the object, and the contact over time.

@@ -7,7 +7,7 @@ grasps in contact without slip, and of those below 0.3 N, the share that is call
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from experiment_steps import Sizes
@@ -19,6 +19,7 @@ from studies import LIGHT_N
 
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction, score
 from evetac_cli.resources import MODEL
@@ -31,7 +32,6 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 RESAMPLES, SEED = 2000, 0  # of the intervals
 AROUND_SLIP_MS = 20  # before a true slip, where a detector that looks ahead may call it already
 FIGURES = ("slip_correct", "f1")
-Row = dict[str, Any]
 
 
 class Sensor(NamedTuple):

@@ -7,7 +7,9 @@ by programs: the touch sensor and the examples in robot_tables.py, forces by `ev
 from collections.abc import Iterator
 
 from experiment_steps import Command, Sizes, evetac, script
-from experiment_tables import Column, Evaluation, Evaluations, Rows, Table
+from experiment_tables import Column, Evaluation, Evaluations, Table
+
+from evetac_cli.jobs import Rows
 
 # --- slip, sensor by sensor -------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ CALLS = {
 WHOLE = {"subprocess.run", "webbrowser.open", "serial.Serial"}
 # Which module makes which. Before a row is added: who can reach it, and does docs/safety.md say so?
 DOORS = {
-    "cli/engines.py": {"LocalCluster", "TemporaryDirectory"},
+    "cli/dask_engine.py": {"LocalCluster", "TemporaryDirectory"},
     "cli/exit_codes.py": {"mkstemp"},
     "cli/workers.py": {"Pipe"},
     "devices/rh_p12_rn/dynamixel_bus.py": {"serial.Serial"},

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.console import plain
-from evetac_cli.jobs import Job, Outcome
+from evetac_cli.jobs import Job, Outcome, Rows
 from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 
 MOST_FOLDERS = 3  # that the name of a report names
-
-Rows = list[dict[str, Any]]
 
 
 @dataclass(frozen=True)

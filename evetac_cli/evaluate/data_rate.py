@@ -17,8 +17,9 @@ import numpy as np
 from evetac_cli.commands.evaluate import EvaluateDataRate
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture, report, report_job
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.evaluate import paper, picture, report, report_job
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words
@@ -111,7 +112,7 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
     spans = intervals(recording, params.around_s)
     row: dict[str, Any] = {
         "file": recording.path.name,
-        "duration_s": len(recording) / 1000,
+        "duration_s": len(recording) / SLICES_PER_S,
         "events": recording.event_count,
         "max_bytes_per_slice": int(bytes_a_slice.max()),
         "contact_from_ms": None if spans["contact"].missing_because else spans["contact"].start,
@@ -121,7 +122,7 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
     for name, interval in spans.items():
         bytes_s = None
         if not interval.missing_because:
-            bytes_s = 1000 * float(bytes_a_slice[interval.start : interval.stop].mean())
+            bytes_s = SLICES_PER_S * float(bytes_a_slice[interval.start : interval.stop].mean())
         row[f"bytes_s_{name}"] = bytes_s
         row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
     reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
@@ -158,7 +159,7 @@ def _about_slip(recording: Recording, around_s: float) -> Interval:
             return Interval(0, 0, "no slip in the labels")
     first, last = onset - half, onset + half
     if first < 0 or last > len(recording):
-        held_s = (min(last, len(recording)) - max(first, 0)) / 1000
+        held_s = (min(last, len(recording)) - max(first, 0)) / SLICES_PER_S
         return Interval(0, 0, f"{held_s:g} s of {around_s:g} s about the onset at {onset} ms are recorded")
     return Interval(first, last)
 
@@ -222,15 +223,15 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
         edges = np.arange(0, len(bytes_a_slice), SHOWN_MS)
         width = np.diff(np.append(edges, len(bytes_a_slice)))
         mb_s = np.add.reduceat(bytes_a_slice, edges) / width * 1e-3
-        axes.step(edges / 1000, mb_s, where="post", linewidth=0.8, color=picture.CORRECT, label="events")
+        axes.step(edges / SLICES_PER_S, mb_s, where="post", linewidth=0.8, color=picture.CORRECT, label="events")
         axes.axhline(_rgb_bytes_s(params) * 1e-6, color="black", linestyle="--", linewidth=1, label=rgb)
         for name, label, colour in shaded:
             if not spans[name].missing_because:
-                span = (spans[name].start / 1000, spans[name].stop / 1000)
+                span = (spans[name].start / SLICES_PER_S, spans[name].stop / SLICES_PER_S)
                 axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=label)
         axes.set(
             ylabel="data rate [MB/s]",
-            xlim=(0, len(bytes_a_slice) / 1000),
+            xlim=(0, len(bytes_a_slice) / SLICES_PER_S),
             ylim=(0, None),
             title=picture.plain(path.name),
         )

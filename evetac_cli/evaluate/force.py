@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import (
-    Rows,
     gel_force,
     paper,
     picture,
@@ -28,7 +28,8 @@ from evetac_cli.evaluate import (
     report_job,
 )
 from evetac_cli.evaluate.gel_force import ForceReportJob
-from evetac_cli.jobs import Outcome, Progress, Stage, silent
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
 from evetac_cli.stages.related_files import named_files, recording_with_truth
@@ -52,7 +53,7 @@ class TrialForce(NamedTuple):
     sensor_name: str
     fitted: bool  # whether the model was fitted on this built sensor
     samples: Samples
-    predicted_n: dict[str, forces.Floats]  # regression or network -> (models, samples, 2)
+    predicted_n: dict[str, Floats]  # regression or network -> (models, samples, 2)
 
 
 def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:
@@ -241,7 +242,7 @@ def _draw(figure: Any, trials: list[TrialForce]) -> None:
         shown.setdefault(one.sensor, one)
     panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
     for row, (sensor, one) in zip(panels, shown.items(), strict=True):
-        order = one.samples.slice_ / 1000
+        order = one.samples.slice_ / SLICES_PER_S
         for axis, axes in enumerate(row):
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
             for name, (colour, words) in STYLES.items():

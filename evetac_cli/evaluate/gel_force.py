@@ -17,12 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import ModelsReportJob, Rows, picture, report
-from evetac_cli.jobs import Outcome, Progress
-from evetac_cli.kernels.force.gel_forces import Floats, Forces
+from evetac_cli.evaluate import ModelsReportJob, picture, report
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Outcome, Progress, Rows
+from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import adapt_gel, gel_model, readings
@@ -245,7 +247,7 @@ def _draw(figure: Any, trial: Trial) -> None:
     """The first trajectory: forces with one standard deviation about them, for each state of knowledge."""
     names = list(trial.predicted)
     panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
-    time_s = np.arange(len(trial.normal_n)) * readings.EVERY / 1000
+    time_s = np.arange(len(trial.normal_n)) * readings.EVERY / SLICES_PER_S
     for column, name in enumerate(names):
         forces, _ = trial.predicted[name]
         shown = (

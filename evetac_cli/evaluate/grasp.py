@@ -19,9 +19,10 @@ import numpy as np
 from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.store.files import StageFile
@@ -106,7 +107,7 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     with StageFile(path, "recording") as recording:
         rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
     seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
-    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(1000 * seconds))
+    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds))
     return {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, **figures}
 
 

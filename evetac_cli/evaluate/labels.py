@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.parameter import recipe_of
-from evetac_cli.evaluate import Rows, report, report_job
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.evaluate import report, report_job
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile

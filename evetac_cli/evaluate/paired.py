@@ -10,13 +10,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.estimates import share as wilson
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 CONFIDENCE = 0.95
 

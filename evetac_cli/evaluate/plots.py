@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate import Rows, picture
+from evetac_cli.evaluate import picture
+from evetac_cli.jobs import Rows
 
 STILL = "standing still"
 REAL_TIME_US = 1000.0  # run time of a simulated millisecond, at real time

@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, picture, report, report_job
+from evetac_cli.evaluate import picture, report, report_job
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.kernels.realism import classifier, figures
@@ -45,7 +46,6 @@ EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures
 RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
 
 Counts = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

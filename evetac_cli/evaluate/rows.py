@@ -2,17 +2,15 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.commands.trials import SOLVER_OPTIONS, Trials
-from evetac_cli.evaluate import Rows
-from evetac_cli.jobs import Progress
+from evetac_cli.jobs import Progress, Row, Rows
 
-Row = dict[str, Any]
 Amount = TypeVar("Amount")
 
 FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOLVER_OPTIONS}

@@ -24,7 +24,6 @@ from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.evaluate import (
     ModelsReportJob,
-    Rows,
     paper,
     picture,
     report,
@@ -33,7 +32,7 @@ from evetac_cli.evaluate import (
 from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.evaluate.slip_tables import tables
 from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.resources import with_shipped
 from evetac_cli.stages.related_files import named_files

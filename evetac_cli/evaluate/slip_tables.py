@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate import Rows, paper
+from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.jobs import Rows
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import Prediction
 

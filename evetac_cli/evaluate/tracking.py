@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateTracking
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture, report, report_job
+from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
@@ -32,8 +33,6 @@ DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # the paper's
 BIN_MS = 20  # of the picture's time axis
 LEAST_PX = 1e-3  # that the picture shows
-
-Floats = NDArray[np.float64]
 
 
 def jobs(files: list[Path], params: EvaluateTracking, out: Path | None) -> list[Job]:

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateVibration
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture, report, report_job
-from evetac_cli.events import SLICE_US
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.evaluate import paper, picture, report, report_job
+from evetac_cli.events import SLICE_US, SLICES_PER_S
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import vibration
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -30,8 +31,6 @@ READ_MS = 250  # events read at once
 ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty by how much they differ
 PANELS = 10  # of the picture
 TONE = "truth/tone_hz"
-
-Floats = NDArray[np.float64]
 
 
 class Survey(NamedTuple):
@@ -184,7 +183,7 @@ def _survey(
                     window = vibration.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
                     motion[length].append(_tone_hz(window, params))
     assert whole is not None  # the first piece is a whole one
-    return Survey((stop - start) / 1000, whole, np.concatenate(all_counts), motion, by_counts)
+    return Survey((stop - start) / SLICES_PER_S, whole, np.concatenate(all_counts), motion, by_counts)
 
 
 def _read(
@@ -192,8 +191,8 @@ def _read(
 ) -> tuple[vibration.Tally, NDArray[np.int64]]:
     """Signed events (cells, bins at `fine_hz`) and events (bins at `rate_hz`) of the slices [first, last)."""
     across, down = vibration.cell_grid(recording.frame_px)
-    tally = np.zeros((across * down, (last - first) * fine_hz // 1000), np.int16)
-    bins = (last - first) * rate_hz // 1000
+    tally = np.zeros((across * down, (last - first) * fine_hz // SLICES_PER_S), np.int16)
+    bins = (last - first) * rate_hz // SLICES_PER_S
     counts = np.zeros(bins, np.int64)
     for begin in range(first, last, READ_MS):
         events = recording.between(begin, min(begin + READ_MS, last))
@@ -206,8 +205,8 @@ def _read(
 
 def _part(values: NDArray, begin_ms: int, length_ms: int, rate_hz: int) -> NDArray:
     """The window of `length_ms` from `begin_ms` on, along the last axis."""
-    begin = begin_ms * rate_hz // 1000
-    return values[..., begin : begin + length_ms * rate_hz // 1000]
+    begin = begin_ms * rate_hz // SLICES_PER_S
+    return values[..., begin : begin + length_ms * rate_hz // SLICES_PER_S]
 
 
 def _tone_hz(spectrum: vibration.Spectrum, params: EvaluateVibration) -> float | None:

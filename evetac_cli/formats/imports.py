@@ -30,7 +30,7 @@ from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_text import is_text_of_events, open_text
-from evetac_cli.formats.read.time_order import OrderOptions
+from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.recordings.streams import Stream, free_name
@@ -151,9 +151,7 @@ class EventFile:
         path: str | Path,
         *,
         frame_px: tuple[int, int] | None = None,
-        sort: bool = False,
-        drop_late: bool = False,
-        from_restart: int | None = None,
+        order: OrderOptions = IN_ORDER,
         stream: str | None = None,
         columns: str | None = None,
         time_unit: str | None = None,
@@ -168,18 +166,16 @@ class EventFile:
         frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
         HDF5), that of the smallest known sensor that holds all events, and a note says so.
         frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
-        drop_late: leave out events that come 1 ms or more after a later one, instead of refusing their file.
-        from_restart: of a file whose clock begins anew, the part from this restart to the next; 0: before the first.
+        order: what becomes of events that are not in the order of their time; without options such a file is refused.
         path: a file, or the folder of a ROS 2 bag.
         progress: of the events that were read; how many there will be, no format says.
-        sort: put all events in the order of their time (stable), instead of refusing a file where it goes back.
         stream: the event stream of an AEDAT4 file, the topic of a bag, the camera of an HDF5 file, or the array of an
         npz, that has several; the first by name otherwise.
         time_unit: s, ms, us or ns, where the file does not say it; without it, us if all times are whole, else s.
         """
         self._path, self._where = Path(path), str(path)
         self._steady = Steady(self._path)
-        self._order = OrderOptions(sort, drop_late, from_restart)
+        self._order = order
         self._frames, self._folder, self._progress = frames, folder, progress
         options = {"stream": stream, "columns": columns, "time_unit": time_unit}
         said = {name: value for name, value in options.items() if value is not None}

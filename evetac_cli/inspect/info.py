@@ -11,6 +11,7 @@ import numpy as np
 from evetac_cli.console import format_value, print_table, print_text
 from evetac_cli.devices import losses
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.store.files import StageFile
@@ -107,7 +108,7 @@ def _describe(path: Path) -> dict[str, Any]:
 def _recording(file: StageFile) -> dict[str, Any]:
     with Recording(file.path) as recording:
         per_slice = np.diff(recording.starts)
-        seconds = len(recording) / 1000
+        seconds = len(recording) / SLICES_PER_S
         bytes_s = EVENT_BYTES * recording.event_count / seconds if seconds else 0.0
         width, height = recording.frame_px
         grid = recording.dot_xy_px
@@ -274,7 +275,7 @@ def _forces(file: StageFile) -> dict[str, Any]:
             "slices": len(shear_n),
             "force_n_most": float(np.nanmax(shear_n, initial=0.0)),
             "normal_n_most": float(np.nanmax(file.read("normal_n"), initial=0.0)),
-            "contact_s": float(file.read("contact").sum() / 1000),
+            "contact_s": float(file.read("contact").sum() / SLICES_PER_S),
         }
     force = np.abs(file.read("network_n"))
     return {"slices": len(force), "force_n_most": float(force.max(initial=0.0))}

@@ -1,10 +1,9 @@
 """Logistic regression: weights of columns of numbers that make one of two labels likely, by Newton's method."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats
 
 ROUNDS = 50
 LONGEST_STEP = 3.0  # of a weight in a round: from afar the curve is flat, and a whole step would go too far

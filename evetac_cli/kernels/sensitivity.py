@@ -1,6 +1,7 @@
 """What makes two sensors answer the same contact differently, as far as it is known of them."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 
 class Sensitivity(NamedTuple):
@@ -25,3 +26,9 @@ class Sensitivity(NamedTuple):
 
 
 UNKNOWN = Sensitivity()
+DATASETS = {name: f"sensor/{name}" for name in Sensitivity._fields}
+
+
+def sensitivity_of(sensor: Mapping[str, Any]) -> Sensitivity:
+    """The figures among the datasets `sensor/...` of a file or a trial."""
+    return Sensitivity(**{name: float(sensor[path]) for name, path in DATASETS.items() if path in sensor})

@@ -31,6 +31,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import fft, special
 
+from evetac_cli.arrays import Floats, Singles
+from evetac_cli.checks import check_range
+
 FINEST_HZ = 5000  # the rate of the camera's scans
 CELL_PX = 16  # a dot's two sides are 30 px apart
 HANN_SQUARED = 0.375  # mean square of the window
@@ -42,8 +45,6 @@ CELLS_AT_ONCE = 64
 LINE_HALF_BINS = 2.0  # half the width of a line
 SPREAD_BINS = 0.608  # sd of a line's place times the root of its power over the noise, see `locate`
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Tally = NDArray[np.int16]
 
 
@@ -129,8 +130,7 @@ def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
     """
     if tally.ndim != 2 or tally.shape[1] < 4 * NOISE_BINS:
         raise ValueError(f"tally: expected (cells, {4 * NOISE_BINS} bins or more), found {tally.shape}")
-    if not (math.isfinite(rate_hz) and rate_hz > 0):
-        raise ValueError(f"rate_hz: expected above 0, found {rate_hz}")
+    check_range("rate_hz", rate_hz, above=True)
     bins = tally.shape[1]
     window = _hann(bins)
     frequency_hz = np.arange(bins // 2 + 1) * (rate_hz / bins)
@@ -187,8 +187,7 @@ def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: floa
     """
     if not (0.0 < lowest_hz < highest_hz and math.isfinite(highest_hz)):
         raise ValueError(f"band: expected 0 < lowest < highest, found {lowest_hz} to {highest_hz} Hz")
-    if not 0.0 < false_alarms < 1.0:
-        raise ValueError(f"false_alarms: expected between 0 and 1, found {false_alarms}")
+    check_range("false_alarms", false_alarms, 0.0, 1.0, above=True, below=True)
     lines = list(_lines(sums, lowest_hz, false_alarms))
     if not lines:
         return Finding(None, {}, None)

@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
 from evetac_cli.sim.setup.sensor import SensorGripper
 
@@ -62,16 +63,10 @@ class Drive:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{field.name} must be finite and >= 0, found {value}")
-        for name in ("force_per_current_n_ma", "speed_limit_m_s"):
-            if getattr(self, name) == 0:
-                raise ValueError(f"{name} must be > 0, found 0")
-        if self.friction_share >= 1:
-            raise ValueError(f"friction_share must be < 1 (the finger could never open), found {self.friction_share}")
-        if self.open_ticks >= self.closed_ticks:
-            raise ValueError(f"open_ticks must be < closed_ticks, found {self.open_ticks} and {self.closed_ticks}")
+            above = field.name in ("force_per_current_n_ma", "speed_limit_m_s")
+            check_range(field.name, getattr(self, field.name), above=above)
+        check_range("friction_share", self.friction_share, 0.0, 1.0, below=True)  # at 1 the finger could never open
+        check_range("open_ticks", self.open_ticks, 0.0, self.closed_ticks, below=True)
 
 
 def make_drive(own: SensorGripper, friction_factor: float = 1.0, backlash_ticks: float = 0.0) -> Drive:

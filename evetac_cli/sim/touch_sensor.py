@@ -24,8 +24,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.sensitivity import Sensitivity
@@ -40,8 +40,6 @@ from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTime
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.solver import Solver, with_given
 from evetac_cli.text_files import require_finite
-
-Floats = NDArray[np.float64]
 
 SLICE_NS = SLICE_US * 1000
 PUSHER_N_S_M = 10.0

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.commands.parameter import recipe_of
@@ -19,6 +18,7 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import dot_search, gel_layout, grid, rest_image
+from evetac_cli.kernels.calibration.gel_layout import Grid
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
@@ -38,8 +38,6 @@ LONGEST_STROKE = 5000  # slices; a first run is over long before that
 LEAST_DOTS = 4
 WORST_JITTER_PX = 1.0
 PRESS = "press over the whole gel, and lift off between strokes"
-
-Grid = NDArray[np.float64]
 
 
 def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:

@@ -8,12 +8,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import gel_layout, grid
-from evetac_cli.kernels.calibration.gel_layout import CLOSED_COLUMNS, CUT_COLUMNS, ROWS, Window
+from evetac_cli.kernels.calibration.gel_layout import CLOSED_COLUMNS, CUT_COLUMNS, ROWS, Grid, Window
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.store.calibration import Calibration
 
@@ -24,8 +23,6 @@ SIZES = {"closed": (ROWS, CLOSED_COLUMNS), "cut": (ROWS, CUT_COLUMNS)}
 REFINE = "--refine takes the others from a default grid"
 IRREGULAR = "--irregular takes dots that are in no grid"
 BY_HAND = "or write window_px into the JSON by hand, docs/recordings.md"
-
-Grid = NDArray[np.float64]
 
 
 class FoundDots(NamedTuple):

@@ -19,7 +19,7 @@ import h5py
 
 from evetac_cli.errors import EvetacError, ForeignFile, InputError, SchemaError, made_by
 from evetac_cli.interrupts import leave_if_interrupted
-from evetac_cli.kernels.sensitivity import Sensitivity
+from evetac_cli.kernels.sensitivity import DATASETS, Sensitivity, sensitivity_of
 from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
 from evetac_cli.store.hdf5.disk import existing_folder, new_file, taking_the_place_of
@@ -91,8 +91,7 @@ class StageFile:
     @property
     def sensitivity(self) -> Sensitivity:
         """What is known of how strongly the sensor answers contact."""
-        named = {name: f"sensor/{name}" for name in Sensitivity._fields}
-        return Sensitivity(**{name: float(self.read(path)) for name, path in named.items() if self.has(path)})
+        return sensitivity_of({path: self.read(path) for path in DATASETS.values() if self.has(path)})
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
         """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.

@@ -15,9 +15,9 @@ from time import thread_time
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from evetac_cli.events import Events
+from evetac_cli.arrays import Floats
+from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
@@ -34,7 +34,6 @@ SURE = 2.0  # a difference is noise that is smaller than so many standard errors
 Append = Callable[[Events, dict[str, Any]], None]
 SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
 Play = Callable[[SomeTrial, Append, Timer], Any]  # runs a trial and hands over every slice and its rows
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -249,7 +248,7 @@ def _moving_slices(scene: Scene, moving_s: float) -> int:
     if rub is not None:
         still_s, pauses_s = still_s + rub.touch_s + rub.shear_s, 2 * rub.pause_s
     moves_s = max(still_s, time.tone_at_s) + pauses_s
-    return round(1000 * (moves_s + moving_s)) // BLOCK * BLOCK
+    return round(SLICES_PER_S * (moves_s + moving_s)) // BLOCK * BLOCK
 
 
 class _Enough(Exception):

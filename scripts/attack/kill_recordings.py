@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.events import SLICES_PER_S
+
 CAMERA = "virtual:prepared=100000"
 LONGEST_START_S = 120.0
 BOUND_S, BUSY_BOUND_S = 0.5, 1.0
@@ -60,7 +62,7 @@ def one(seconds: float, camera: str, gripper: str) -> dict[str, Any]:
         repaired = done.returncode == 0 and row["status"] == "repaired" and output.exists()
         checked = subprocess.run([*evetac, "validate", str(output)], capture_output=True, check=False)
         valid = repaired and checked.returncode == 0
-    kept_s = (row["slices_kept"] or 0) / 1000
+    kept_s = (row["slices_kept"] or 0) / SLICES_PER_S
     return {
         "ran_s": round(ran_s, 4),
         "status": row["status"],

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from evetac_cli.evaluate import picture
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
@@ -46,11 +47,11 @@ def strip(path: Path, out: Path) -> Path:
         for place, start in enumerate(chosen):
             axes = figure.add_subplot(grid[0, place])
             axes.imshow(image(recording, start), cmap="gray", vmin=-1, vmax=1, interpolation="nearest")
-            axes.set_title(f"{start / 1000:.3f} s", loc="center")
+            axes.set_title(f"{start / SLICES_PER_S:.3f} s", loc="center")
             axes.spines[:].set_visible(True)
             axes.set_xticks([])
             axes.set_yticks([])
-        seconds = np.arange(len(recording)) / 1000
+        seconds = np.arange(len(recording)) / SLICES_PER_S
         rate = figure.add_subplot(grid[1, :])
         rate.fill_between(seconds, np.maximum(np.diff(recording.starts), 1), 1, color=COOL, linewidth=0, step="mid")
         rate.set_ylabel("events a ms")
@@ -66,7 +67,7 @@ def strip(path: Path, out: Path) -> Path:
         force.set(xlabel="time [s]", ylabel="force [N]")
         for axes in (rate, force):
             for start in chosen:
-                axes.axvline(start / 1000, color="0.5", linewidth=0.8, linestyle=":")
+                axes.axvline(start / SLICES_PER_S, color="0.5", linewidth=0.8, linestyle=":")
         rate.set_xlim(0, seconds[-1])
         rate.tick_params(labelbottom=False)
         what = recording.header["parameters"]["scene"]

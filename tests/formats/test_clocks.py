@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.write.write_aedat4 import EVENT, description
 from tests.formats.read.bags.bag_writing import BAGS, START_S, Types, write_bag
 from tests.importing import FRAME, refusal
@@ -232,10 +233,10 @@ def test_a_restart_is_refused_and_cut(tmp_path: Path, name: str) -> None:
     assert "--drop-late leaves out the 150 events (38%)" in words
     assert "--sort" not in words
     for part, kept in ((0, first), (1, second)):
-        imported = read_events(path, frame_px=FRAME, from_restart=part)
+        imported = read_events(path, frame_px=FRAME, order=OrderOptions(from_restart=part))
         assert imported.events.t.tolist() == (kept - kept[0]).tolist()
         assert imported.t_offset_us == kept[0]
-    assert read_events(path, frame_px=FRAME, drop_late=True).events.size == 250
+    assert read_events(path, frame_px=FRAME, order=OrderOptions(drop_late=True)).events.size == 250
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -247,7 +248,7 @@ def test_single_late_events_can_be_dropped(tmp_path: Path, name: str) -> None:
     words = refusal(path, frame_px=FRAME)
     assert "from 6.445000 s to 5.450000 s" in words
     assert "--drop-late leaves out the 1 event (0.25%) that came 1 ms or more after a later one" in words
-    imported = read_events(path, frame_px=FRAME, drop_late=True)
+    imported = read_events(path, frame_px=FRAME, order=OrderOptions(drop_late=True))
     assert imported.events.t.tolist() == (np.delete(t, 290) - t[0]).tolist()
     assert imported.counts["late"] == 1
 
@@ -352,7 +353,7 @@ def test_clocks_in_bags(tmp_path: Path, kind: str, encoding: str) -> None:
     first, second = steady(5_000_000, 250), steady(1000, 150)
     path = written("restart", np.concatenate([first, second]))
     assert "in message 5, event 0" in refusal(path) or "at index 250" in refusal(path)
-    assert read_events(path, from_restart=1).events.t.tolist() == (second - second[0]).tolist()
+    assert read_events(path, order=OrderOptions(from_restart=1)).events.t.tolist() == (second - second[0]).tolist()
     if encoding == "evt3":
         t = steady(2**24 - 1_000_000)
         t[200:] += 2_000_000

@@ -459,7 +459,7 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     jumbled = np.random.default_rng(0).permutation(4000) * 1000
     path = text("".join(f"{t} {t % 7} 2 1\n" for t in jumbled.tolist()))
     assert "--sort sorts all events by time" in refusal(path, frame_px=FRAME)
-    imported = read_events(path, frame_px=FRAME, sort=True)
+    imported = read_events(path, frame_px=FRAME, order=OrderOptions(sort=True))
     assert imported.events.t.tolist() == list(range(0, 4_000_000, 1000))
     back = np.maximum.accumulate(jumbled) - jumbled
     words = f"{np.count_nonzero(back):,} events came up to {back.max() / 1e6:.6g} s after a later one"

@@ -270,7 +270,7 @@ def test_counts_below_the_lowest_are_removed() -> None:
         (lambda good: find(good, 0.0, 500.0), "lowest < highest"),
         (lambda good: find(good, 25.0, 20.0), "lowest < highest"),
         (lambda good: find(good, 25.0, math.inf), "lowest < highest"),
-        (lambda good: find(good, 25.0, 500.0, 1.0), "between 0 and 1"),
+        (lambda good: find(good, 25.0, 500.0, 1.0), "expected above 0, below 1"),
         (lambda good: cell_grid((0, 5)), "at least 1 x 1"),
     ],
 )

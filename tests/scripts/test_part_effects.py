@@ -15,9 +15,8 @@ import studies
 from part_effects import BY_NAME, NONE, PARTS, Part
 
 from evetac_cli.errors import InputError
+from evetac_cli.jobs import Row
 from evetac_cli.sim.parts import rows_of
-
-Row = dict[str, Any]
 
 
 def slip(part: str, seed: int, **figures: Any) -> Row:

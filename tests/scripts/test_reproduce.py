@@ -19,6 +19,7 @@ import typer
 from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.evaluate import grasp, labels, slip, tracking
+from evetac_cli.jobs import Row
 from tests.conftest import Made
 from tests.make import run_stage
 from tests.patience import PATIENCE_S
@@ -31,7 +32,6 @@ from experiment_tables import Evaluation
 from experiments import EXPERIMENTS
 from reproduce import Refusal
 
-Row = dict[str, Any]
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
 COMMAND_LINE = typer.main.get_command(app)
 SMALLNESS = pytest.mark.parametrize("small", [False, True])

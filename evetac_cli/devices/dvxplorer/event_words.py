@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.devices.dvxplorer import event_word_loops as loops
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 
@@ -165,10 +166,8 @@ def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.u
     same millisecond, so that no event is lost and none changes its slice. ValueError for what no camera could send.
     (The maker's parser, not ours, gives up if the very first frame of a stream has the time of its TIMESTAMP.)
     """
-    if not 1 <= frame_us <= SLICE_US:
-        raise ValueError(f"frame_us: expected 1..{SLICE_US}, found {frame_us}")
-    if first_ms < 0:
-        raise ValueError(f"first_ms: expected >= 0, found {first_ms}")
+    check_range("frame_us", frame_us, 1, SLICE_US)
+    check_range("first_ms", first_ms)
     if len({len(column) for column in events}) != 1:
         raise ValueError(f"expected columns of one length, found {[len(column) for column in events]}")
     if events.size == 0:

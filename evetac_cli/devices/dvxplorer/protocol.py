@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX
 
 VENDOR, PRODUCT = 0x152A, 0x8419  # shared by all DVXplorer
@@ -28,7 +29,7 @@ MIPI_TIMEOUT_ON, MIPI_TIMEOUT_US, READOUT, THRESHOLD_ON, THRESHOLD_OFF = 11, 12,
 SENSOR_MODE, STREAM = 0x3000, 2  # register of REGISTERS that starts the stream
 CLOCK_MHZ = 50
 
-THRESHOLDS = range(18)  # larger is less sensitive
+LAST_THRESHOLD = 17  # the least sensitive; 0 is the most
 # Name of a readout rate: registers of firmware 9: (fixed, read time us, hold ms, hold us, next column, most events).
 READOUT_RATES = {
     "constant-100": (1, 900, 9, 100, 15, 10),
@@ -69,12 +70,10 @@ class DvxplorerSettings:
 
     def __post_init__(self) -> None:
         for name in ("threshold_on", "threshold_off"):
-            if getattr(self, name) not in THRESHOLDS:
-                raise ValueError(f"{name}: expected 0..{THRESHOLDS[-1]}, found {getattr(self, name)}")
+            check_whole(name, getattr(self, name), 0, LAST_THRESHOLD)
         if self.readout_rate not in READOUT_RATES:
             raise ValueError(f"readout_rate: expected one of {', '.join(READOUT_RATES)}, found {self.readout_rate}")
-        if not 1 <= self.flush_us <= 100_000:
-            raise ValueError(f"flush_us: expected 1..100000, found {self.flush_us}")
+        check_range("flush_us", self.flush_us, 1, 100_000)
 
 
 class Write(NamedTuple):

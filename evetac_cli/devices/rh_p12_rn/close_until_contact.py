@@ -6,6 +6,7 @@ than the gear's friction: a tick takes 0.09 s; a driver by Evetac's authors clos
 
 from dataclasses import dataclass
 
+from evetac_cli.checks import check_range
 from evetac_cli.errors import DeviceError
 
 
@@ -20,8 +21,7 @@ class ClosingSettings:
 
     def __post_init__(self) -> None:
         for name in ("current_ma", "still_cycles", "longest_cycles"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, found {getattr(self, name)}")
+            check_range(name, getattr(self, name), 1)
 
 
 class Closing:

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
 from evetac_cli import console
+from evetac_cli.checks import check_range, check_whole
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
@@ -70,19 +71,15 @@ class RhP12RnSettings:
     answer_ms: float = ANSWER_MS
 
     def __post_init__(self) -> None:
-        watchdog = range(WATCHDOG_MS, 127 * WATCHDOG_MS + 1, WATCHDOG_MS)
-        delay = range(0, 254 * RETURN_DELAY_US + 1, RETURN_DELAY_US)
-        for name, valid, expected in (
-            ("id", 0 <= self.id <= LAST_ID, f"0 to {LAST_ID}"),
-            ("p_gain", 0 <= self.p_gain <= 32767, "0 to 32767"),
-            ("max_current_ma", self.max_current_ma is None or self.max_current_ma > 0, "more than 0"),
-            ("last_tick", self.first_tick < self.last_tick, f"more than first_tick {self.first_tick}"),
-            ("watchdog_ms", self.watchdog_ms in watchdog, f"a multiple of {WATCHDOG_MS}, at most {watchdog[-1]}"),
-            ("return_delay_us", self.return_delay_us is None or self.return_delay_us in delay, "0, 2, ... 508"),
-            ("answer_ms", 0 < self.answer_ms < float("inf"), "more than 0"),
-        ):
-            if not valid:
-                raise ValueError(f"{name} must be {expected}, found {getattr(self, name)}")
+        check_range("id", self.id, 0, LAST_ID)
+        check_range("p_gain", self.p_gain, 0, 32767)
+        check_range("last_tick", self.last_tick, self.first_tick, above=True)
+        check_range("answer_ms", self.answer_ms, above=True)
+        if self.max_current_ma is not None:
+            check_range("max_current_ma", self.max_current_ma, above=True)
+        if self.return_delay_us is not None:
+            check_whole("return_delay_us", self.return_delay_us, 0, 254 * RETURN_DELAY_US, step=RETURN_DELAY_US)
+        check_whole("watchdog_ms", self.watchdog_ms, WATCHDOG_MS, 127 * WATCHDOG_MS, step=WATCHDOG_MS)
 
 
 class RhP12Rn(AbstractContextManager["RhP12Rn"]):

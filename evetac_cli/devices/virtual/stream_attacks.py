@@ -16,7 +16,7 @@ from evetac_cli.devices.dvxplorer.event_word_loops import events_in
 from evetac_cli.devices.losses import events_lost
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 SHARE = 0.01  # of all events by which a number of lost ones may differ from the camera's own
@@ -93,7 +93,7 @@ def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource =
     slices = events = 0
     with closing(DvxplorerCamera(backend=device)) as camera:
         began_s = time.now_s()
-        while slices < round(1000 * seconds) and (part := camera.read()) is not None:
+        while slices < round(SLICES_PER_S * seconds) and (part := camera.read()) is not None:
             slices += 1
             events += part.size
         host_ms = 1e3 * (time.now_s() - began_s)

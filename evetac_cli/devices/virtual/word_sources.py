@@ -7,6 +7,7 @@ from threading import Condition
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK
 from evetac_cli.devices.dvxplorer.event_words import encode
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
@@ -143,8 +144,7 @@ def random_event_words(events_per_s: float, seconds: float, rng: np.random.Gener
     frames = round(seconds * 1e6 / _FRAME_US)
     width, height = FRAME_PX
     least, most = 1e6 / _FRAME_US, width * height / 2 * 1e6 / _FRAME_US  # an event in a frame, half of all pixels
-    if not least <= events_per_s <= most:
-        raise ValueError(f"events_per_s: expected {least:g}..{most:g}, found {events_per_s}")
+    check_range("events_per_s", events_per_s, least, most)
     each = round(events_per_s * _FRAME_US * 1e-6)
     patches = -(-each // 32)
     if frames < 1:

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match, reference_events, window_events
-from evetac_cli.evaluate.rows import Row, run_times
+from evetac_cli.evaluate.rows import run_times
 from evetac_cli.events import SLICE_US, concatenate
+from evetac_cli.jobs import Row
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
@@ -76,7 +78,11 @@ def play_ideal(state: CameraState, load: Workload, substeps: int) -> tuple[FineE
     for k in range(load.slices):
         piece = path[k * substeps : (k + 1) * substeps + 1]
         begin = time.perf_counter()
-        parts.append(ideal.step(run, piece[0], piece[-1], moved[k], moved[k + 1], contrast, k * SLICE_US, rng, piece))
+        parts.append(
+            ideal.step(
+                run, SliceMotion(piece[0], piece[-1], moved[k], moved[k + 1], contrast, piece), k * SLICE_US, rng
+            )
+        )
         took_us[k] = (time.perf_counter() - begin) * 1e6
     return fine(concatenate(parts)), took_us
 
@@ -92,7 +98,11 @@ def play_scans(state: CameraState, load: Workload, substeps: int = 1) -> tuple[F
     for k in range(load.slices):
         piece = path[k * substeps : (k + 1) * substeps + 1]
         begin = time.perf_counter()
-        parts.append(camera.step(run, piece[0], piece[-1], moved[k], moved[k + 1], contrast, k * SLICE_US, rng, piece))
+        parts.append(
+            camera.step(
+                run, SliceMotion(piece[0], piece[-1], moved[k], moved[k + 1], contrast, piece), k * SLICE_US, rng
+            )
+        )
         took_us[k] = (time.perf_counter() - begin) * 1e6
     return fine(concatenate(parts)), took_us
 
@@ -147,7 +157,8 @@ def camera_rows(seed: int, loads: Sequence[Workload]) -> Iterator[Row]:
     """
     for number, load in enumerate(loads):
         rng = np.random.default_rng((seed, number))
-        state = camera.start(load.model, load.path_px(1)[0], None, load.window_px, load.texture, rng)
+        window = None if load.window_px is None else (load.window_px, load.texture)
+        state = camera.start(load.model, load.path_px(1)[0], None, window, rng)
         truth = true_events(state, load)
         play_ideal(state, load, 1)  # compiles
         play_scans(state, load)

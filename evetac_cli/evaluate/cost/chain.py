@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evetac_cli import resources
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
@@ -34,7 +34,6 @@ from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.record import simulated as simulated_record
 from evetac_cli.trials.trial import SimulatedTrial
 
-Floats = NDArray[np.float64]
 Result = TypeVar("Result")
 
 LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand has risen by 50 mm, less counts as not held, after 3.1 s

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, own_report, picture, plots, report, report_job
+from evetac_cli.evaluate import own_report, picture, plots, report, report_job
 from evetac_cli.evaluate.cost import grasp, labels, models, pipeline, scene_parts, tracker
 from evetac_cli.evaluate.cost import simulator as simulator_cost
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of
 
 OUTPUT = "report"

@@ -29,7 +29,8 @@ from evetac_cli.evaluate.cost.gel_trial import (
     draw_trial,
     simulate,
 )
-from evetac_cli.evaluate.rows import Extent, Row, run_times
+from evetac_cli.evaluate.rows import Extent, run_times
+from evetac_cli.jobs import Row
 from evetac_cli.sim.gel.contact import pad_nodes
 
 PART = "mechanics, constant friction"

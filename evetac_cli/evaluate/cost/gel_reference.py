@@ -4,14 +4,12 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import Motion, Trial, follow
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.pad_equation import Layer, spring
-
-Floats = NDArray[np.float64]
 
 CREEP_M_S = 1e-3  # below about this slip speed the explicit integrator's friction is viscous
 TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integrator has blown up

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
-
-Floats = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.81
 PAD_M = (20e-3, 15e-3)

@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 
 from evetac_cli import resources
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, picture
+from evetac_cli.evaluate import picture
 from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
-from evetac_cli.evaluate.paired import Floats, difference, known
-from evetac_cli.evaluate.rows import Extent, Row, collect, run_times
-from evetac_cli.jobs import Progress
+from evetac_cli.evaluate.paired import difference, known
+from evetac_cli.evaluate.rows import Extent, collect, run_times
+from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.trials.grasp.loop import SlipDetector
 

@@ -20,10 +20,9 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.paired import difference, known
-from evetac_cli.evaluate.rows import Extent, Row, collect, run_times
-from evetac_cli.jobs import Progress
+from evetac_cli.evaluate.rows import Extent, collect, run_times
+from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.stages import label
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start, true_onset

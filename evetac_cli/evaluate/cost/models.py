@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import Rows, paper, picture
+from evetac_cli.evaluate import paper, picture
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
-from evetac_cli.evaluate.rows import Row, collect, run_times
+from evetac_cli.evaluate.rows import collect, run_times
 from evetac_cli.evaluate.slip import split_models
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.evaluate.slip_tables import group_by_setting
-from evetac_cli.jobs import Progress
+from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.tracking import tracker

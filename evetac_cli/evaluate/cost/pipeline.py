@@ -28,8 +28,9 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate import Rows, picture
+from evetac_cli.evaluate import picture
 from evetac_cli.evaluate.cost.chain import (
     BALANCE_S,
     LIFT_S,
@@ -42,9 +43,9 @@ from evetac_cli.evaluate.cost.chain import (
     run_grasp,
     slip_errors,
 )
-from evetac_cli.evaluate.paired import Floats, difference, known, on_front
-from evetac_cli.evaluate.rows import Extent, Row, Setting, line, run_times
-from evetac_cli.jobs import Progress
+from evetac_cli.evaluate.paired import difference, known, on_front
+from evetac_cli.evaluate.rows import Extent, Setting, line, run_times
+from evetac_cli.jobs import Progress, Row, Rows
 
 TRIALS = Extent(quick=4, full=20)
 OBJECTS = (8, 1, 12, 4, 16, 3, 14, 6, 10, 17)  # that slip, in turn

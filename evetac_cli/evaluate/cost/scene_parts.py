@@ -7,9 +7,9 @@ from typing import Any
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate import Rows, picture
-from evetac_cli.evaluate.rows import Extent, Row, run_times
-from evetac_cli.jobs import Progress
+from evetac_cli.evaluate import picture
+from evetac_cli.evaluate.rows import Extent, run_times
+from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.simulated import play as play_grasp
 from evetac_cli.trials.part_costs import PartCosts, Play

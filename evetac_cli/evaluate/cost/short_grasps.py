@@ -16,7 +16,7 @@ from evetac_cli import resources
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import rig
-from evetac_cli.events import Events
+from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.tracking import tracker
@@ -24,7 +24,7 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
-from evetac_cli.trials.grasp.loop import SLICES_S, SlipDetector, Timing, grasp_slices
+from evetac_cli.trials.grasp.loop import SlipDetector, Timing, grasp_slices
 from evetac_cli.trials.grasp.online_detector import open_detector
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
@@ -118,9 +118,13 @@ def run_short_grasp(
     simulated.
     """
     plan = change_plan(first_plan(short.scene, str(short.object), short.sensor))
-    touch_ms = round(SLICES_S * plan.scene.time.touch_s)
+    touch_ms = round(SLICES_PER_S * plan.scene.time.touch_s)
     timing = Timing(
-        touch_ms, round(SLICES_S * short.lift_s), round(SLICES_S * short.balance_s), short.control_hz, short.latency_ms
+        touch_ms,
+        round(SLICES_PER_S * short.lift_s),
+        round(SLICES_PER_S * short.balance_s),
+        short.control_hz,
+        short.latency_ms,
     )
     devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=short.lift_s, balance_s=short.balance_s)
     control = Control(grip_control.make_law(short.controller, short.gain), short.control_hz)

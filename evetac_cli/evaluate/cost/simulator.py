@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.cost import camera as camera_cost
 from evetac_cli.evaluate.cost import gel as gel_cost
 from evetac_cli.evaluate.cost import unloading
 from evetac_cli.evaluate.rows import collect
-from evetac_cli.jobs import Progress
+from evetac_cli.jobs import Progress, Rows
 
 # Those that the picture shows, of whichever rows have them.
 ERRORS = (

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.cost.camera import Workload, oscillation, play_ideal, play_scans
 from evetac_cli.evaluate.plots import STILL
-from evetac_cli.evaluate.rows import Extent, Row, collect, run_times
+from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.jobs import Progress
+from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
 from evetac_cli.sim.camera.scanning import camera
@@ -98,7 +97,7 @@ def _slow_shift(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _simulate(load: Workload, rng: np.random.Generator, *, scans: bool = False) -> Scenario:
-    state = camera.start(load.model, load.path_px(1)[0], None, None, None, rng)
+    state = camera.start(load.model, load.path_px(1)[0], None, None, rng)
     fine, _ = (play_scans if scans else play_ideal)(state, load, PATH_PIECES)
     edges = np.searchsorted(fine.t, np.arange(load.slices + 1) * float(SLICE_US))
     columns = (fine.t.astype(np.int64), fine.x.astype(np.uint16), fine.y.astype(np.uint16), fine.p.astype(np.uint8))

@@ -24,17 +24,16 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import PAD_M, Trial, draw_trial
-from evetac_cli.evaluate.rows import Extent, Row, Setting, line, run_times
+from evetac_cli.evaluate.rows import Extent, Setting, line, run_times
+from evetac_cli.jobs import Row
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
 from evetac_cli.sim.setup.solver import Solver
-
-Floats = NDArray[np.float64]
 
 MM_PER_PX = 0.0329
 AFTER_MS = 8

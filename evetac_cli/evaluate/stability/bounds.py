@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from evetac_cli.errors import EvetacError
-from evetac_cli.evaluate import Rows
+from evetac_cli.jobs import Rows
 
 
 class Bound(NamedTuple):

@@ -9,9 +9,11 @@ from functools import partial
 
 import numpy as np
 
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.stability.bounds import EVENTS, FINITE, ORDER, case_rows, run_case
+from evetac_cli.events import SLICE_US
+from evetac_cli.jobs import Rows
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 
 DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(8), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
@@ -72,11 +74,11 @@ def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Row
     for k in range(slices):
         moved, object_px = (np.array([path(k), path(k + 1)]) for path in (case.dots, case.object))
         start, end = DOTS_PX + moved[0], DOTS_PX + moved[1]
-        events = camera.step(state, start, end, object_px[0], object_px[1], 1.0, 1000 * k, rng)
+        events = camera.step(state, SliceMotion(start, end, object_px[0], object_px[1], 1.0), SLICE_US * k, rng)
         counts.append(len(events.t))
         least, most = case.events
         astray += max(least - counts[-1], counts[-1] - most, 0)
-        off_slice = (events.t < 1000 * k) | (events.t >= 1000 * (k + 1))
+        off_slice = (events.t < SLICE_US * k) | (events.t >= SLICE_US * (k + 1))
         off_frame = (events.x >= case.model.frame_px[0]) | (events.y >= case.model.frame_px[1])
         wrong += int((off_slice | off_frame).sum() + (np.diff(events.t) < 0).sum())
     not_finite = sum(int((~np.isfinite(array)).sum()) for array in (state.reference, state.window_reference))
@@ -89,7 +91,7 @@ def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Row
 def _camera(
     model: camera.CameraModel, window_px: tuple[int, int, int, int], rng: np.random.Generator
 ) -> camera.CameraState:
-    return camera.start(model, DOTS_PX, None, window_px, optics.texture(rng, (256, 256), 4.0, 0.5), rng)
+    return camera.start(model, DOTS_PX, None, (window_px, optics.texture(rng, (256, 256), 4.0, 0.5)), rng)
 
 
 def wrong_models(value: float) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -110,4 +112,4 @@ def _wrong_slice(dot_px: float = 0.0, object_px: float = 0.0, contrast: float = 
     state = _camera(camera.CameraModel(frame_px=(64, 48)), (32, 0, 64, 48), rng)
     dots = DOTS_PX.copy()
     dots[5, 1] += dot_px
-    return camera.step(state, DOTS_PX, dots, (0.0, 0.0), (0.0, object_px), contrast, 0, rng)
+    return camera.step(state, SliceMotion(DOTS_PX, dots, (0.0, 0.0), (0.0, object_px), contrast), 0, rng)

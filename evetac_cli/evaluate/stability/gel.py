@@ -9,11 +9,12 @@ from functools import partial
 
 import numpy as np
 
-from evetac_cli.evaluate import Rows
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import GRAVITY_M_S2
 from evetac_cli.evaluate.stability.bounds import BALANCE, ENERGY, case_rows, run_case
-from evetac_cli.evaluate.stability.gel_case import X_RANGE_M, Y_RANGE_M, Floats, GelCase, stiff
+from evetac_cli.evaluate.stability.gel_case import X_RANGE_M, Y_RANGE_M, GelCase, stiff
 from evetac_cli.evaluate.stability.onset import onset_error
+from evetac_cli.jobs import Rows
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import gap_profile, pressure
 

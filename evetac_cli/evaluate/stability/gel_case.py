@@ -4,13 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import GRAVITY_M_S2
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
-
-Floats = NDArray[np.float64]
 
 X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)
 AREA_M2 = 300e-6

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.cost.short_grasps import CONTROLLERS, FixedDetector, GraspResult, ShortGrasp, run_short_grasp
 from evetac_cli.evaluate.stability.bounds import (
     CURRENT,
@@ -32,6 +31,7 @@ from evetac_cli.evaluate.stability.bounds import (
 )
 from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, MORE_LIFTS, Tables, merge
 from evetac_cli.events import Events
+from evetac_cli.jobs import Rows
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.sim.gripper import Drive

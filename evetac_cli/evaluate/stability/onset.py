@@ -13,8 +13,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import GRAVITY_M_S2
 from evetac_cli.evaluate.stability.bounds import ONSET, Bound
 from evetac_cli.evaluate.stability.gel_case import COULOMB, GelCase, stiff
@@ -23,8 +23,6 @@ from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pressure
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
 from evetac_cli.sim.setup.solver import Solver
-
-Floats = NDArray[np.float64]
 
 MM_PER_PX = 0.0329  # of the default sensor
 REFERENCE_MS = (0.02, 0.04)  # steps of the reference, and of the one that shows how far the reference itself is off

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
     FINITE,
@@ -25,6 +24,7 @@ from evetac_cli.evaluate.stability.camera import camera_cases, camera_rows, wron
 from evetac_cli.evaluate.stability.gel import gel_cases, gel_rows, random_case
 from evetac_cli.evaluate.stability.gel_case import AREA_M2, COULOMB, X_RANGE_M, Y_RANGE_M
 from evetac_cli.evaluate.stability.onset import onset_cases
+from evetac_cli.jobs import Rows
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import ForceCurve, force_curve, gap_profile, pad_nodes

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate import Rows
+from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
@@ -28,13 +28,13 @@ from evetac_cli.evaluate.stability.bounds import (
 )
 from evetac_cli.evaluate.stability.extreme_scenes import SLIP_SOON, SLIPS, merge
 from evetac_cli.events import FRAME_PX, Events, Slicer
+from evetac_cli.jobs import Rows
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
 from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.trials.record.simulated import play
 from evetac_cli.trials.trial import SimulatedTrial
 
-Floats = NDArray[np.float64]
 Columns = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
 
 GAINS = (0.003, 0.03, 0.3, 1.0, 10.0, 1e3)

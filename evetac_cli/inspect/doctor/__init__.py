@@ -10,7 +10,6 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from evetac_cli.commands.doctor import Doctor
 from evetac_cli.console import print_text
@@ -24,7 +23,7 @@ from evetac_cli.devices.rh_p12_rn.measurements import BEYOND_TICKS
 from evetac_cli.errors import EXTRAS, DeviceError, install_hint, pip
 from evetac_cli.events import FRAME_PX
 from evetac_cli.inspect.doctor import plugin_check
-from evetac_cli.jobs import Outcome
+from evetac_cli.jobs import Outcome, Row
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
@@ -58,8 +57,6 @@ SERVES = {
 NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
 NOT_ASKED = "not asked: no FTDI adapter"
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
-
-Row = dict[str, Any]
 
 
 def udev_rules() -> str:

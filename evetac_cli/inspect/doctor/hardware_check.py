@@ -41,7 +41,7 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import RANGE_FAULT, Bus, Refused
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome
 from evetac_cli.names import Capability
 from evetac_cli.store.hdf5.disk import taking_the_place_of
@@ -176,7 +176,7 @@ def _try_camera(steps: Steps, camera: NamedCamera) -> None:
 
         def events() -> tuple[bool, str]:
             sizes: list[int] = []
-            for _ in range(round(CAMERA_S * 1e6 / SLICE_US)):
+            for _ in range(round(CAMERA_S * SLICES_PER_S)):
                 slice_ = running.read()
                 if slice_ is None:
                     return False, f"its stream ended after {len(sizes)} slices"

@@ -26,8 +26,8 @@ from evetac_cli.devices.dvxplorer.usb_reader import READ_BYTES
 from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.inspect.doctor import Row, check, show
-from evetac_cli.jobs import Outcome
+from evetac_cli.inspect.doctor import check, show
+from evetac_cli.jobs import Outcome, Row
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.store.files import StageFile

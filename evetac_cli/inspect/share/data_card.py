@@ -7,6 +7,7 @@ from typing import Any
 from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.formats.write.write_table import is_simulated
 from evetac_cli.inspect.index import indexed
@@ -51,7 +52,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
     trials |= {row.recording or row.path: row for row in rows if row.kind == "recording"}
     simulated = any(row.simulated for row in rows) or any(is_simulated(path) for path in others)
     title = params.title or folder.resolve().name
-    seconds = sum(row.slices or 0 for row in trials.values()) / 1000
+    seconds = sum(row.slices or 0 for row in trials.values()) / SLICES_PER_S
     figures: dict[str, Any] = {
         "trials": len(trials),
         "duration_s": seconds,

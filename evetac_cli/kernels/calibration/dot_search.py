@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.calibration.rest_image import RestImage
-
-Floats = NDArray[np.float64]
 
 SMALLEST_RADIUS_PX = 4
 LARGEST_SHARE = 0.1  # of the shorter side of the frame: a larger radius is not tried

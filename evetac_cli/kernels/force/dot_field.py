@@ -8,10 +8,8 @@ which moved otherwise, and left out.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from evetac_cli.arrays import Flags, Floats
 
 X_MM = np.array([-8.4, -6.0, -3.6, -1.2, 1.2, 3.6, 6.0, 8.4])
 Y_MM = np.array([-6.0, -3.6, -1.2, 1.2, 3.6, 6.0])

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.special import expit
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels import logistic
 from evetac_cli.kernels.force.models import Layer
-
-Floats = NDArray[np.float64]
 
 SLICE_S = 1e-3
 LEAST_MM = 2e-3  # added to the field's root mean square: a gel at rest moves by what the tracker errs
@@ -176,11 +175,13 @@ def adapt(
         _update(
             scale.shear[axis],
             scale.shear_covariance[axis],
-            shear[:, axis],
-            shear_n[:, axis],
-            contact,
-            time_s,
-            scale.shear[axis, 0] * np.linalg.norm(shear[..., 0], axis=1),
+            _Readings(
+                shear[:, axis],
+                shear_n[:, axis],
+                scale.shear[axis, 0] * np.linalg.norm(shear[..., 0], axis=1),
+                contact,
+                time_s,
+            ),
             errors.shear_share,
             floor(errors.shear_floor_mm2, scale.shear[axis, 0]),
             offsets=True,
@@ -190,11 +191,7 @@ def adapt(
     normals = _update(
         scale.normal,
         scale.normal_covariance,
-        normal,
-        normal_n,
-        contact,
-        time_s,
-        scale.normal[0] * normal[:, 0],
+        _Readings(normal, normal_n, scale.normal[0] * normal[:, 0], contact, time_s),
         errors.normal_share,
         floor(errors.normal_floor_mm2, scale.normal[0]),
         offsets=False,
@@ -210,24 +207,26 @@ def adapt(
     return Scale(means, covariances, normals[0], normals[1]), enlarged
 
 
+class _Readings(NamedTuple):
+    """Terms (n, k) and readings (n,) of a force, its size about, and the contact and time of each sample."""
+
+    terms: Floats
+    reading_n: Floats
+    size_n: Floats
+    contact: NDArray[np.int64]
+    time_s: Floats
+
+
 def _update(
-    mean: Floats,
-    covariance: Floats,
-    terms: Floats,
-    reading_n: Floats,
-    contact: NDArray[np.int64],
-    time_s: Floats,
-    size_n: Floats,
-    share: float,
-    variance: float,
-    offsets: bool,
+    mean: Floats, covariance: Floats, readings: _Readings, share: float, variance: float, *, offsets: bool
 ) -> tuple[Floats, Floats, float]:
     """Mean and covariance of weights after readings, and how many times as large as expected errors are.
 
-    Each contact has a factor of its own besides, of sd `share`. size_n (n,): of the force, about.
+    Each contact has a factor of its own besides, of sd `share`.
     variance: of a reading that has no other within AGREES_S; so many as there are tell together what one does.
     offsets: and an offset of its own, of its typical force times `share`, as a force of both signs may have.
     """
+    terms, reading_n, size_n, contact, time_s = readings
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
     if not known.any():
         return mean, covariance, 1.0

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.kernels.force.dot_field import mirrored
 from evetac_cli.kernels.force.gel_forces import LEAST_MM, GelNetwork
 from evetac_cli.kernels.force.models import Layer
@@ -22,8 +23,6 @@ LEARNING_RATE = 3e-3
 DECAY = 1e-2
 BATCH = 256
 SQUARE_TO = 0.3  # where the loss turns from square to linear
-
-Floats = NDArray[np.float64]
 
 
 class GelTraining(NamedTuple):
@@ -64,8 +63,7 @@ def train(
         )
     if not (np.isfinite(field_mm).all() and np.isfinite(over_modulus_mm2).all()):
         raise ValueError("expected finite fields and forces")
-    if epochs < 1:
-        raise ValueError(f"epochs: expected at least 1, found {epochs}")
+    check_range("epochs", epochs, 1)
     field_mm = np.concatenate([field_mm, mirrored(field_mm)])
     targets = np.concatenate([over_modulus_mm2, over_modulus_mm2 * [1.0, -1.0, 1.0]])
     rms = np.sqrt((field_mm**2).mean(axis=(1, 2)))[:, None] + LEAST_MM

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats
 
 AXES = ("x", "y")
 CONTACT_N = 0.03  # a lighter touch is no contact

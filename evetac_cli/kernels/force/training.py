@@ -20,7 +20,9 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from evetac_cli.kernels.force.models import Floats, Layer, Network, check_samples
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
+from evetac_cli.kernels.force.models import Layer, Network, check_samples
 
 HIDDEN = (128, 128)
 DROPOUT = 0.25
@@ -53,8 +55,7 @@ def train(
     """
     check_samples(moved_px, force_n)
     check_samples(held_out_moved_px, held_out_force_n)
-    if epochs < 1:
-        raise ValueError(f"epochs: expected at least 1, found {epochs}")
+    check_range("epochs", epochs, 1)
     scale_px, scale_n = (float(np.sqrt(np.mean(values**2))) for values in (moved_px, force_n))
     if scale_px == 0 or scale_n == 0:
         raise ValueError(f"expected dots that move and forces, found {scale_px} px and {scale_n} N in the mean")

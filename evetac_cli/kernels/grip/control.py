@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
+from evetac_cli.checks import check_range
 from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
 from evetac_cli.kernels.grip.paper import GripLaw, Phase
@@ -118,8 +119,7 @@ class Control:
     _law: GripLaw = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.control_hz) and self.control_hz > 0.0):
-            raise ValueError(f"control_hz: expected finite and above 0, found {self.control_hz}")
+        check_range("control_hz", self.control_hz, above=True)
         if isinstance(self.law, LoadLaw):
             self._law, self._state = paper.PAPER, load_proportional.start()
         elif isinstance(self.law, GripLaw):

@@ -23,6 +23,7 @@ Why so:
 import math
 from dataclasses import dataclass, fields
 
+from evetac_cli.checks import check_range
 from evetac_cli.kernels.grip.paper import Phase
 
 LEAST_LOAD_PX = 0.05  # less than this counts as no load
@@ -74,12 +75,8 @@ class LoadLaw:
     def __post_init__(self) -> None:
         """Refuse constants that are out of range."""
         for item in fields(self):
-            value = getattr(self, item.name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{item.name}: expected finite and >= 0, found {value}")
-        for name in ("rise_s", "release_s", "settle_s", "catch_s", "pulse_ticks"):
-            if getattr(self, name) == 0.0:
-                raise ValueError(f"{name}: expected > 0, found 0")
+            above = item.name in ("rise_s", "release_s", "settle_s", "catch_s", "pulse_ticks")
+            check_range(item.name, getattr(self, item.name), above=above)
         if not self.least_ratio <= self.first_ratio <= self.most_ratio:
             raise ValueError(
                 "expected least_ratio <= first_ratio <= most_ratio,"

@@ -16,6 +16,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+from evetac_cli.checks import check_range
+
 PAPER_HZ = 500.0  # rate of control for which the paper states the increments
 
 
@@ -46,20 +48,15 @@ class GripLaw:
     def __post_init__(self) -> None:
         """Refuse constants that are out of range."""
         for name in ("approach", "lift_slip", "balance_slip", "lowest"):
-            if not -1000.0 <= getattr(self, name) <= 0.0:
-                raise ValueError(f"{name}: expected -1000 to 0 ticks, found {getattr(self, name)}")
+            check_range(name, getattr(self, name), -1000.0, 0.0, "ticks")
         for name in ("lift_no_slip", "balance_no_slip", "highest_open"):
-            if not 0.0 <= getattr(self, name) <= 1000.0:
-                raise ValueError(f"{name}: expected 0 to 1000 ticks, found {getattr(self, name)}")
-        if not 0.0 < self.gain <= 100.0:
-            raise ValueError(f"gain: expected above 0, up to 100, found {self.gain}")
-        if self.first_tick > self.last_tick:
-            raise ValueError(f"first_tick: expected at most last_tick = {self.last_tick}, found {self.first_tick}")
+            check_range(name, getattr(self, name), 0.0, 1000.0, "ticks")
+        check_range("gain", self.gain, 0.0, 100.0, above=True)
+        check_range("last_tick", self.last_tick, self.first_tick)
 
     def at(self, control_hz: float) -> "GripLaw":
         """The law for another rate of control: the same change of u_ff a second. ValueError unless it is above 0."""
-        if not (math.isfinite(control_hz) and control_hz > 0.0):
-            raise ValueError(f"control_hz: expected above 0, found {control_hz}")
+        check_range("control_hz", control_hz, above=True)
         times = PAPER_HZ / control_hz
         return replace(
             self,

@@ -25,10 +25,9 @@ from scipy import stats
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.estimates import LEVEL, Estimate, of_samples
-
-Floats = NDArray[np.float64]
 
 WHOLE_RUN = 0.7  # a pixel counts if its brightness changed by so much of its dot's contrast
 RIM_PX = 7.0  # from the radius to the farthest pixel of the fit

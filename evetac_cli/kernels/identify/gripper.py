@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.estimates import LEVEL, Estimate
-
-Floats = NDArray[np.float64]
 
 ALONE_MS = 16.0  # a command counts that no other one precedes or follows by less
 FEWEST_COMMANDS = 20

@@ -10,12 +10,11 @@ dots.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import least_squares
 from scipy.sparse.linalg import spsolve
 
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats
 
 HOLDS = 300.0  # by how much the object's hold on a piece of gel is stiffer than the layer
 EDGE_M = 0.3e-3  # over which the border of the contact is blurred, so that a fit can move it

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.ndimage import convolve
 
+from evetac_cli.arrays import Floats, Ints
 from evetac_cli.kernels.estimates import BLOCKS, Estimate, of_samples, poisson_rate, rate_over_blocks, share
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 HOT_HZ = 5.0
 SHOWN_HZ = 20.0

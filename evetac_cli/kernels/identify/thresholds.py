@@ -25,10 +25,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
+from evetac_cli.arrays import Floats, Ints
 from evetac_cli.kernels.estimates import Estimate, of_samples
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 SCAN_US = 200.0  # of a DVXplorer
 LONGEST_US = 20_000  # between two events that one passing rim makes
@@ -115,24 +113,18 @@ def add(
     if not len(t_us) == len(x) == len(y) == len(p):
         raise ValueError(f"expected columns of equal length, found {len(t_us)}, {len(x)}, {len(y)} and {len(p)}")
     counts = state.events[half], state.on[half], state.off[half], state.merged, state.intervals
-    _add(t_us, x, y, p, *counts, state.last_us, state.last_p, state.first)
+    _add((t_us, x, y, p), counts, (state.last_us, state.last_p, state.first))
 
 
 @njit(cache=True)
 def _add(
-    t_us: Ints,
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    events: Ints,
-    on: Floats,
-    off: Floats,
-    merged: Floats,
-    intervals: Ints,
-    last_us: Ints,
-    last_p: NDArray[np.int8],
-    first: NDArray[np.bool_],
+    columns: tuple[Ints, NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
+    counts: tuple[Ints, Floats, Floats, Floats, Ints],
+    last: tuple[Ints, NDArray[np.int8], NDArray[np.bool_]],
 ) -> None:
+    t_us, x, y, p = columns
+    events, on, off, merged, intervals = counts
+    last_us, last_p, first = last
     height, width = on.shape
     for event in range(len(t_us)):
         row, column = y[event], x[event]

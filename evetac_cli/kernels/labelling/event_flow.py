@@ -32,7 +32,7 @@ part slips for short times only.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,8 +40,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from evetac_cli.events import SLICE_US, Events
-from evetac_cli.kernels.labelling.flow import Labels, Region
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
+from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.labelling.flow import Between, Labels, Region
 
 BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices
 STEP_MS = 50  # of the measurement of the window's events a pixel, and of its noise
@@ -55,9 +57,6 @@ CELL_PX = 35.0  # events farther from every dot's place at rest belong to none
 RING_PX = 8.0  # and so do those farther off its rim
 MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
 TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been seen
-
-Between = Callable[[int, int], Events]  # events of the slices [start, stop)
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,11 +80,8 @@ class EventFlowConstants:
     def __post_init__(self) -> None:
         may_be_zero = ("follow_share", "least_px_ms", "back_px_ms", "hidden_px", "pause_ms", "after_ms")
         for name, value in vars(self).items():
-            low = ">= 0" if name in may_be_zero else "> 0"
-            if not math.isfinite(value) or value < 0 or (name not in may_be_zero and value == 0):
-                raise ValueError(f"{name}: expected a finite number {low}, found {value}")
-        if self.follow_share >= 1.0:
-            raise ValueError(f"follow_share: expected less than 1, found {self.follow_share}")
+            check_range(name, value, above=name not in may_be_zero)
+        check_range("follow_share", self.follow_share, 0.0, 1.0, below=True)
 
 
 class Motion(NamedTuple):
@@ -172,7 +168,7 @@ def follow(
         dot_px = np.empty((stop - first + 1, len(dots), 2))
         dot_px[0] = centre - dots
         window_events = np.zeros(stop - first + 1, np.int64)
-        _follow(*between(first, stop), part, dots, centre, radius_px, step, first, stop, dot_px, window_events)
+        _follow(tuple(between(first, stop)), part, (dots, centre, radius_px, step), first, stop, dot_px, window_events)
         window_events = counted + np.cumsum(window_events)
         counted = int(window_events[-1])
         yield first, Motion(dot_px, window_events)
@@ -335,24 +331,22 @@ def _parts(hot: NDArray[np.bool_], dots: Floats, window: Region, gel: Region) ->
     return part
 
 
-# Why so many arguments: called from one place, it gains nothing from groups of them.
 @njit(cache=True)
 def _follow(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
+    columns: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
     part: NDArray[np.int16],
-    rest: Floats,
-    centre: Floats,
-    radius: float,
-    step: float,
+    dots: tuple[Floats, Floats, float, float],
     first: int,
     stop: int,
     dot_px: Floats,
     window_events: NDArray[np.int64],
 ) -> None:
-    """Move the centres by the events of the slices [first, stop), and write them down at the end of every slice."""
+    """Move the centres by the events of the slices [first, stop), and write them down at the end of every slice.
+
+    dots: their places at rest and now, their radius, and how far an event moves one.
+    """
+    t, x, y, p = columns
+    rest, centre, radius, step = dots
     height, width = part.shape
     event = 0
     for slice_ in range(first, stop):

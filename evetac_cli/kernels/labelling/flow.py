@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.events import Events
 
 METHODS = ("farneback", "dis", "event-count")
@@ -59,11 +60,10 @@ class FlowConstants:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {self.method}")
-        lengths = self.threshold_px >= 0 and self.clear_px >= 0  # false for NaN, too
-        if not lengths or min(self.look_ahead_ms, self.accumulate_ms, self.confirm_ms) < 1:
-            raise ValueError(f"constants: expected lengths >= 0 and times >= 1 ms, found {self}")
-        if min(self.coarse_ms, self.shrink) < 1 or self.after_ms < 0:
-            raise ValueError(f"constants: expected steps >= 1, and after_ms >= 0, found {self}")
+        for name in ("threshold_px", "clear_px", "after_ms"):
+            check_range(name, getattr(self, name), 0, math.inf)
+        for name in ("look_ahead_ms", "accumulate_ms", "confirm_ms", "coarse_ms", "shrink"):
+            check_range(name, getattr(self, name), 1)
 
 
 class Labels(NamedTuple):

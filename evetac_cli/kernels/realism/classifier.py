@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import Events
 from evetac_cli.kernels import logistic
 from evetac_cli.kernels.realism.figures import BANDS_HZ, PixelEvents, spectrum, times_between
-
-Floats = NDArray[np.float64]
 
 WINDOW_SLICES = 500
 FEWEST_SLICES = 50  # of rest, or of motion

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from evetac_cli.events import SLICE_US
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats, Ints
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 
 HOT_HZ = 20.0
 FEWEST_INTERVALS = 10  # of a pixel that counts in the typical pixel's figures
@@ -131,7 +129,7 @@ def spectrum(events_a_slice: Ints) -> tuple[Floats, Floats]:
     counts = np.asarray(events_a_slice, np.float64)
     if len(counts) < WINDOW_SLICES:
         return np.empty(0), np.empty(0)
-    frequency_hz, power = signal.welch(counts, 1e6 / SLICE_US, nperseg=WINDOW_SLICES)
+    frequency_hz, power = signal.welch(counts, SLICES_PER_S, nperseg=WINDOW_SLICES)
     return frequency_hz[1:], power[1:]
 
 

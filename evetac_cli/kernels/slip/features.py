@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.records import check_record
@@ -90,8 +91,7 @@ def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNS
     rest = _checked_rest(rest_xy_px)
     if len(rest) > DOT_CAPACITY:
         raise ValueError(f"rest_xy_px: expected at most {DOT_CAPACITY} dots, found {len(rest)}")
-    if not 1 <= history <= HISTORY_CAPACITY:
-        raise ValueError(f"history: expected 1 to {HISTORY_CAPACITY} slices, found {history}")
+    check_range("history", history, 1, HISTORY_CAPACITY, "slices")
     record = np.zeros(1, STATE)
     record["dots"], record["history"] = len(rest), history
     record["displacement_factor"], record["events_factor"] = factors

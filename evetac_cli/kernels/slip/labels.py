@@ -11,6 +11,8 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
+
 
 def check_labels(label: NDArray[np.int8], onset: int) -> None:
     """Raise ValueError unless labels are (slices,) of -1, 0 or 1 and the onset is one of the slices, or -1."""
@@ -28,8 +30,7 @@ def shift_labels(label: NDArray[np.int8], horizon_ms: int) -> NDArray[np.int8]:
     Where that slice is past the end or was not examined, and where t itself was not, t keeps its own label. ValueError
     for a negative horizon.
     """
-    if horizon_ms < 0:
-        raise ValueError(f"horizon_ms: expected at least 0, found {horizon_ms}")
+    check_range("horizon_ms", horizon_ms)
     future = np.full_like(label, -1)
     future[: max(len(label) - horizon_ms, 0)] = label[horizon_ms:]
     return np.where((future >= 0) & (label >= 0), future, label)

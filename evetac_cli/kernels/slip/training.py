@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from evetac_cli.checks import check_range
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
 from evetac_cli.kernels.slip.sampling import (
     Samples,
@@ -113,41 +114,61 @@ class Training:
 TrainingState = dict[str, NDArray[Any]]  # an unfinished run, as named arrays
 
 
+class Limits(NamedTuple):
+    """When a run of training ends; `epochs` None takes the preset's.
+
+    With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
+    when it has not fallen below its least for so many of them. The network of the least is then a checkpoint too.
+    """
+
+    epochs: int | None = None
+    max_steps: int | None = None
+    validation: Samples | None = None
+    patience: int | None = None
+
+
+class Hooks(NamedTuple):
+    """What is called while a network is trained.
+
+    progress: (step, steps), every 10 steps. save: every 50 steps, with a function that returns the run's state as named
+    arrays. point: each point of the loss curve, step, loss, and with patience the loss on what validates.
+    """
+
+    progress: Callable[[int, int], None] | None = None
+    save: Callable[[Callable[[], TrainingState]], None] | None = None
+    point: Callable[[int, float, float | None], None] | None = None
+
+
+NO_LIMITS, NO_HOOKS = Limits(), Hooks()
+
+
 def train(
     samples: Samples,
     preset: Preset,
     rng: np.random.Generator,
-    epochs: int | None = None,
-    max_steps: int | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    limits: Limits = NO_LIMITS,
+    hooks: Hooks = NO_HOOKS,
+    *,
     device: str = "cpu",
     resume_from: TrainingState | None = None,
-    on_save: Callable[[Callable[[], TrainingState]], None] | None = None,
     start: Mapping[str, NDArray[np.float32]] | None = None,
-    validation: Samples | None = None,
-    patience: int | None = None,
-    on_point: Callable[[int, float, float | None], None] | None = None,
 ) -> Training:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
-    `epochs` None takes the preset's. Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where
-    `max_steps` cuts the run, as many are spread evenly over its steps, and the result's `cut` is True.
-    `on_progress` gets (step, steps) every 10 steps; `on_point` each point of the loss curve: step, loss, and with
-    `patience` the loss on `validation`. The result depends on the generator's state alone (on one kind of
-    machine and number of torch threads, which is the caller's to set).
-
-    With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
-    when it has not fallen below its least for so many of them. The network of the least is then a checkpoint too.
+    Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where `max_steps` cuts the run, as many
+    are spread evenly over its steps, and the result's `cut` is True. The result depends on the generator's state alone
+    (on one kind of machine and number of torch threads, which is the caller's to set).
 
     `start` holds weights and normalisation of a trained network to go on from, as `networks.weights` gives them.
-    `on_save` is called every 50 steps with a function that returns the run's state as named arrays. With that state as
-    `resume_from` and all other arguments as before, the run goes on from that step to the same result: the random
-    generators draw again, and discard, what had been drawn. ValueError when the loss stops being finite, or where
-    `resume_from` is the state of another run.
+    With a state that was saved as `resume_from` and all other arguments as before, the run goes on from that step to
+    the same result: the random generators draw again, and discard, what had been drawn. ValueError when the loss stops
+    being finite, or where `resume_from` is the state of another run.
     """
+    epochs, max_steps, validation, patience = limits
+    on_progress, on_save, on_point = hooks
     epochs = preset.epochs if epochs is None else epochs
-    if epochs < 1 or (max_steps is not None and max_steps < 1):
-        raise ValueError(f"expected at least one epoch and one step, found {epochs} and {max_steps}")
+    check_range("epochs", epochs, 1)
+    check_range("max_steps", 1 if max_steps is None else max_steps, 1)
     per_epoch = steps_per_epoch(samples)
     planned = epochs * per_epoch
     steps = planned if max_steps is None else min(planned, max_steps)

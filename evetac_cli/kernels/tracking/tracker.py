@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.records import check_record
@@ -32,13 +33,6 @@ CAPACITY = grid.MOST_DOTS  # dots that a state has room for
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 _PIXEL, _POLARITY = np.dtype(np.uint16), np.dtype(np.uint8)
 _NO_POLARITY = np.empty(0, np.uint8)
-
-
-def _check(name: str, value: float, low: float, high: float = inf, *, low_included: bool = True) -> None:
-    above = value >= low if low_included else value > low
-    if not (above and value <= high and np.isfinite(value)):
-        bound = f"finite and {'>=' if low_included else '>'} {low:g}" + (f", <= {high:g}" if high < inf else "")
-        raise ValueError(f"{name}: expected {bound}, found {value}")
 
 
 @dataclass(frozen=True)
@@ -76,28 +70,21 @@ class TrackerConstants:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be tracked with."""
-        _check("radius_px", self.radius_px, 0.0, MAX_REACH_PX, low_included=False)
-        _check("ring_outer_px", self.ring_outer_px, 0.0, MAX_REACH_PX, low_included=False)
-        _check("ring_inner_px", self.ring_inner_px, 0.0, MAX_REACH_PX)
-        _check("count_radius_px", self.count_radius_px, 0.0, MAX_REACH_PX, low_included=False)
-        _check("step_size", self.step_size, 0.0, low_included=False)
-        _check("regulariser_weight", self.regulariser_weight, 0.0)
-        _check("min_events", self.min_events, 0.0, 2.0**31 - 1)
-        _check("gradient_clip", self.gradient_clip, 0.0, low_included=False)
-        _check("hot_pixel_events", self.hot_pixel_events, 0.0, 2.0**14)
-        _check("rest_slices", self.rest_slices, 0.0, 2.0**31 - 1)
-        _check("sweeps", self.sweeps, 1.0, 1e4)
-        _check("trust_px", self.trust_px, 0.0, MAX_REACH_PX, low_included=False)
-        _check("rim_lag_px", self.rim_lag_px, 0.0, MAX_REACH_PX)
-        _check("event_px", self.event_px, 0.0, 1.0)
-        _check("most_events", self.most_events, 0.0, low_included=False)
-        if self.ring_inner_px >= self.ring_outer_px:
-            raise ValueError(
-                f"ring_inner_px: expected less than ring_outer_px = {self.ring_outer_px}, found {self.ring_inner_px}"
-            )
-        for name in ("min_events", "hot_pixel_events", "rest_slices", "sweeps"):
-            if int(getattr(self, name)) != getattr(self, name):
-                raise ValueError(f"{name}: expected a whole number, found {getattr(self, name)}")
+        check_range("radius_px", self.radius_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("ring_outer_px", self.ring_outer_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("ring_inner_px", self.ring_inner_px, 0.0, self.ring_outer_px, below=True)
+        check_range("count_radius_px", self.count_radius_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("step_size", self.step_size, above=True)
+        check_range("regulariser_weight", self.regulariser_weight)
+        check_whole("min_events", self.min_events, 0, 2**31 - 1)
+        check_range("gradient_clip", self.gradient_clip, above=True)
+        check_whole("hot_pixel_events", self.hot_pixel_events, 0, 2**14)
+        check_whole("rest_slices", self.rest_slices, 0, 2**31 - 1)
+        check_whole("sweeps", self.sweeps, 1, 10_000)
+        check_range("trust_px", self.trust_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("rim_lag_px", self.rim_lag_px, 0.0, MAX_REACH_PX)
+        check_range("event_px", self.event_px, 0.0, 1.0)
+        check_range("most_events", self.most_events, above=True)
         if self.fit and abs(self.ring_inner_px + self.ring_outer_px - 2.0 * self.radius_px) > 1e-9 * self.radius_px:
             raise ValueError(
                 f"radius_px: expected the middle of the ring, {(self.ring_inner_px + self.ring_outer_px) / 2},"
@@ -114,7 +101,7 @@ class TrackerConstants:
         if not self.fit:
             return self
         half_ring_px = self.ring_outer_px - self.radius_px
-        _check("dot_radius_px", dot_radius_px, half_ring_px, MAX_REACH_PX - half_ring_px)
+        check_range("dot_radius_px", dot_radius_px, half_ring_px, MAX_REACH_PX - half_ring_px)
         return replace(
             self,
             radius_px=dot_radius_px,

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.evaluate.paper import Beside
 from evetac_cli.evaluate.picture import wilson
-from evetac_cli.pages.report.study import Found, Rows, Study, StudyTrial
+from evetac_cli.jobs import Rows
+from evetac_cli.pages.report.study import Found, Study, StudyTrial
 from evetac_cli.pages.shared import (
     BLUE,
     GREEN,

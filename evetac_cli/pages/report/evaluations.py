@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from evetac_cli.evaluate import paper
-from evetac_cli.pages.report.study import Found, Rows
-
-Row = dict[str, Any]
+from evetac_cli.jobs import Row, Rows
+from evetac_cli.pages.report.study import Found
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.pages.report.study import Study, StudyTrial
 from evetac_cli.pages.report.tables import figure_text
@@ -46,7 +47,7 @@ def in_words(value: float | int, kind: str) -> str:
 def headline(study: Study) -> list[Figure]:
     """What is known of all trials together; what no trial tells is left out."""
     trials = study.trials
-    seconds = [trial.row.slices / 1000 for trial in trials if trial.row.slices]
+    seconds = [trial.row.slices / SLICES_PER_S for trial in trials if trial.row.slices]
     figures = [
         Figure("trials", len(trials)),
         Figure("recorded", sum(seconds), kind="time"),

@@ -14,15 +14,14 @@ from evetac_cli.console import say
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Progress
+from evetac_cli.events import SLICE_US
+from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import Row, foreign_note, open_index, recording_of
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
-
-Rows = list[dict[str, Any]]
 
 OF_TRIAL = ("recording", "labels", "tracks", "features", "forces")
 SHOWN_MS = 5  # of events in a thumbnail
@@ -246,7 +245,7 @@ def _detected_while_grasping(recording: Recording) -> Iterator[int]:
     """The first slice, if any, in which a grasp's detector said slip after the light contact."""
     if recording.has("control"):
         slip = (recording.read("control/slip") > 0) & (recording.read("control/phase") > Phase.CONTACT)
-        yield from (int(recording.read("control/t_us")[at] // 1000) for at in np.flatnonzero(slip)[:1])
+        yield from (int(recording.read("control/t_us")[at] // SLICE_US) for at in np.flatnonzero(slip)[:1])
 
 
 def _judge(study: Study) -> None:

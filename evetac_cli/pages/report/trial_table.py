@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import charts, figures
 from evetac_cli.pages.report.charts import Chart
@@ -187,7 +188,7 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
         "dots from truth [px]": cell(trial.tracking_px),
         "moved [mm]": cell(grasp.get("moved_mm")),
         "grip at the end [N]": cell(grasp.get("force_end_n")),
-        "duration [s]": cell(row.slices / 1000 if row.slices is not None else None),
+        "duration [s]": cell(row.slices / SLICES_PER_S if row.slices is not None else None),
         "events": cell(trial.events),
     }
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from evetac_cli.commands.view import View
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.pages import shared
 from evetac_cli.pages.view import gripper, rerun_file, streams
@@ -144,13 +145,13 @@ def _film(trial: Trial, view: ViewData) -> bytes:
 def _span(trial: Trial, params: View) -> tuple[int, int]:
     """First and last (excluded) slice to show; InputError where none is left."""
     slices = trial.slices
-    start = round(params.start_s * 1000)
-    stop = slices if params.stop_s is None else min(slices, round(params.stop_s * 1000))
+    start = round(params.start_s * SLICES_PER_S)
+    stop = slices if params.stop_s is None else min(slices, round(params.stop_s * SLICES_PER_S))
     if start < stop or (slices == 0 and start == 0):
         return start, stop
     raise InputError(
         "no time is left to show",
         where="--start-s, --stop-s",
-        expected=f"0 <= start < stop, within {slices / 1000:.3f} s",
-        found=f"{params.start_s:g} to {stop / 1000:g}",
+        expected=f"0 <= start < stop, within {slices / SLICES_PER_S:.3f} s",
+        found=f"{params.start_s:g} to {stop / SLICES_PER_S:g}",
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import Events
+from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Progress
 from evetac_cli.pages.view.trial_files import Trial
 from evetac_cli.pages.view.view_data import ViewData
@@ -133,9 +133,8 @@ def place_dots(view: ViewData, trial: Trial) -> None:
         view.rest_xy_px = trial.tracks.read("sensor/dot_xy_px").reshape(-1, 2)
         tracked = trial.tracks.length("dot_xy_px")
         if tracked < view.slices:
-            view.notes.append(
-                f"The tracks end at {tracked / 1000:.3f} s, {view.slices - tracked} ms before the recording does."
-            )
+            end_s, missing_ms = tracked / SLICES_PER_S, view.slices - tracked
+            view.notes.append(f"The tracks end at {end_s:.3f} s, {missing_ms} ms before the recording does.")
         view.dot_xy_px = read_rows(trial.tracks, "dot_xy_px", ends, np.nan).astype(np.float32)
         view.lost = read_rows(trial.tracks, "lost", ends, 0).astype(np.uint8)
     recording = trial.recording

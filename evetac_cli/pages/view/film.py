@@ -5,6 +5,7 @@ import io
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages.shared import INK
 from evetac_cli.pages.view.view_data import ViewData
 
@@ -43,7 +44,7 @@ def _frame(view: ViewData, at: int, title: str, below: Image.Image) -> Image.Ima
     frame.paste(below, (0, HEAD_PX + tall))
     pen = ImageDraw.Draw(frame)
     font = ImageFont.load_default(13)
-    start_s = view.frame_times[at] / 1000
+    start_s = view.frame_times[at] / SLICES_PER_S
     pen.text((8, 5), _fitting(title, WIDTH_PX - 220, font), TEXT, font)
     remarks = ["simulated"] if view.simulated else []
     remarks += [f"arrows {ARROWS:g} x"] if view.dot_xy_px is not None else []
@@ -97,14 +98,14 @@ def _below(view: ViewData) -> Image.Image:
         pen.text((8, top + 1), lane.name, TEXT, font)
     foot = image.height - FOOT_PX + 3
     for at, anchor in zip(view.span, ("la", "ra"), strict=True):
-        pen.text((_across(view, at / 1000), foot), f"{at / 1000:g} s", QUIET, font, anchor=anchor)
+        pen.text((_across(view, at / SLICES_PER_S), foot), f"{at / SLICES_PER_S:g} s", QUIET, font, anchor=anchor)
     pen.text(((GUTTER_PX + WIDTH_PX) / 2, foot), LEGEND, QUIET, font, anchor="ma")
     return image
 
 
 def _across(view: ViewData, t_s: float) -> float:
     """The x coordinate of a time, in px."""
-    first, last = (at / 1000 for at in view.span)
+    first, last = (at / SLICES_PER_S for at in view.span)
     return GUTTER_PX + (t_s - first) / max(last - first, 1e-3) * (WIDTH_PX - 9 - GUTTER_PX)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.pages.view.event_images import read_rows
@@ -73,7 +74,7 @@ def _gripped_at(recording: Recording) -> int | None:
     light = np.flatnonzero(phase == Phase.CONTACT)
     if not len(light) or light[-1] + 1 == len(phase):
         return None
-    return min(int(recording.read("control/t_us")[light[-1]] // 1000), len(recording) - 1)
+    return min(int(recording.read("control/t_us")[light[-1]] // SLICE_US), len(recording) - 1)
 
 
 def phase_lanes(trial: Trial, span: tuple[int, int]) -> list[Lane]:
@@ -82,7 +83,7 @@ def phase_lanes(trial: Trial, span: tuple[int, int]) -> list[Lane]:
     if recording is None or not recording.has("control"):
         return []
     t_s, first, last = timed(recording, "control/t_us", span)
-    phase, ends = recording.read("control/phase", first, last), np.append(t_s, span[1] / 1000)
+    phase, ends = recording.read("control/phase", first, last), np.append(t_s, span[1] / SLICES_PER_S)
     borders = np.flatnonzero(np.diff(phase, prepend=255, append=255))
     stretches = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
     return [

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
 from evetac_cli.pages.shared import INK, NEUTRAL, UNKNOWN, shown_colour
 from evetac_cli.pages.view.gripper import outcome_badges
@@ -59,7 +60,7 @@ def _base64(array: NDArray[Any] | None) -> str | None:
 
 def _data(view: ViewData) -> dict[str, Any]:
     return {
-        "span": [at / 1000 for at in view.span],
+        "span": [at / SLICES_PER_S for at in view.span],
         "shown_ms": view.shown_ms,
         "frame": list(view.frame_px),
         "window": view.window_px,
@@ -164,17 +165,17 @@ def _onsets(view: ViewData) -> str:
         later = f" <small>{', '.join(beside)}</small>" if beside else ""
         cells.append(
             f"<button type='button' class='jump' data-ms='{slice_}'>{source}{simulated} "
-            f"<b>{slice_ / 1000:.3f} s</b>{later}</button>"
+            f"<b>{slice_ / SLICES_PER_S:.3f} s</b>{later}</button>"
         )
-    since = f" after {view.span[0] / 1000:.3f} s" if view.span[0] else ""
+    since = f" after {view.span[0] / SLICES_PER_S:.3f} s" if view.span[0] else ""
     return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
 
 
 def _notes(view: ViewData) -> list[str]:
-    start, stop = view.span
-    notes = [f"Shown: {start / 1000:.3f} to {stop / 1000:.3f} s of {view.slices / 1000:.3f} s."]
+    start_s, stop_s = (at / SLICES_PER_S for at in view.span)
+    notes = [f"Shown: {start_s:.3f} to {stop_s:.3f} s of {view.slices / SLICES_PER_S:.3f} s."]
     if len(view.frame_times):
-        dense = ", ".join(f"{at / 1000:.3f} s ({why})" for why, at in view.dense.items())
+        dense = ", ".join(f"{at / SLICES_PER_S:.3f} s ({why})" for why, at in view.dense.items())
         notes.append(
             f"{len(view.frame_times):,} images of {view.shown_ms} ms, spread evenly"
             + (f" and, every 2 ms, around {dense}." if dense else ".")
@@ -192,8 +193,8 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
         return "", "", ""
     from bokeh.models.ranges import Range1d
 
-    start, stop = view.span
-    x_range = Range1d(start=start / 1000, end=stop / 1000, bounds=(start / 1000, stop / 1000))
+    start_s, stop_s = (at / SLICES_PER_S for at in view.span)
+    x_range = Range1d(start=start_s, end=stop_s, bounds=(start_s, stop_s))
     figures = []
     heads = []
     number = 0

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Progress
 from evetac_cli.pages.shared import (
     BLUE,
@@ -85,9 +85,9 @@ def _write(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None
     file.images(view)
     file.series(view)
     for lane in view.lanes:
-        file.states(f"slip/{_name(lane.name)}", [lane], start / 1000, ["slip"])
+        file.states(f"slip/{_name(lane.name)}", [lane], start / SLICES_PER_S, ["slip"])
     if view.phases:
-        file.states("phase", view.phases, start / 1000, [lane.name for lane in view.phases])
+        file.states("phase", view.phases, start / SLICES_PER_S, [lane.name for lane in view.phases])
     file.static("about", rr.TextDocument(_about(title, trial, view, notes), media_type="text/markdown"))
     file.stream.flush()
     file.stream.disconnect()
@@ -199,7 +199,7 @@ class _File:
                     self._series(f"{path}/{_name(name)}", style, line.t_s, value)
             for name, level in panel.levels.items():
                 style = self._rr.SeriesLines(names=name, colors=_rgb(shown_colour(INK)))
-                self._series(f"{path}/{_name(name)}", style, np.array(view.span) / 1000, np.full(2, level))
+                self._series(f"{path}/{_name(name)}", style, np.array(view.span) / SLICES_PER_S, np.full(2, level))
 
     def _series(self, path: str, style: Any, t_s: NDArray[np.float64], value: NDArray[np.float64]) -> None:
         self.static(path, style)
@@ -245,12 +245,12 @@ def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
 
 def _about(title: str, trial: Trial, view: ViewData, notes: list[str]) -> str:
     """What this is, in Markdown."""
-    start, stop = view.span
-    onsets = [f"- {name}: {'none' if at is None else f'{at / 1000:.3f} s'}" for name, at in view.onsets.items()]
+    start_s, stop_s = (at / SLICES_PER_S for at in view.span)
+    onsets = [f"- {name}: {'none' if at is None else f'{at / SLICES_PER_S:.3f} s'}" for name, at in view.onsets.items()]
     lines = [
         f"# {title}",
         "**Simulated.**" if view.simulated else "",
-        f"{start / 1000:.3f} to {stop / 1000:.3f} s of {view.slices / 1000:.3f} s, of `{trial.recording_id[:12]}`",
+        f"{start_s:.3f} to {stop_s:.3f} s of {view.slices / SLICES_PER_S:.3f} s, of `{trial.recording_id[:12]}`",
         "## First slip" if onsets else "",
         "\n".join(onsets),
         "## Notes",

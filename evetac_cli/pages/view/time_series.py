@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
 from evetac_cli.kernels.slip.labels import is_slip
@@ -118,7 +118,7 @@ def decimated(
         if not np.isfinite(value).any():
             continue
         sd = _rows_at(at, deviations[name]) if deviations and name in deviations else None
-        lines.append(Line(name, colour, (start + at) / 1000, value, sd))
+        lines.append(Line(name, colour, (start + at) / SLICES_PER_S, value, sd))
     return lines
 
 
@@ -132,7 +132,7 @@ def _rows_at(rows: NDArray[np.int64], read: Read) -> NDArray[np.float64]:
 def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Line]:
     """Series of rows that have their own clock, whose times are t_s."""
     return [
-        Line(line.name, line.colour, t_s[np.rint(line.t_s * 1000).astype(np.int64)], line.value)
+        Line(line.name, line.colour, t_s[np.rint(line.t_s * SLICES_PER_S).astype(np.int64)], line.value)
         for line in decimated(names, 0, len(t_s), read)
     ]
 
@@ -336,7 +336,7 @@ def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.flo
         t_s, first, last = timed(trial.recording, "control/t_us", span)
         gripped = trial.recording.read("control/phase", first, last) > Phase.CONTACT
         slip = np.flatnonzero(gripped & (trial.recording.read("control/slip", first, last) > 0))
-        onsets["detector"] = int(t_s[slip[0]] * 1000) if len(slip) else None
+        onsets["detector"] = int(t_s[slip[0]] * SLICES_PER_S) if len(slip) else None
     return onsets
 
 
@@ -355,7 +355,7 @@ def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.floa
         lanes.append(Lane(name, colour, slip, unknown))
 
     def by_slice(at: int) -> float:
-        return (start + at) / 1000
+        return (start + at) / SLICES_PER_S
 
     recording, labels = trial.recording, trial.labels
     if recording is not None and recording.has("truth"):
@@ -369,6 +369,6 @@ def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.floa
         lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
     elif recording is not None and recording.has("control"):
         t_s, first, last = timed(recording, "control/t_us", span)
-        ends = np.append(t_s, stop / 1000)
+        ends = np.append(t_s, stop / SLICES_PER_S)
         lane("detector", PINK, last - first, rows_of(recording, "control/slip", first), lambda at: float(ends[at]))
     return lanes

@@ -1,4 +1,4 @@
-"""Checks of what both cameras are given: positions and paths in px, window, texture, lines, numbers in a range.
+"""Checks of what both cameras are given: positions and paths in px, window, texture, lines.
 
 ValueError with expected and found on anything else, before a camera changes.
 """
@@ -9,12 +9,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place, check_place
 
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
 
-Floats = NDArray[np.float64]
+# Corners x0, y0, x1, y1 of a window, ends excluded, and the texture behind it.
+Window = tuple[tuple[int, int, int, int], NDArray[np.float32] | None]
 
 
 class ObjectMotion(NamedTuple):
@@ -25,16 +28,28 @@ class ObjectMotion(NamedTuple):
     contrast: float
 
 
-def motions(
-    dots: int,
-    dot_xy_px_start: ArrayLike,
-    dot_xy_px_end: ArrayLike,
-    dot_path_px: ArrayLike | None,
-    object_xy_px_start: ArrayLike,
-    object_xy_px_end: ArrayLike,
-    texture_contrast: float,
-) -> tuple[Floats, ObjectMotion]:
-    """Paths of so many dots (dots, k + 1, 2) and the object's motion, from arguments of `step`."""
+class SliceMotion(NamedTuple):
+    """What moves before a camera in a slice, in px.
+
+    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end; the contrast (1: the
+    texture as drawn, 0: out of sight) holds for the whole slice. Dots on curved paths come with `dot_path_px`
+    (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with contact
+    edges needs `contact_edges_start` and `contact_edges_end`, between which they move and fade evenly.
+    """
+
+    dot_xy_px_start: ArrayLike
+    dot_xy_px_end: ArrayLike
+    object_xy_px_start: ArrayLike
+    object_xy_px_end: ArrayLike
+    texture_contrast: float
+    dot_path_px: ArrayLike | None = None
+    contact_edges_start: Place | None = None
+    contact_edges_end: Place | None = None
+
+
+def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
+    """Paths of so many dots (dots, k + 1, 2), and how the object moves."""
+    dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end, texture_contrast, dot_path_px = motion[:6]
     check_range("texture_contrast", texture_contrast, 0.0, 1e3)
     if dot_path_px is None:
         path, ends = np.empty((dots, 2, 2)), np.empty((2, 2))
@@ -118,14 +133,10 @@ def window_corners(window_px: tuple[int, int, int, int] | None, frame_px: tuple[
     return x0, y0, x1, y1
 
 
-def window_texture(
-    texture: NDArray[np.float32] | None, window_px: tuple[int, int, int, int] | None
-) -> NDArray[np.float32]:
+def window_texture(texture: NDArray[np.float32] | None) -> NDArray[np.float32]:
     """A texture whose sides are powers of two, as the window needs it; one level of 0 without any."""
     if texture is None:
         return np.zeros((1, 1), np.float32)
-    if window_px is None:
-        raise ValueError("texture: expected none without a window, found one")
     pattern = np.ascontiguousarray(texture, np.float32)
     if pattern.ndim != 2 or any(size < 1 or size & (size - 1) for size in pattern.shape):
         raise ValueError(f"texture: expected two dimensions that are powers of two, found shape {pattern.shape}")
@@ -135,12 +146,13 @@ def window_texture(
 
 
 def line_motion(
-    contact_edges: ContactEdges | None, start: Place | None, end: Place | None, *, coarsely: bool = False
+    contact_edges: ContactEdges | None, motion: SliceMotion, *, coarsely: bool = False
 ) -> LineMotion | None:
     """How lines move in a slice, checked; None if there are none, or none that moves.
 
     `coarsely`, a cut edge that moves less than scans can tell does not, which keeps a slow shear cheap.
     """
+    start, end = motion.contact_edges_start, motion.contact_edges_end
     if contact_edges is None:
         if start is not None or end is not None:
             raise ValueError("contact_edges_start, contact_edges_end: expected none: the camera has none, found some")
@@ -158,16 +170,3 @@ def line_motion(
     if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0):
         return None
     return contact_edges.motion(*places)
-
-
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Refuse a number out of a range whose ends are allowed, and NaN."""
-    if not low <= value <= high:
-        raise ValueError(f"{name}: expected {low:g} to {high:g}, found {value}")
-
-
-def check_whole(name: str, value: int, low: int, high: int) -> None:
-    """Refuse what is not a whole number, or out of a range."""
-    if not isinstance(value, (int, np.integer)):
-        raise ValueError(f"{name}: expected a whole number, found {value!r}")
-    check_range(name, value, low, high)

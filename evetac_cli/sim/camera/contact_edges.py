@@ -18,6 +18,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
+
 # An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
 EDGE_SIGMAS = 3.5
 # Compared again once a level can have changed by this, a fortieth of a threshold.
@@ -27,8 +30,6 @@ HALF_DEPTH = math.sqrt(1.0 - math.sqrt(0.5))
 STEEPEST = 8.0 / (3.0 * math.sqrt(3.0))
 FARTHEST_PX = 1e6
 NONE = 1 << 40  # of a row without any pixel to visit: beyond every column
-
-Floats = NDArray[np.float64]
 
 
 class Outline(NamedTuple):
@@ -141,10 +142,8 @@ def start(
     ValueError on values out of range.
     """
     width, height = frame_px
-    if not 0.0 <= cut_contrast <= 20.0:
-        raise ValueError(f"cut_contrast: expected 0 to 20, found {cut_contrast}")
-    if not 0.01 <= cut_width_px <= 1000.0:
-        raise ValueError(f"cut_width_px: expected 0.01 to 1000, found {cut_width_px}")
+    check_range("cut_contrast", cut_contrast, 0.0, 20.0)
+    check_range("cut_width_px", cut_width_px, 0.01, 1000.0)
     if outline is None:
         outline = Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0)
     cut = len(place.cut_x_px) > 0
@@ -215,10 +214,10 @@ def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float |
     size = np.asarray(size_px, np.float64)
     if size.shape != (2,) or not (np.isfinite(size).all() and (size > 0).all()):
         raise ValueError(f"size_px: expected two positive numbers, found {size.tolist()}")
-    if not (0.0 < level < math.inf and 0.0 < width_px < math.inf):
-        raise ValueError(f"level and width_px: expected positive finite numbers, found {level} and {width_px}")
-    if thick_px is not None and not 0.0 < 2.0 * thick_px < size.min():
-        raise ValueError(f"thick_px: expected above 0 and below {0.5 * size.min():g}, found {thick_px}")
+    check_range("level", level, above=True)
+    check_range("width_px", width_px, above=True)
+    if thick_px is not None:
+        check_range("thick_px", thick_px, 0.0, 0.5 * size.min(), above=True, below=True)
     half = np.ceil(0.5 * size + EDGE_SIGMAS * width_px) + 2
     x, y = np.meshgrid(np.arange(-half[0], half[0] + 1), np.arange(-half[1], half[1] + 1))
     shade = _edge(_depth(x, y, 0.5 * size) / width_px)

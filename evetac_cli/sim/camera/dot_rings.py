@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats
 
 
 @njit(cache=True)

@@ -7,8 +7,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.lens import Lens
@@ -17,8 +19,6 @@ from evetac_cli.sim.camera.scanning import camera, light
 from evetac_cli.sim.camera.scanning.camera import CameraState
 from evetac_cli.sim.setup.scene import CalibrationOffset, Scene, VanishingDots
 from evetac_cli.sim.setup.sensor import Sensor
-
-Floats = NDArray[np.float64]
 
 CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
 FARTHEST_CUT_PX = 4.0  # from where the window begins
@@ -163,7 +163,7 @@ class GelCamera:
         if sensor.bandwidth_hz:
             dots_hz, object_hz = self._bandwidths(sensor)
             self._lagging = LowPass(dots_hz, self.dot_xy_px), LowPass(object_hz, self.object_xy_px[None])
-        window = self.window_px if texture is not None else None
+        window = None if texture is None or self.window_px is None else (self.window_px, texture)
         built = np.random.default_rng([sensor.seed, 1])
         self._outline = outline
         self._outline_at_px = frame / 2 if outline_at_px is None else outline_at_px
@@ -186,7 +186,7 @@ class GelCamera:
         differ = dots_differ(sensor, cut)
         if readout == "ideal" and differ is not None:
             raise ValueError("dots that differ: expected the readout dvxplorer, found ideal")
-        at_start = (model, self.dot_xy_px, None, window, texture, rng, built, self._lines)
+        at_start = (model, self.dot_xy_px, None, window, rng, built, self._lines)
         self._camera: CameraState | IdealState = (
             ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change, differ)
         )
@@ -311,10 +311,11 @@ class GelCamera:
             path, seen = self._without_gone(path, seen)
         ends = (seen[0], seen[1], self._texture_at_px + seen[2], self._texture_at_px + seen[3])
         lines = self._move_lines(seen[3], self._cut_m if cut_m is None else cut_m, strength)
+        motion = SliceMotion(*ends, contrast, path, *lines)
         if isinstance(self._camera, CameraState):
-            events = camera.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
+            events = camera.step(self._camera, motion, t0_us, self._rng)
         else:
-            events = ideal.step(self._camera, *ends, contrast, t0_us, self._rng, path, *lines)
+            events = ideal.step(self._camera, motion, t0_us, self._rng)
         self.dot_xy_px, self.object_xy_px = dots, object_px
         # the last scan of a slice is before its end: only after one at rest has the camera seen where all came to lie
         self._looked_at_rest = still and self._is_settled and bool((dots == begin).all())

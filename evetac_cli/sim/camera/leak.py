@@ -64,7 +64,7 @@ def leak_in_scans(
         in_window = row - first_y
         if 0 <= in_window < window_rows:
             place = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], object_seen[2])
-            optics.sample_texture_run(texture, *place, in_window, 0, window_columns, line)
+            optics.sample_texture_run(texture, place, in_window, 0, window_columns, line)
             own_shift = window.middle_shift[in_window] if shifted else nothing
             pixels = (window.reference[in_window], window.threshold[in_window], own_shift, window.release_us[in_window])
             made = _leak_row(line, *pixels, first_x, *when, made)

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.setup.sensor import Sensor
-
-Floats = NDArray[np.float64]
 
 FARTHEST = 1.1  # up to where distances must grow, in distances of a corner
 

@@ -18,8 +18,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US
 
 # Still and this near to where it belongs a point has arrived; a ten-thousandth of an edge changes no pixel's event, and
@@ -28,8 +29,6 @@ SETTLED_PX = 1e-4
 # A piece of a path is at most as long as tau, down to this many in a slice, and scans fall on its vertices.
 MOST_PIECES = 50
 SCANS = 5
-
-Floats = NDArray[np.float64]
 
 
 def rim_bandwidth(log_contrast: float) -> float:

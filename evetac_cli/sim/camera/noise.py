@@ -9,6 +9,8 @@ depend on those before, and mix short ones with long ones (two exponentials; a g
 the median). The polarity of an event depends on that before: most pixels alternate more, or less, than by chance.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
@@ -24,31 +26,40 @@ def hot_rates(hot_rate_hz: ArrayLike, hot_pixels: int, rng: np.random.Generator)
     return np.interp(rng.random(hot_pixels), np.linspace(0.0, 1.0, len(quantile_hz)), quantile_hz)
 
 
+class Noise(NamedTuple):
+    """The noise of a camera: the rate of a pixel, and hot pixels, y * width + x.
+
+    `hot_cumulative_hz` are the summed rates before each hot pixel, and of all; `step_us` is that of time stamps, or 0.
+    """
+
+    rate_hz: float
+    hot_pixel: NDArray[np.int64]
+    hot_cumulative_hz: NDArray[np.float64]
+    on_share: float = 0.5
+    step_us: float = 0.0
+
+
 def add_noise(
-    noise_rate_hz: float,
-    hot_pixel: NDArray[np.int64],
-    hot_cumulative_hz: NDArray[np.float64],
+    noise: Noise,
     frame_px: tuple[int, int],
+    t0_us: int,
     rng: np.random.Generator,
     keys: NDArray[np.int64],
     made: int,
-    on_share: float = 0.5,
-    step_us: float = 0.0,
-    t0_us: int = 0,
 ) -> int:
     """Add the noise of a slice to `made` events; returns their number, also of those that do not fit into `keys`.
 
-    One Poisson process of all rates; a uniform number says whose event it is. `noise_rate_hz` is that of a pixel,
-    `hot_pixel` y * width + x, `hot_cumulative_hz` the summed rates before each hot pixel, and of all. `t0_us`, when the
-    slice starts, matters only to time stamps in steps.
+    One Poisson process of all rates; a uniform number says whose event it is. `t0_us`, when the slice starts, matters
+    only to time stamps in steps.
     """
-    background_hz = noise_rate_hz * frame_px[0] * frame_px[1]
+    rate_hz, hot_pixel, hot_cumulative_hz, on_share, step_us = noise
+    background_hz = rate_hz * frame_px[0] * frame_px[1]
     total_hz = background_hz + hot_cumulative_hz[-1]
     uniform = rng.random((rng.poisson(total_hz * SLICE_US * 1e-6), 2))
     if on_share == 0.5 and step_us == 0.0:
         return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))
-    hot = (hot_pixel, hot_cumulative_hz)
-    return int(_place_in_steps(uniform, background_hz, *hot, frame_px, on_share, step_us, t0_us, keys, made))
+    hot, stamps = (hot_pixel, hot_cumulative_hz), (on_share, step_us, t0_us)
+    return int(_place_in_steps(uniform, background_hz, hot, frame_px, stamps, keys, made))
 
 
 class HotPixels:
@@ -83,7 +94,7 @@ class HotPixels:
         """Add the events of the slice that starts at `t0_us` to `made` events, and return their number."""
         state = (self._next_us, self._last_us, self._brighter)
         places = (self._x, self._y)
-        return int(_hot_events(self._rng, *places, self._law, *state, float(t0_us), width, step_us, keys, made))
+        return int(_hot_events(self._rng, places, self._law, state, float(t0_us), width, step_us, keys, made))
 
 
 @njit(cache=True)
@@ -135,16 +146,18 @@ def _grid_time(time_us: float, x: int, width: int, step_us: float) -> float:
 def _place_in_steps(
     uniform: NDArray[np.float64],
     background_hz: float,
-    hot_pixel: NDArray[np.int64],
-    hot_cumulative_hz: NDArray[np.float64],
+    hot: tuple[NDArray[np.int64], NDArray[np.float64]],
     frame_px: tuple[int, int],
-    on_share: float,
-    step_us: float,
-    t0_us: int,
+    stamps: tuple[float, float, int],
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """As _place, with a share of ON events, and at one of the times in the slice at which the column is read out."""
+    """As _place, with a share of ON events, and at one of the times in the slice at which the column is read out.
+
+    hot: pixels and summed rates; stamps: share of ON events, step of time stamps and start of the slice, in us.
+    """
+    hot_pixel, hot_cumulative_hz = hot
+    on_share, step_us, t0_us = stamps
     width, height = frame_px
     total_hz = background_hz + hot_cumulative_hz[-1]
     for event in range(len(uniform)):
@@ -166,19 +179,21 @@ def _place_in_steps(
 @njit(cache=True)
 def _hot_events(
     rng: np.random.Generator,
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    places: tuple[NDArray[np.int64], NDArray[np.int64]],
     law: NDArray[np.float64],
-    next_us: NDArray[np.float64],
-    last_us: NDArray[np.float64],
-    brighter: NDArray[np.uint8],
+    state: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]],
     t0_us: float,
     width: int,
     step_us: float,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Events of hot pixels before the end of a slice; of two in one step the second is lost, as in a scan."""
+    """Events of hot pixels before the end of a slice; of two in one step the second is lost, as in a scan.
+
+    places: columns and rows; state: time of the next event and of the last one, and the polarity of the next.
+    """
+    x, y = places
+    next_us, last_us, brighter = state
     end_us = t0_us + SLICE_US
     for pixel in range(len(x)):
         while next_us[pixel] < end_us:

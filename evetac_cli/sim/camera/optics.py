@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
+
 LOG_CONTRAST = 1.61  # ln(gel / dot), brightness 5 : 1
 EDGE_SIGMA_PX = 1.2
 # The rim ends where the error function is within 0.0011 log units of its limit, half a percent of a threshold of 0.2;
@@ -51,8 +53,7 @@ def dot_profile(radius_px: float, sigma_px: float = EDGE_SIGMA_PX, log_contrast:
     `sigma_px` is the blur of the rim, `log_contrast` ln(I_gel / I_dot). ValueError unless all are positive and finite.
     """
     for name, value in (("radius_px", radius_px), ("sigma_px", sigma_px), ("log_contrast", log_contrast)):
-        if not 0.0 < value < math.inf:
-            raise ValueError(f"{name}: expected a positive finite number, found {value}")
+        check_range(name, value, above=True)
     sigmas = np.linspace(-INNER_SIGMAS, OUTER_SIGMAS, PROFILE_STEPS + 1)
     ink = math.exp(-log_contrast)
     lit = np.array([0.5 * (1.0 + math.erf(sigma / math.sqrt(2.0))) for sigma in sigmas])
@@ -237,10 +238,8 @@ def texture(
     if any(size < 8 or size > 8192 or size & (size - 1) for size in shape):
         raise ValueError(f"shape: expected powers of two from 8 to 8192, found {shape}")
     longest_px = min(shape) / 8
-    if not 0.0 < half_correlation_px <= longest_px:
-        raise ValueError(f"half_correlation_px: expected above 0, at most {longest_px:g}, found {half_correlation_px}")
-    if not 0.0 <= log_sd < math.inf:
-        raise ValueError(f"log_sd: expected a finite number >= 0, found {log_sd}")
+    check_range("half_correlation_px", half_correlation_px, 0.0, longest_px, above=True)
+    check_range("log_sd", log_sd)
     kernel_sigma_px = half_correlation_px / (2.0 * math.sqrt(math.log(2.0)))
     frequency2 = np.fft.fftfreq(rows)[:, None] ** 2 + np.fft.rfftfreq(columns)[None, :] ** 2
     spectrum = np.fft.rfft2(rng.standard_normal(shape))
@@ -269,7 +268,7 @@ def sample_texture(
     place = texture_place(texture, first_x, first_y, object_x_px, object_y_px, contrast)
     rows, columns = level.shape
     for row in range(rows):
-        sample_texture_run(texture, *place, row, 0, columns, level[row])
+        sample_texture_run(texture, place, row, 0, columns, level[row])
 
 
 @njit(cache=True)
@@ -305,19 +304,10 @@ def texture_place(
 
 @njit(cache=True)
 def sample_texture_run(
-    texture: NDArray[np.float32],
-    whole_x: int,
-    whole_y: int,
-    upper_left: np.float32,
-    upper_right: np.float32,
-    lower_left: np.float32,
-    lower_right: np.float32,
-    row: int,
-    first: int,
-    end: int,
-    level: NDArray[np.float32],
+    texture: NDArray[np.float32], place: TexturePlace, row: int, first: int, end: int, level: NDArray[np.float32]
 ) -> None:
     """Fill level[: end - first] with pixels first to end of a row, counted from that of `texture_place`."""
+    whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     texture_rows, texture_columns = texture.shape
     # Unsigned indices, as in `profile_level`, and no slices, whose making takes longer than a short run.
     upper = np.uint64((whole_y + row) & (texture_rows - 1))

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.sim.camera.optics import dot_profile, gel_level
 
 WINDOW_PX = (15, 15)
@@ -35,8 +36,9 @@ class RgbCamera:
     noise_grey: float = 2.0  # sd, of every pixel in every frame
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.noise_grey < np.inf or not 0.0 < self.gel_grey <= 255.0 or self.frame_ms < 1:
-            raise ValueError(f"expected noise >= 0, 0 < gel_grey <= 255 and frame_ms >= 1, found {self}")
+        check_range("noise_grey", self.noise_grey)
+        check_range("gel_grey", self.gel_grey, 0.0, 255.0, above=True)
+        check_range("frame_ms", self.frame_ms, 1)
 
 
 def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -14,14 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
-
-Floats = NDArray[np.float64]
 
 # Of `Allowed.steepness`. Why so: at the default tolerance the onset of slip is within 0.25 ms of that of steps of 10 us
 # in 16 trials of each plan of tests/evaluate/cost/test_letting_go.py (seeds 0 to 15); at 0.4 one is 0.47 ms off, at 0.6

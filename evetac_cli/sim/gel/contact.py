@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.sim.setup.object_file import Shape
-
-Floats = NDArray[np.float64]
 
 
 def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m: tuple[float, float]) -> Floats:
@@ -59,8 +58,8 @@ def surface(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: fl
         raise ValueError(f"tilt_rad must be finite, found {tilt_rad}")
     if shape not in ("flat", "cylinder", "sphere"):
         raise ValueError(f"shape must be flat, cylinder or sphere, found {shape!r}")
-    if shape != "flat" and not (np.isfinite(radius_m) and radius_m > 0):
-        raise ValueError(f"the radius_m of a {shape} must be finite and > 0, found {radius_m}")
+    if shape != "flat":
+        check_range("radius_m", radius_m, above=True)
     x, y = node_xy_m[..., 0], node_xy_m[..., 1]
     gap: Floats = tilt_rad * x
     if shape == "cylinder":
@@ -122,8 +121,7 @@ def force_curve(
         ("step_ticks", step_ticks),
         ("second_stiffness", 1.0 if second_stiffness is None else second_stiffness),
     ):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be finite and > 0, found {value}")
+        check_range(name, value, above=True)
     force, corner = indentation_curve(gap_m, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
     second = corner
     if second_stiffness is not None:  # a corner wherever one more node of either gel comes into contact
@@ -159,8 +157,7 @@ def indentation_curve(gap_m: Floats, node_stiffness_n_m: float, gel_height_m: fl
 
 def closing_at(curve: ForceCurve, force_n: float) -> float:
     """Closing in ticks past first touch at which a finger presses with force_n, 0 <= force_n <= the curve's last."""
-    if not 0.0 <= force_n <= curve.force_n[-1]:
-        raise ValueError(f"force_n must be within [0, {curve.force_n[-1]:.4g}] N of the curve, found {force_n}")
+    check_range("force_n", force_n, 0.0, float(curve.force_n[-1]))
     return float(curve.step_ticks * np.interp(force_n, curve.force_n, np.arange(len(curve.force_n))))
 
 

@@ -14,15 +14,13 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel.gel import DECAY_M
 
 SQUEEZE = 0.75
 STICKING_SHARE = 0.3
 CAMERA_DISTANCE_M = 25e-3
-
-Floats = NDArray[np.float64]
 
 
 def dilation(

@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from evetac_cli.arrays import Flags, Floats
 
 ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
 

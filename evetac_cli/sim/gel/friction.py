@@ -17,9 +17,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 
 WAVES = 256  # that make up a smooth random field
 
@@ -58,10 +58,8 @@ def varied(node_xy_m: Floats, spread: float, length_m: float, rng: np.random.Gen
     exp(-(r / length_m)^2 / 2). A sum of random waves, so that a gel is the same on any grid of nodes. ValueError where
     a value is out of range.
     """
-    if not 0.0 <= spread <= 1.0:
-        raise ValueError(f"the spread of friction over a gel must be within [0, 1], found {spread}")
-    if not 1e-4 <= length_m <= 0.1:
-        raise ValueError(f"the length over which friction varies must be within 0.1 to 100 mm, found {length_m} m")
+    check_range("spread of friction over a gel", spread, 0.0, 1.0)
+    check_range("length over which friction varies", length_m, 1e-4, 0.1, "m")
     field = np.zeros(node_xy_m.shape[:2])
     waves = zip(rng.normal(0.0, 1.0 / length_m, (WAVES, 2)), rng.uniform(0.0, 2 * np.pi, WAVES), strict=True)
     for wave_number, phase in waves:

@@ -34,13 +34,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
+from evetac_cli.checks import check_range
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, Layer, spring
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
 MOST_ARMS = 8
@@ -71,21 +70,15 @@ class GelMaterial:
 
     def __post_init__(self) -> None:
         for name in ("shear_modulus_pa", "height_m", "density_kg_m3", "maxwell_time_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be finite and > 0, found {value}")
+            check_range(name, getattr(self, name), above=True)
         for name in ("viscous_time_s", "maxwell_share"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be finite and >= 0, found {value}")
+            check_range(name, getattr(self, name))
         if not len(self.creep_share) == len(self.creep_time_s) <= MOST_ARMS:
             counts = f"{len(self.creep_share)} and {len(self.creep_time_s)}"
             raise ValueError(f"creep_share and creep_time_s must have one length, {MOST_ARMS} at most, found {counts}")
         for share, time_s in zip(self.creep_share, self.creep_time_s, strict=True):
-            if not 0 <= share <= 10:
-                raise ValueError(f"each creep_share must be within [0, 10], found {share}")
-            if not 1e-3 <= time_s <= 1e5:
-                raise ValueError(f"each creep_time_s must be within [0.001, 100000] s, found {time_s}")
+            check_range("creep_share", share, 0.0, 10.0)
+            check_range("creep_time_s", time_s, 1e-3, 1e5)
 
     @property
     def arms(self) -> tuple[tuple[float, float], ...]:
@@ -108,13 +101,8 @@ class Friction:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{entry.name} must be finite and >= 0, found {value}")
-        if self.kinetic > self.static:
-            raise ValueError(f"kinetic must be <= static, found {self.kinetic} > {self.static}")
-        if self.stribeck_speed_m_s == 0:
-            raise ValueError("stribeck_speed_m_s must be > 0, found 0")
+            check_range(entry.name, getattr(self, entry.name), above=entry.name == "stribeck_speed_m_s")
+        check_range("kinetic", self.kinetic, 0.0, self.static)
 
     @property
     def law(self) -> FrictionLaw:
@@ -274,8 +262,7 @@ def start(
         ("pads", pads),
         ("cell_area_m2", area),
     ):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be finite and > 0, found {value}")
+        check_range(name, value, above=True)
     if len(body_xy_m) != 2 or not np.isfinite(body_xy_m).all():
         raise ValueError(f"body_xy_m must be two finite numbers, found {body_xy_m}")
     rows, columns, _ = nodes.shape
@@ -426,8 +413,7 @@ def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY
     points = np.asarray(points_xy_m, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise ValueError(f"points_xy_m must be finite with shape (points, 2), found shape {points.shape}")
-    if not (math.isfinite(decay_m) and decay_m > 0):
-        raise ValueError(f"decay_m must be finite and > 0, found {decay_m}")
+    check_range("decay_m", decay_m, above=True)
     rows, columns, _ = node_xy_m.shape
     low = np.empty((2, len(points)), dtype=np.intp)
     high = np.empty_like(low)

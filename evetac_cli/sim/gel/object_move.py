@@ -13,12 +13,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.sim.gel.force_balance import Stencil, Work, links
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
 
 REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,

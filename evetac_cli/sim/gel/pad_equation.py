@@ -5,13 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.sim.gel.force_balance import Stencil, Work, links
 from evetac_cli.sim.gel.friction import coefficient_after
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Layer(NamedTuple):

@@ -11,14 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.sim.gel.force_balance import imbalance, relax, set_object_velocity
 from evetac_cli.sim.gel.object_move import move_object
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, advance, begin, let_go, refresh
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us a step, on 24 x 18 nodes under a
 # tilted cylinder that begins to slip.

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.sim.gel.gel import Friction
 from evetac_cli.sim.setup.scene import FrictionChange
 
@@ -19,7 +20,7 @@ class ChangingFriction:
         self._changes_at = math.inf
         if change is not None:
             factor = change.factor
-            self._changes_at = round(change.at_s * 1000)
+            self._changes_at = round(change.at_s * SLICES_PER_S)
             self._after = replace(friction, static=friction.static * factor, kinetic=friction.kinetic * factor)
 
     def at(self, slice_number: int) -> Friction:

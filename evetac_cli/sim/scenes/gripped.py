@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
@@ -104,9 +104,9 @@ class GraspSimulation:
         self.slices_in_all = self._planned_slices(lift_s, balance_s)
         rises_at_s = self._time.touch_s + self._time.before_rise_s
         self._hand = Hand(self._scene.hand, rises_at_s, STEP_S, hand_rng)
-        self._drops_at = round((self._time.touch_s + lift_s) * 1000)
+        self._drops_at = round((self._time.touch_s + lift_s) * SLICES_PER_S)
         if self._drop is not None:
-            self._drops_at += round(self._drop.after_s * 1000)
+            self._drops_at += round(self._drop.after_s * SLICES_PER_S)
         scene, hand = self._scene, self._scene.hand
         exists = {
             **built_of_gel(self._friction_factor, self._material, scene),
@@ -129,8 +129,8 @@ class GraspSimulation:
 
     def _planned_slices(self, lift_s: float, balance_s: float) -> int:
         if self._kind == "lift":
-            return round((self._time.touch_s + lift_s + balance_s) * 1000)
-        return round(self._time.longest_s * 1000)
+            return round((self._time.touch_s + lift_s + balance_s) * SLICES_PER_S)
+        return round(self._time.longest_s * SLICES_PER_S)
 
     def _texture(self, called: Called, rng: np.random.Generator) -> NDArray[np.float32] | None:
         """What the window shows of the object; nothing if the scene has no texture, leaves it out, or has no window."""

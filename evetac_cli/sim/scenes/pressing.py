@@ -10,8 +10,8 @@ from bisect import bisect_right
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.camera.contact_edges import Outline
@@ -36,7 +36,6 @@ from evetac_cli.sim.setup.driven import Face, FaceMotion
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
 
-Floats = NDArray[np.float64]
 LONGEST_S = 24 * 3600.0  # as for any recording
 
 

@@ -10,16 +10,14 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-
-Floats = NDArray[np.float64]
 
 SIZES_PX = {"finger": (250.0, 180.0), "handle": (260.0, 150.0)}  # across, down
 THICK_PX = {"finger": None, "handle": 40.0}

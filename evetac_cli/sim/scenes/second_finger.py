@@ -8,14 +8,12 @@ where one finger carries more than the other, which would shift pressure along e
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import friction_factor
 from evetac_cli.sim.setup.held import SecondFingerSettings
 from evetac_cli.sim.setup.sensor import Sensor
-
-Floats = NDArray[np.float64]
 
 
 class SecondFinger:

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
@@ -20,7 +21,6 @@ from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.solver import Solver
 
 STEP_S = 1e-3
-Floats = NDArray[np.float64]
 
 FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher and lower
 

@@ -3,13 +3,12 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel import contact
 from evetac_cli.sim.scenes.second_finger import SecondFinger
 from evetac_cli.sim.setup.sampling import SampledTrial
 
-Floats = NDArray[np.float64]
 GRAVITY_M_S2 = 9.81
 
 

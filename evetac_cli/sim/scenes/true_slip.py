@@ -38,6 +38,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel.gel import GelState
 
@@ -57,9 +58,6 @@ NO_SLIP = {
     "truth/slip_share": 0.0,
     "truth/visible_slip_share": 0.0,
 }
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class GroundTruthSlip:

@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.arrays import Floats
+from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
 from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
@@ -42,7 +43,6 @@ PIECES = 5  # a slice, or a multiple: the scanning camera scans 5 times a slice,
 PIECES_A_PERIOD = 16  # at least; 8 of the second harmonic
 BLOCK = 50  # slices whose waves are evaluated at once: 0.3 ms a slice otherwise, as numpy is slow to begin
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
@@ -197,7 +197,8 @@ class Vibration:
         self._pieces = PIECES * math.ceil(PIECES_A_PERIOD * self._hz * 1e-3 / PIECES)
         self._now = Motion(*(np.zeros(()) for _ in Motion._fields))
         self.slices = 0
-        self.slices_in_all = round(1000 * (self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s))
+        whole_s = self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s
+        self.slices_in_all = round(SLICES_PER_S * whole_s)
         self.finished = False
         exists = {**built_of_gel(None, layer, scene), "gel and friction": False}
         self.built = frozenset(part for part, is_there in exists.items() if is_there)

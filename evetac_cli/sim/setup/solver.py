@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.sim.setup.tables import number, read_table, whole
 
@@ -50,16 +51,12 @@ class Solver:
 
     def __post_init__(self) -> None:
         for name in ("tolerance_um", "node_pitch_mm", "residual"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be finite and > 0, found {value}")
-        if not 0.5 <= self.theta <= 1.0:
-            raise ValueError(f"theta must be within [0.5, 1], found {self.theta}")
-        if self.camera_substeps < 1 or self.scans_per_ms < 1:
-            counts = f"{self.camera_substeps} and {self.scans_per_ms}"
-            raise ValueError(f"camera_substeps and scans_per_ms must be at least 1, found {counts}")
+            check_range(name, getattr(self, name), above=True)
+        check_range("theta", self.theta, 0.5, 1.0)
+        check_range("camera_substeps", self.camera_substeps, 1)
+        check_range("scans_per_ms", self.scans_per_ms, 1)
         if self.step_ms is not None and not self._divides_slice(self.step_ms):
-            raise ValueError(f"step_ms must be 1 ms divided by a whole number, found {self.step_ms}")
+            raise ValueError(f"step_ms: expected 1 ms divided by a whole number, found {self.step_ms}")
 
     @staticmethod
     def _divides_slice(step_ms: float) -> bool:

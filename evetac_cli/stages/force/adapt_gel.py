@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, outcome
@@ -34,12 +35,12 @@ READING_LASTS_MS = 1000  # until the next one, at most
 class Known(NamedTuple):
     """Terms of the forces and readings, of all contacts of some recordings."""
 
-    shear: gel_forces.Floats
-    normal: gel_forces.Floats
-    shear_n: gel_forces.Floats
-    normal_n: gel_forces.Floats
+    shear: Floats
+    normal: Floats
+    shear_n: Floats
+    normal_n: Floats
     contact: NDArray[np.int64]
-    time_s: gel_forces.Floats
+    time_s: Floats
 
 
 def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force import gel_forces
@@ -18,8 +18,6 @@ from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import read_toml
-
-Floats = NDArray[np.float64]
 
 LAYERS = 3
 SHAPES = {  # what the schema leaves open

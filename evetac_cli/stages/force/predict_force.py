@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.parameter import recipe_of, refuse_unused
 from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import Prediction
@@ -94,13 +96,13 @@ def _for_any_sensor(job: Job, params: PredictForce, *, force: bool) -> Outcome:
             f"{which}_modulus": "adapted" if model.adapted is not None else "known" if modulus in given else "unknown"
             for which, modulus in gel_model.MODULI.items()
         },
-        contact_s=float(contact.sum() / 1000),
+        contact_s=float(contact.sum() / SLICES_PER_S),
         **_most("shear_n", np.linalg.norm(estimated.forces.shear_n, axis=1), estimated.forces.shear_sd_n.max(axis=1)),
         **_most("normal_n", estimated.forces.normal_n, estimated.forces.normal_sd_n),
     )
 
 
-def _most(name: str, force_n: forces.Floats, sd_n: forces.Floats) -> dict[str, float | None]:
+def _most(name: str, force_n: Floats, sd_n: Floats) -> dict[str, float | None]:
     """The largest force and its standard deviation; None where there is no slice with a force."""
     if not np.isfinite(force_n).any():
         return {f"max_{name}": None, f"max_{name}_sd": None}

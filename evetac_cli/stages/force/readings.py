@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.text_files import read_text
-
-Floats = NDArray[np.float64]
 
 COLUMNS = ["t_s", "shear_x_n", "shear_y_n", "normal_n"]
 EVERY = 40  # slices from one reading that is used to the next
@@ -98,9 +98,9 @@ def _from_table(path: Path, slices: int) -> Readings:
             expected = f"four finite numbers of at most {LARGEST_N:g}, the forces empty where not measured"
             written = ",".join(line)[:80]
             raise InputError("not a reading", where=f"{path}, line {number}", expected=expected, found=written)
-        if not 0 <= row[0] * 1000 < slices:
+        if not 0 <= row[0] * SLICES_PER_S < slices:
             written = f"{row[0]:g} s"
-            expected = f"a time within the recording, 0 to {slices / 1000:g} s"
+            expected = f"a time within the recording, 0 to {slices / SLICES_PER_S:g} s"
             raise InputError(
                 "a reading beside the recording", where=f"{path}, line {number}", expected=expected, found=written
             )
@@ -109,6 +109,6 @@ def _from_table(path: Path, slices: int) -> Readings:
     values = values[np.isfinite(values[:, 1:]).any(axis=1)]
     if not len(values):
         raise InputError("a table of forces without a reading", where=str(path))
-    slice_ = np.floor(values[:, 0] * 1000 + 1e-6).astype(np.int64)  # 1.001 s is slice 1001
+    slice_ = np.floor(values[:, 0] * SLICES_PER_S + 1e-6).astype(np.int64)  # 1.001 s is slice 1001
     _, kept = np.unique(slice_ // EVERY, return_index=True)
     return Readings(slice_[kept], values[kept, 1:3], values[kept, 3])

@@ -9,9 +9,9 @@ off by what a tracker errs, and the displacement field is read from them as from
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
+from evetac_cli.arrays import Floats
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.force.dot_field import lattice_field
 from evetac_cli.kernels.identify import held_gel
@@ -23,8 +23,6 @@ from evetac_cli.sim.scenes.shared import pad
 from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
 from evetac_cli.sim.setup.solver import Solver
-
-Floats = NDArray[np.float64]
 
 HEIGHT_M = gel.GelMaterial().height_m
 SHEARS = 8  # of each contact; the first is none

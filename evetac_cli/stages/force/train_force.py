@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of, refuse_unused
 from evetac_cli.commands.train_force import TrainForce
@@ -38,8 +39,8 @@ class Samples(NamedTuple):
     """Samples of one trajectory, to train a force model on or to evaluate it."""
 
     slice_: NDArray[np.int64]  # (samples,)
-    moved_px: forces.Floats  # (samples, dots, 2)
-    force_n: forces.Floats  # (samples, 2), as a force sensor reads it
+    moved_px: Floats  # (samples, dots, 2)
+    force_n: Floats  # (samples, 2), as a force sensor reads it
 
 
 class ForceModel(NamedTuple):
@@ -174,9 +175,9 @@ def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.rando
     return Samples(chosen, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
 
 
-def read_rest_px(tracks: StageFile) -> forces.Floats:
+def read_rest_px(tracks: StageFile) -> Floats:
     """Places of the dots at rest, (dots, 2) in px."""
-    rest: forces.Floats = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    rest: Floats = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     return rest
 
 

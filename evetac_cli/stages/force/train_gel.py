@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
@@ -97,7 +98,7 @@ def measured(model: GelModel, paths: tuple[Path, ...]) -> GelModel:
     if contact.all() or not contact.any():
         raise InputError("errors cannot be measured", expected="recordings with and without contact in them")
 
-    def of(parts: list[tuple[gel_forces.Floats, gel_forces.Floats]]) -> tuple[float, float]:
+    def of(parts: list[tuple[Floats, Floats]]) -> tuple[float, float]:
         return gel_forces.fit_errors(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     errors = Errors(*of(shear), *of(normal))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import rest
 from evetac_cli.kernels.identify.rest import RestNoise
@@ -35,9 +36,9 @@ def longest(recording: Recording, rng: np.random.Generator) -> Rest | None:
     if stop - first < SHORTEST_REST:
         return None
     events = recording.between(first, stop)
-    columns = (events.t - 1000 * first, events.x, events.y, events.p)
+    columns = (events.t - SLICE_US * first, events.x, events.y, events.p)
     try:
-        noise = rest.analyse(*columns, recording.frame_px, 1000 * (stop - first), rng)
+        noise = rest.analyse(*columns, recording.frame_px, SLICE_US * (stop - first), rng)
     except ValueError:  # so many pixels are busy that this is no rest
         return None
     return Rest(noise, f"{recording.path.name}, {first} to {stop} ms")

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel.contact import ForceCurve
-
-Floats = NDArray[np.float64]
 
 STEP_S = 1e-3
 MOVED_TICKS = 4.0  # so far the gripper has to close before it touches, and to open again

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
+from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify import gripper, held_gel
 from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
@@ -24,8 +26,6 @@ from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import DriveFit, GripperRows
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.recordings.read import Recording
-
-Floats = NDArray[np.float64]
 
 STEP_MS = 1.0  # a simulated command takes effect in the next ms
 PAD_NODES = (36, 27)  # columns and rows
@@ -180,7 +180,7 @@ def _weight(
     slips_ms = _slips(displacement_m[last_ms:])
     per_ma = None
     if slips_ms is not None and fitted is not None:
-        at = np.minimum(slips_ms + last_ms - int(rows.time_us[0] // 1000), len(fitted.force_ma) - 1)
+        at = np.minimum(slips_ms + last_ms - int(rows.time_us[0] // SLICE_US), len(fitted.force_ma) - 1)
         force_ma = fitted.force_ma[at]
         per_ma = GRAVITY_M_S2 / PADS / force_ma if (force_ma > 0).all() else None
     known_creep = None if "creep" in misfits else creep
@@ -208,7 +208,7 @@ def _longest_hold(rows: GripperRows) -> tuple[int, int]:
     edges = np.concatenate([[0], changes, [len(rows.time_us) - 1]])
     longest = int(np.argmax(np.diff(rows.time_us[edges])))
     first, last = rows.time_us[edges[longest]], rows.time_us[edges[longest + 1]]
-    return int(first // 1000), int(last // 1000)
+    return int(first // SLICE_US), int(last // SLICE_US)
 
 
 def _tracked(recording: Recording) -> NDArray[np.float32]:

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.estimates import LEVEL, Estimate
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify.drive import DriveFit
-from evetac_cli.stages.identify.gripped import Floats, Gripped, Weight, merged
+from evetac_cli.stages.identify.gripped import Gripped, Weight, merged
 from evetac_cli.stages.identify.sensor_text import Entry, Row
 
 MAKE_GRIP = "cannot be told from these recordings: make one as of the scene grip-steps (docs/identify.md)"

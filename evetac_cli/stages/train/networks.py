@@ -79,16 +79,16 @@ class Networks:
                 preset,
                 # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
                 np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
-                epochs=chosen["epochs"],
-                max_steps=chosen["max_steps"],
-                on_progress=lambda step, steps: progress(number * steps + step, self.count * steps),
+                training.Limits(
+                    chosen["epochs"],
+                    chosen["max_steps"],
+                    self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
+                    chosen.get("patience"),
+                ),
+                training.Hooks(lambda step, steps: progress(number * steps + step, self.count * steps), save, on_point),
                 device=chosen["device"],
                 resume_from=saved,
-                on_save=save,
                 start=start,
-                validation=self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
-                patience=chosen.get("patience"),
-                on_point=on_point,
             )
         if self.count > 1:
             _write(place, self.recipe, result.state)

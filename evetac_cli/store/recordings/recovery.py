@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, CheckedHdf5, row_blocks
 from evetac_cli.store.hdf5.disk import open_lock
 from evetac_cli.store.layout import schema
@@ -30,7 +30,7 @@ from evetac_cli.text_files import SEED_BITS, parse_json
 
 SUFFIX = ".part"
 # `record` takes a day at most. Every slice costs a row, so a damaged number must not make billions of empty ones.
-LONGEST_SLICES = 25 * 3600 * 1000
+LONGEST_SLICES = 25 * 3600 * SLICES_PER_S
 LARGEST_PX = 65535  # what an event's uint16 can say
 PLAIN = "the segments beside it are plain HDF5 files: events/t, x, y, p, events_per_slice"
 LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"

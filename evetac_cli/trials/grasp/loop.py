@@ -10,12 +10,10 @@ from typing import Any, Protocol
 
 from evetac_cli.devices import GripperReading, Rig, gripper_row
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import Phase
 from evetac_cli.sim.parts import Timer, untimed
-
-SLICES_S = 1_000_000 // SLICE_US
 
 
 class SlipDetector(Protocol):
@@ -43,7 +41,7 @@ class Timing:
     latency_ms: int = 0  # from the detector's signal to the controller that gets it
 
     def __post_init__(self) -> None:
-        if SLICES_S % self.control_hz:
+        if SLICES_PER_S % self.control_hz:
             expected = "a rate of which 1000 is a multiple, as in 50, 100, 250, 500, 1000"
             raise InputError(
                 "slices end every millisecond", where="--control-hz", expected=expected, found=f"{self.control_hz:g}"
@@ -52,7 +50,7 @@ class Timing:
     @property
     def every_ms(self) -> int:
         """Slices between steps of the controller."""
-        return round(SLICES_S / self.control_hz)
+        return round(SLICES_PER_S / self.control_hz)
 
     @property
     def end_ms(self) -> int:

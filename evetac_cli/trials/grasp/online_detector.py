@@ -20,7 +20,7 @@ from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
+from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import tracker
@@ -111,10 +111,8 @@ def open_detector(
     constants: of the tracker, for dots of the usual size. InputError if the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
-    named = {name: f"sensor/{name}" for name in Sensitivity._fields}
-    known = Sensitivity(**{name: float(sensor[path]) for name, path in named.items() if path in sensor})
     detector = OnlineSlipDetector.start(
-        model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, known
+        model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
     )
     detector.threshold = threshold
     return detector

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli import plugins, resources
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, OtherLaw
 from evetac_cli.kernels.tracking import tracker
@@ -19,7 +20,7 @@ from evetac_cli.stages.slip_detectors import check_graph, require_useful
 from evetac_cli.store.calibration import Calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
-from evetac_cli.trials.grasp.loop import SLICES_S, Timing
+from evetac_cli.trials.grasp.loop import Timing
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector, dots_for, open_detector
 from evetac_cli.trials.trial import DeviceTrial, ReplayTrial, SimulatedTrial, Trial, View
 
@@ -107,7 +108,7 @@ class GraspSettings:
 
     def timing_with(self, touch_s: float, lift_s: float, balance_s: float) -> Timing:
         """The timing for phases that are not those of the flags."""
-        touch_ms, lift_ms, balance_ms = (round(SLICES_S * each) for each in (touch_s, lift_s, balance_s))
+        touch_ms, lift_ms, balance_ms = (round(SLICES_PER_S * each) for each in (touch_s, lift_s, balance_s))
         return Timing(touch_ms, lift_ms, balance_ms, self.control_hz, self.latency_ms)
 
     def control(self) -> Control:

@@ -41,13 +41,12 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     The events are written as they are read, once; what they are, and whether they can be used, is known at the end.
     """
     from evetac_cli.formats.imports import EventFile, left_out_text  # with the libraries of its format
+    from evetac_cli.formats.read.time_order import OrderOptions
 
     file = EventFile(
         job.inputs[0],
         frame_px=_frame(params.frame_size),
-        sort=params.sort,
-        drop_late=params.drop_late,
-        from_restart=params.from_restart,
+        order=OrderOptions(params.sort, params.drop_late, params.from_restart),
         stream=params.stream,
         columns=params.columns,
         time_unit=params.time_unit,

@@ -9,7 +9,7 @@ from evetac_cli.devices import Rig, losses
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Outcome
 from evetac_cli.names import Capability
 from evetac_cli.store.calibration import Calibration, read_calibration
@@ -60,7 +60,7 @@ def run(trial: Preview) -> Outcome:
             if trial.calibration is not None:
                 sensor |= trial.calibration.arrays()
             view.begin(sensor)
-            most = round(1000 * trial.seconds) if trial.seconds is not None else None
+            most = round(SLICES_PER_S * trial.seconds) if trial.seconds is not None else None
             row = _watch(rig, view, most, paced=camera.has(Capability.STEPPED))
         except KeyboardInterrupt:
             raise KeyboardInterrupt("stopped; nothing was written") from None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices import Gripper, Rig, gripper_row
-from evetac_cli.events import Events
+from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.held import GripperCurrent
@@ -116,8 +116,9 @@ class GripperSchedule:
         """As the scene says; in a ramp scene the object is held from the start."""
         time, gripper = scene.time, scene.gripper
         if scene.kind == "ramp":
-            return cls(0, 0, round(1000 * (time.rest_s + time.load_s + time.hold_s)))
-        close_ms, grip_ms, ramp_ms = (round(1000 * at_s) for at_s in (gripper.close_s, gripper.grip_s, gripper.ramp_s))
+            return cls(0, 0, round(SLICES_PER_S * (time.rest_s + time.load_s + time.hold_s)))
+        starts_s = (gripper.close_s, gripper.grip_s, gripper.ramp_s)
+        close_ms, grip_ms, ramp_ms = (round(SLICES_PER_S * at_s) for at_s in starts_s)
         return cls(close_ms, grip_ms, ramp_ms, gripper.current)
 
 

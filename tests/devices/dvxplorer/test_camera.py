@@ -253,7 +253,7 @@ def test_thresholds(on: int, off: int, expected: dict[int, int]) -> None:
 def test_settings_out_of_range() -> None:
     """Assert a ValueError that names the setting, the range and what was found."""
     for wrong, match in (
-        ({"threshold_on": 18}, "threshold_on: expected 0..17, found 18"),
+        ({"threshold_on": 18}, "threshold_on: expected 0 to 17, found 18"),
         ({"threshold_off": -1}, "threshold_off"),
         ({"readout_rate": "fast"}, "variable-5000"),
         ({"flush_us": 0}, "flush_us"),

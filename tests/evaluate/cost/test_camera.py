@@ -31,7 +31,7 @@ def small(name: str, model: CameraModel, *, window: bool = False) -> Workload:
 def test_the_window_is_that_of_the_ideal_camera() -> None:
     """Assert that reference and ideal camera see a sliding texture alike: the same events, to a fraction of 1 us."""
     load = small("window", QUIET, window=True)
-    state = camera.start(QUIET, load.path_px(1)[0], None, load.window_px, load.texture, np.random.default_rng(2))
+    state = camera.start(QUIET, load.path_px(1)[0], None, (load.window_px, load.texture), np.random.default_rng(2))
     truth = true_events(state, load)
     seen = truth.x >= 50
     assert seen.sum() > 200

@@ -115,5 +115,5 @@ def test_steps_without_balance_are_told(monkeypatch):
 def test_a_wrong_case_is_refused():
     """Assert that a case which the gel refuses is ok, and says why."""
     (row,) = gel_rows(GelCase("heavy", mass_kg=math.nan), 2)
-    assert row["outcome"].startswith("refused: body_mass_kg must be finite")
+    assert row["outcome"].startswith("refused: body_mass_kg: expected above 0")
     assert row["ok"]

@@ -10,13 +10,12 @@ import pytest
 from evetac_cli.commands.evaluate import EvaluateStability
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.errors import DeviceError
-from evetac_cli.evaluate import Rows
 from evetac_cli.evaluate.cost.short_grasps import GraspResult
 from evetac_cli.evaluate.stability import bounds, command
 from evetac_cli.evaluate.stability import grasp as stability
 from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, merge
 from evetac_cli.evaluate.stability.grasp import Case, DyingDetector, UnevenSlices, extreme_cases, grasp_rows
-from evetac_cli.jobs import Job
+from evetac_cli.jobs import Job, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup.plan import Plan, first_plan

@@ -14,6 +14,7 @@ import pytest
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_numpy
+from evetac_cli.formats.read.time_order import OrderOptions
 from tests.importing import FRAME, assert_equal, drawn, event_rows, real, refusal
 
 EVENTS = drawn(3000)
@@ -305,7 +306,7 @@ def test_bytes_after_an_array_are_counted(tmp_path: Path) -> None:
 def test_the_words_of_a_camera() -> None:
     """Assert that the npz of a DVXplorer Mini gives its 70,789 events, sorted, and counts the words beside them."""
     path = real("dvxplorer_mini_words.npz")
-    imported = read_events(path, sort=True)
+    imported = read_events(path, order=OrderOptions(sort=True))
     with np.load(path) as given:
         assert imported.events.size == len(given["t_us"]) == 70_789
         assert np.array_equal(np.sort(given["t_us"]) - given["t_us"].min(), imported.events.t)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.force import dot_field
-from evetac_cli.kernels.force.dot_field import LATTICE_MM, Floats, lattice_field, mirrored
+from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field, mirrored
 
 
 def grid(pitch_mm: float = 2.0, *, seed: int = 0, offset_mm: float = 0.0) -> Floats:
@@ -14,7 +15,7 @@ def grid(pitch_mm: float = 2.0, *, seed: int = 0, offset_mm: float = 0.0) -> Flo
     return dots + np.random.default_rng(seed).normal(0, 0.05, dots.shape)
 
 
-def seen(moved_mm: Floats) -> dot_field.Flags:
+def seen(moved_mm: Floats) -> Flags:
     return np.ones(moved_mm.shape[:2], np.bool_)
 
 

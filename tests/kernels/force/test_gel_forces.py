@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import LATTICE_MM
-from evetac_cli.kernels.force.gel_forces import Errors, Floats, GelNetwork, Stiffness
+from evetac_cli.kernels.force.gel_forces import Errors, GelNetwork, Stiffness
 from evetac_cli.kernels.force.models import Layer
 
 NONE = np.zeros(2)

@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force import models
 from evetac_cli.kernels.force.models import Layer, Network, Regression
 
 slopes = st.lists(st.floats(-5, 5), min_size=4, max_size=4)
 
 
-def moved(samples: int, dots: int = 63, seed: int = 0) -> models.Floats:
+def moved(samples: int, dots: int = 63, seed: int = 0) -> Floats:
     """Displacements of dots that all moved differently."""
     return np.random.default_rng(seed).normal(0, 5, (samples, dots, 2))
 
@@ -129,7 +130,7 @@ def test_errors() -> None:
         (np.zeros((5, 63, 2)), np.zeros((5, 2)), "moved in x and in y"),
     ],
 )
-def test_bad_samples_are_refused(moved_px: models.Floats, force_n: models.Floats, message: str) -> None:
+def test_bad_samples_are_refused(moved_px: Floats, force_n: Floats, message: str) -> None:
     """Assert that samples that cannot be fitted are refused, and that it is said why."""
     with pytest.raises(ValueError, match=message):
         models.fit_regression(moved_px, force_n)

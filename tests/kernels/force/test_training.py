@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force import models, training
 
 DOTS = 63
 
 
-def gel(samples: int, seed: int) -> tuple[models.Floats, models.Floats]:
+def gel(samples: int, seed: int) -> tuple[Floats, Floats]:
     """Displacements and forces: dots move together, less at the rim, more the softer the trajectory's contact is."""
     rng = np.random.default_rng(seed)
     force_n = rng.uniform(-10, 10, (samples, 2))

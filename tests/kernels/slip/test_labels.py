@@ -16,7 +16,7 @@ def test_labels_shifted_by_hand() -> None:
     assert shift_labels(label, 2).tolist() == [-1, -1, 0, 0, 1, 1, 1, 1, 1, -1]
     assert shift_labels(label, 50).tolist() == label.tolist()
     assert shift_labels(label[:0], 3).tolist() == []
-    with pytest.raises(ValueError, match="at least 0, found -1"):
+    with pytest.raises(ValueError, match="expected 0 or more, found -1"):
         shift_labels(label, -1)
 
 

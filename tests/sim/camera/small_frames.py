@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
 Path = Callable[[float], NDArray[np.float64]]  # places of dots over time in ms
@@ -24,7 +25,7 @@ def start(
     camera: Any, dots: Any, model: CameraModel = QUIET, *, window: Any = None, texture: Any = None, seed: int = 0
 ) -> Any:
     """The state of a camera (its module) that is switched on before dots."""
-    return camera.start(model, dots, None, window, texture, np.random.default_rng(seed))
+    return camera.start(model, dots, None, None if window is None else (window, texture), np.random.default_rng(seed))
 
 
 def play(camera: Any, state: Any, path: Path, slices: int, *, pieces: int = 1, seed: int = 1) -> list[Events]:
@@ -33,7 +34,11 @@ def play(camera: Any, state: Any, path: Path, slices: int, *, pieces: int = 1, s
     parts = []
     for k in range(slices):
         cut = np.array([path(k + piece / pieces) for piece in range(pieces + 1)])
-        parts.append(camera.step(state, cut[0], cut[-1], STILL, STILL, 0.0, 1000 * k, rng, cut if pieces > 1 else None))
+        parts.append(
+            camera.step(
+                state, SliceMotion(cut[0], cut[-1], STILL, STILL, 0.0, cut if pieces > 1 else None), 1000 * k, rng
+            )
+        )
     return parts
 
 
@@ -41,7 +46,7 @@ def slide(camera: Any, state: Any, velocity: Any, slices: int, contrast: float =
     """Slices of an object that slides under still dots, velocity in px/ms."""
     xy = getattr(state, "shared", state).seen_dot_xy_px.copy()
     rng, v = np.random.default_rng(1), np.asarray(velocity)
-    return [camera.step(state, xy, xy, k * v, (k + 1) * v, contrast, 1000 * k, rng) for k in range(slices)]
+    return [camera.step(state, SliceMotion(xy, xy, k * v, (k + 1) * v, contrast), 1000 * k, rng) for k in range(slices)]
 
 
 def before_window(camera: Any, model: CameraModel = QUIET) -> Any:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match
 from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera import contact_edges, optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
@@ -59,9 +60,9 @@ def lines_for(motion: Motion) -> ContactEdges:
 
 
 def start(motion: Motion, model: CameraModel = QUIET, *, window: bool = True) -> CameraState:
-    strip = (STRIP, TEXTURE) if window else (None, None)
+    strip = (STRIP, TEXTURE) if window else None
     rng = np.random.default_rng(0)
-    return camera.start(model, motion(0)[0], None, *strip, rng, None, lines_for(motion))
+    return camera.start(model, motion(0)[0], None, strip, rng, None, lines_for(motion))
 
 
 def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
@@ -70,8 +71,8 @@ def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
     parts = []
     for k in range(slices):
         (dots, object_xy_px, begin), (dots_end, object_end_xy_px, end) = motion(k), motion(k + 1)
-        given = (state, dots, dots_end, object_xy_px, object_end_xy_px, 1.0, 1000 * k, rng, None, begin, end)
-        parts.append(step(*given))
+        moved = SliceMotion(dots, dots_end, object_xy_px, object_end_xy_px, 1.0, None, begin, end)
+        parts.append(step(state, moved, 1000 * k, rng))
     return concatenate(parts)
 
 
@@ -194,8 +195,8 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
 
     nothing = np.zeros((8, 8), np.float32)
     states = [
-        camera.start(QUIET, grid, None, *window, np.random.default_rng(0), None, lines_for(turning))
-        for window in ((None, None), ((0, 88, 2, 90), nothing))
+        camera.start(QUIET, grid, None, window, np.random.default_rng(0), None, lines_for(turning))
+        for window in (None, ((0, 88, 2, 90), nothing))
     ]
     few, every = (play(camera.step, state, turning, 40) for state in states)
     assert few.size > 2000
@@ -270,7 +271,10 @@ def test_dots_under_a_still_line(step: Any) -> None:
         used = state if step is camera.step else ideal.from_references(state)
         rng, where = np.random.default_rng(1), under(0)[2]
         places = () if state.contact_edges is None else (None, where, where)
-        parts = [step(used, under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, 1000 * k, rng, *places) for k in range(10)]
+        parts = [
+            step(used, SliceMotion(under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, *places), 1000 * k, rng)
+            for k in range(10)
+        ]
         events.append(concatenate(parts))
     assert events[0].size > 1000
     for a, b in zip(*events, strict=True):
@@ -291,7 +295,7 @@ def test_cut_edge_shows_on_both_sides(step: Any) -> None:
     in_gel = in_window = 0
     for k in range(25):
         (dots, object_xy_px, begin), end = swing(k), swing(k + 1)[2]
-        result = step(used, dots, dots, object_xy_px, object_xy_px, 1.0, 1000 * k, rng, None, begin, end)
+        result = step(used, SliceMotion(dots, dots, object_xy_px, object_xy_px, 1.0, None, begin, end), 1000 * k, rng)
         in_window += int((result.x >= STRIP[0]).sum())
         in_gel += int((result.x < STRIP[0]).sum())
         assert state.contact_edges is not None
@@ -405,12 +409,22 @@ def test_step_refuses(step: Any, where: Place | None) -> None:
     before = state.reference.copy()
     dots = touch(0)[0]
     with pytest.raises(ValueError, match="contact_edges_end"):
-        step(used, dots, dots + 1.0, STILL, STILL, 1.0, 0, np.random.default_rng(0), None, touch(0)[2], where)
+        step(
+            used,
+            SliceMotion(dots, dots + 1.0, STILL, STILL, 1.0, None, touch(0)[2], where),
+            0,
+            np.random.default_rng(0),
+        )
     np.testing.assert_array_equal(state.reference, before)
 
 
 def test_camera_without_lines_refuses_places() -> None:
     """Assert that places are refused where there is nothing at them."""
-    state = camera.start(QUIET, DOTS, None, None, None, np.random.default_rng(0))
+    state = camera.start(QUIET, DOTS, None, None, np.random.default_rng(0))
     with pytest.raises(ValueError, match="contact_edges_start"):
-        camera.step(state, DOTS, DOTS, STILL, STILL, 0.0, 0, np.random.default_rng(0), None, place(1, 1), place(1, 1))
+        camera.step(
+            state,
+            SliceMotion(DOTS, DOTS, STILL, STILL, 0.0, None, place(1, 1), place(1, 1)),
+            0,
+            np.random.default_rng(0),
+        )

@@ -12,6 +12,7 @@ import pytest
 from evetac_cli.evaluate.cost.camera_reference import fine, match
 from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera as scanning
 from evetac_cli.sim.camera.scanning.camera import CameraState
@@ -91,7 +92,7 @@ def test_still_scene_is_silent(camera: Camera) -> None:
     rng = np.random.default_rng(4)
     state = start(camera.module, xy, window=STRIP, texture=TEXTURE)
     for k in range(20):
-        assert camera.module.step(state, xy, xy, STILL, STILL, 1.0, 1000 * k, rng).size == 0
+        assert camera.module.step(state, SliceMotion(xy, xy, STILL, STILL, 1.0), 1000 * k, rng).size == 0
 
 
 @both
@@ -115,7 +116,7 @@ def test_events_of_a_slice(camera: Camera) -> None:
     """Assert dtypes, order, and times within the slice."""
     t0_us = 7_000_000_000_000
     state, rng = start(camera.module, [[40.0, 40.0]]), np.random.default_rng(0)
-    events = camera.module.step(state, [[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0, t0_us, rng)
+    events = camera.module.step(state, SliceMotion([[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0), t0_us, rng)
     assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
     assert (np.diff(events.t) >= 0).all()
     assert t0_us <= events.t.min() < events.t.max() < t0_us + 1000
@@ -193,7 +194,7 @@ def test_nothing_to_see(camera: Camera) -> None:
     for pieces in (1, 4):
         assert total(play(camera.module, start(camera.module, []), lambda _: np.empty((0, 2)), 3, pieces=pieces)) == 0
     state, rng = start(camera.module, []), np.random.default_rng(0)
-    assert camera.module.step(state, [], [], STILL, STILL, 0.0, 0, rng).size == 0
+    assert camera.module.step(state, SliceMotion([], [], STILL, STILL, 0.0), 0, rng).size == 0
     path = line([-60.0, 40.0], (-3.0, 2.0))
     assert total(play(camera.module, start(camera.module, path(0)), path, 10)) == 0
 
@@ -267,7 +268,7 @@ def test_step_refuses(camera: Camera, named: str, value: Any) -> None:
 
     before = remembered()
     with pytest.raises(ValueError, match=named):
-        camera.module.step(state, **{**good, named: value, "t0_us": 0, "rng": np.random.default_rng(0)})
+        camera.module.step(state, SliceMotion(**{**good, named: value}), 0, np.random.default_rng(0))
     for now, then in zip(remembered(), before, strict=True):
         np.testing.assert_array_equal(now, then)
     assert np.isnan(gel(state).seen_object).all()
@@ -275,25 +276,24 @@ def test_step_refuses(camera: Camera, named: str, value: Any) -> None:
 
 @both
 @pytest.mark.parametrize(
-    ("dots", "radius", "window", "texture", "named"),
+    ("dots", "radius", "window", "named"),
     [
-        ([[math.nan, 1.0]], None, None, None, "dot_xy_px"),
-        ([1.0, 2.0, 3.0], None, None, None, "dot_xy_px"),
-        ([], 0.0, None, None, "dot_radius_px"),
-        ([], math.nan, None, None, "dot_radius_px"),
-        ([], None, (70, 0, 101, 80), None, "window_px"),
-        ([], None, (70, 0, 70, 80), None, "window_px"),
-        ([], None, (-1, 0, 70, 80), None, "window_px"),
-        ([], None, None, TEXTURE, "texture"),
-        ([], None, STRIP, TEXTURE[:100], "texture"),
-        ([], None, STRIP, TEXTURE[0], "texture"),
-        ([], None, STRIP, np.full((8, 8), np.nan), "texture"),
+        ([[math.nan, 1.0]], None, None, "dot_xy_px"),
+        ([1.0, 2.0, 3.0], None, None, "dot_xy_px"),
+        ([], 0.0, None, "dot_radius_px"),
+        ([], math.nan, None, "dot_radius_px"),
+        ([], None, ((70, 0, 101, 80), None), "window_px"),
+        ([], None, ((70, 0, 70, 80), None), "window_px"),
+        ([], None, ((-1, 0, 70, 80), None), "window_px"),
+        ([], None, (STRIP, TEXTURE[:100]), "texture"),
+        ([], None, (STRIP, TEXTURE[0]), "texture"),
+        ([], None, (STRIP, np.full((8, 8), np.nan)), "texture"),
     ],
 )
-def test_start_refuses(camera: Camera, dots: Any, radius: Any, window: Any, texture: Any, named: str) -> None:
+def test_start_refuses(camera: Camera, dots: Any, radius: Any, window: Any, named: str) -> None:
     """Assert that what cannot be seen is refused when the camera is switched on."""
     with pytest.raises(ValueError, match=named):
-        camera.module.start(QUIET, dots, radius, window, texture, np.random.default_rng(0))
+        camera.module.start(QUIET, dots, radius, window, np.random.default_rng(0))
 
 
 @both
@@ -320,7 +320,7 @@ def test_leak_makes_its_rate(camera: Camera, refractory_us: float, window: Any) 
     still = [[40.0, 40.0]]
     state = start(camera.module, still, model, window=window, texture=TEXTURE if window else None)
     rng = np.random.default_rng(0)
-    parts = [camera.module.step(state, still, still, STILL, STILL, 1.0, 1000 * k, rng) for k in range(400)]
+    parts = [camera.module.step(state, SliceMotion(still, still, STILL, STILL, 1.0), 1000 * k, rng) for k in range(400)]
     result = concatenate(parts)
     steps = 400 * 1e-3 * 10.0
     expected = sum(np.clip((steps - k) / 2, 0, 1) for k in range(6)) * FRAME[0] * FRAME[1]

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.setup.plan import one_sensor
 from tests.sim.camera.gel_cameras import gel_camera
 
-Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
 Fired = defaultdict[tuple[int, int, int], list[float]]
 PIECES = 20
@@ -84,7 +84,7 @@ def shaken(time_us: Floats) -> Floats:
 def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[Fired, Floats]:
     """Event times of each pixel and polarity, from an ideal camera that sees filtered motion; first references."""
     begin = motion(np.zeros(1))
-    state = ideal.start(MODEL, begin, None, None, None, np.random.default_rng(4))
+    state = ideal.start(MODEL, begin, None, None, np.random.default_rng(4))
     reference = state.shared.reference.astype(np.float64)
     low_pass = LowPass(bandwidth_hz, begin) if bandwidth_hz else None
     rng = np.random.default_rng(0)
@@ -92,7 +92,7 @@ def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[
     for k in range(slices):
         path = motion((k * PIECES + np.arange(PIECES + 1)) * 1000.0 / PIECES)[:, None]
         path = low_pass.follow(path) if low_pass else path
-        events = ideal.step(state, path[0], path[-1], STILL, STILL, 0.0, k * 1000, rng, path)
+        events = ideal.step(state, SliceMotion(path[0], path[-1], STILL, STILL, 0.0, path), k * 1000, rng)
         for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):
             fired[x, y, p].append(t)
     return fired, reference

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.sim.camera.event_keys import sorted_columns
-from evetac_cli.sim.camera.noise import HotPixels, add_noise, hot_rates
+from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
 FRAME = (64, 48)
@@ -17,7 +17,7 @@ def sampled(noise_rate_hz: float, slices: int) -> tuple[np.ndarray, np.ndarray]:
     keys = np.empty(10_000, np.int64)
     pixels, signs = [], []
     for _ in range(slices):
-        _, x, y, p = sorted_columns(keys[: add_noise(noise_rate_hz, *HOT, FRAME, rng, keys, 0)], 0)
+        _, x, y, p = sorted_columns(keys[: add_noise(Noise(noise_rate_hz, *HOT), FRAME, 0, rng, keys, 0)], 0)
         pixels.append(y.astype(np.int64) * FRAME[0] + x)
         signs.append(p)
     return np.concatenate(pixels), np.concatenate(signs)
@@ -42,7 +42,7 @@ def test_silence() -> None:
 def test_full_keys_are_counted() -> None:
     """Assert that events beyond the room for them are counted, and that those made before are left alone."""
     keys = np.full(3, -7, np.int64)
-    made = add_noise(1e4, *HOT, FRAME, np.random.default_rng(0), keys, 2)
+    made = add_noise(Noise(1e4, *HOT), FRAME, 0, np.random.default_rng(0), keys, 2)
     assert made > 1000
     assert (keys[:2] == -7).all() and keys[2] != -7
 
@@ -120,7 +120,7 @@ def test_polarity_and_steps_of_the_background(step_us: float) -> None:
     nothing = (np.empty(0, np.int64), np.zeros(1))
     parts = []
     for number in range(500):
-        made = add_noise(5.0, *nothing, FRAME, rng, keys, 0, 0.3, step_us, 1000 * number)
+        made = add_noise(Noise(5.0, *nothing, 0.3, step_us), FRAME, 1000 * number, rng, keys, 0)
         parts.append(sorted_columns(keys[:made], 1000 * number))
     t, x, _, p = (np.concatenate([part[place] for part in parts]) for place in range(4))
     expected = 5.0 * FRAME[0] * FRAME[1] * 0.5

@@ -137,7 +137,7 @@ def test_force_curve_refuses_nonsense(place, value):
     """Assert that every constant has to be finite and positive."""
     constants = [1e-6, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M]
     constants[place] = value
-    with pytest.raises(ValueError, match="finite and > 0"):
+    with pytest.raises(ValueError, match="expected above 0"):
         force_curve(np.zeros((2, 2)), *constants)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Stepper
@@ -85,12 +86,12 @@ def test_still_slice_leaks_as_any_other() -> None:
     at = np.array([[40.0, 40.0], [100.0, 80.0]])
     here = np.zeros(2)
     rngs = [np.random.default_rng(4) for _ in range(2)]
-    states = [camera.start(model, at, None, None, None, rng) for rng in rngs]
+    states = [camera.start(model, at, None, None, rng) for rng in rngs]
     leaked = 0
     for k in range(160):
         places = (at, at + 3.0) if k == 100 else (at + 3.0 * (k > 100),) * 2
         full, quick = (
-            camera.step(state, *places, here, here, 0.0, 1000 * k, rng)
+            camera.step(state, SliceMotion(*places, here, here, 0.0), 1000 * k, rng)
             if number == 0 or k in (0, 100, 101)
             else camera.step_still(state, 1000 * k, rng)
             for number, (state, rng) in enumerate(zip(states, rngs, strict=True))

@@ -4,14 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.true_slip import EPISODE_MS, RECENT_MS, SLIP_PX, GroundTruthSlip, visible_nodes
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 MM_PER_PX = 0.0329
 WINDOW_PX = (540, 0, 640, 480)

@@ -24,12 +24,12 @@ from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.recordings import segments
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record, session
-from evetac_cli.trials.record import capture
+from evetac_cli.trials.record import camera_recording, capture
 from tests.conftest import Made
 from tests.devices.stand_ins import StillCamera, StillGripper
 from tests.patience import PATIENCE_S, until
@@ -351,7 +351,7 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
 
     trials(1, 10.0)
     paths = trials(2, 19.0, resume=True)
-    headers = [capture._header(path)["parameters"] for path in paths]
+    headers = [header_of(path, "recording")["parameters"] for path in paths]
     assert [header["sampled_holding_ma"] for header in headers] == [10.0, 19.0]
     assert [header["current_ramp"]["holding_ma"] for header in headers] == [None, None]
     with pytest.raises(InputError, match="another set-up(.|\n)*holding_ma"):
@@ -794,8 +794,8 @@ def test_thousands_of_slices_behind_schedule_and_a_full_disk(
 
 def test_slices_of_another_camera_wait_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a camera is not read while too many of its slices wait, and is again once they are taken."""
-    monkeypatch.setattr(capture, "WAITING_SLICES", 20)
-    thread = capture.SliceThread(Camera(slices=100))
+    monkeypatch.setattr(camera_recording, "WAITING_SLICES", 20)
+    thread = camera_recording.SliceThread(Camera(slices=100))
     thread.start()
     taken = 0
     while taken < 100:

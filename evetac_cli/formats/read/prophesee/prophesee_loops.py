@@ -1,7 +1,7 @@
 """The loops of prophesee_words: words of a block into columns. Each returns how many events it found.
 
 highs: the high bits of time of the block, continuous, in the order of their words. state: one prophesee_words.STATE,
-what the block begins with, brought up to its end. t, x, y, p: room for the events, trigger_*: for the triggers.
+what the block begins with, brought up to its end. columns: room for the events, edges: for the triggers.
 """
 
 from typing import Any
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from evetac_cli.formats.read.prophesee.prophesee_words import TIME_HIGH, TRIGGER
 
 TYPES = 16
+EventColumns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]  # t, x, y, p
+TriggerColumns = tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.uint8]]  # t, id, edge
 
 
 @njit(cache=True)
@@ -26,18 +28,11 @@ def count_types(words: NDArray[Any], shift: int) -> NDArray[np.int64]:
 
 @njit(cache=True)
 def evt2(
-    words: NDArray[np.uint32],
-    highs: NDArray[np.int64],
-    state: Any,
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    trigger_t: NDArray[np.int64],
-    trigger_id: NDArray[np.uint8],
-    trigger_edge: NDArray[np.uint8],
+    words: NDArray[np.uint32], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
     """Words of EVT2."""
+    t, x, y, p = columns
+    trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0
     base = state[0].high << 6
     for each in words:
@@ -63,18 +58,11 @@ def evt2(
 
 @njit(cache=True)
 def evt21(
-    words: NDArray[np.uint64],
-    highs: NDArray[np.int64],
-    state: Any,
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    trigger_t: NDArray[np.int64],
-    trigger_id: NDArray[np.uint8],
-    trigger_edge: NDArray[np.uint8],
+    words: NDArray[np.uint64], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
     """Words of EVT2.1: an event for each bit of the lower half."""
+    t, x, y, p = columns
+    trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0
     base = state[0].high << 6
     for each in words:
@@ -82,15 +70,15 @@ def evt21(
         kind = word >> 28
         if kind <= 1:
             at, column, row = base + (word >> 22 & 0x3F), word >> 11 & 0x7FF, word & 0x7FF
-            columns = np.int64(each & np.uint64(0xFFFFFFFF))
-            while columns:
-                if columns & 1:
+            bits = np.int64(each & np.uint64(0xFFFFFFFF))
+            while bits:
+                if bits & 1:
                     t[events] = at
                     x[events] = column
                     y[events] = row
                     p[events] = kind
                     events += 1
-                columns >>= 1
+                bits >>= 1
                 column += 1
         elif kind == TIME_HIGH:
             base = highs[times] << 6
@@ -106,18 +94,11 @@ def evt21(
 
 @njit(cache=True)
 def evt3(
-    words: NDArray[np.uint16],
-    highs: NDArray[np.int64],
-    state: Any,
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    p: NDArray[np.uint8],
-    trigger_t: NDArray[np.int64],
-    trigger_id: NDArray[np.uint8],
-    trigger_edge: NDArray[np.uint8],
+    words: NDArray[np.uint16], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
     """Words of EVT3."""
+    t, x, y, p = columns
+    trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0
     begin = state[0]
     high, low, row, column, polarity = begin.high, begin.low, begin.y, begin.x, begin.p

@@ -108,5 +108,5 @@ class Decoder:
         triggers = int(counts[TRIGGER])
         columns: list[Any] = [np.empty(most, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)]
         edges: list[Any] = [np.empty(triggers, kind) for kind in (np.int64, np.uint8, np.uint8)]
-        events = self._loop(words, highs, self._state, *columns, *edges)
+        events = self._loop(words, highs, self._state, tuple(columns), tuple(edges))
         return Part(*(column[:events] for column in columns), *edges)

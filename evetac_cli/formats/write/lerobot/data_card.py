@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text, inline, table
-from evetac_cli.formats.write.lerobot.episodes import RATE_HZ, Outline, Vectors
+from evetac_cli.formats.write.lerobot.episodes import Outline, Vectors
 from evetac_cli.store.layout.provenance import made
 
 RULES = {
@@ -30,7 +31,7 @@ def data_card(
     """The card; info is what meta/info.json says."""
     simulated = sum(one.facts["simulated"] for one in outlines)
     fps = info["fps"]
-    rule = RULES[per_frame].format(stacked=RATE_HZ // fps)
+    rule = RULES[per_frame].format(stacked=SLICES_PER_S // fps)
     pixels = info["features"]["observation.images.tactile"]["shape"]
     frame = {
         "observation.state": (len(vectors.state), f"{', '.join(vectors.state)}: the last measured"),
@@ -59,9 +60,9 @@ def data_card(
         table(
             [{"name": f"`{name}`", "values": str(values), "what it is": what} for name, (values, what) in frame.items()]
         ),
-        f"The sensor gives {RATE_HZ} slices a second. Frame i is made of those from i * {RATE_HZ} / {fps} ms on, up to"
-        f" the start of the next, and its timestamp is i / {fps} s. What is not known holds its last value, and is 0"
-        " before the first. Units end the names. Names of all figures are in meta/info.json.",
+        f"The sensor gives {SLICES_PER_S} slices a second. Frame i is made of those from i * {SLICES_PER_S} / {fps} ms "
+        f"on, up to the start of the next, and its timestamp is i / {fps} s. What is not known holds its last value,"
+        " and is 0 before the first. Units end the names. Names of all figures are in meta/info.json.",
         "## Episodes",
         table(_episodes(outlines, info["splits"])),
         "Tasks: " + "; ".join(dict.fromkeys(inline(one.task) for one in outlines)) + ".",

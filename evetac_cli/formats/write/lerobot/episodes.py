@@ -16,15 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Singles
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
 from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.recordings.read import Recording
 
-Floats = NDArray[np.float32]
-RATE_HZ = 1_000_000 // SLICE_US
 STATE = ("gripper_position_ticks", "gripper_current_ma")
 # Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
 # policies cannot take for an action; so what was written to the goal current stands in both.
@@ -121,15 +120,15 @@ def _size(one: Outline) -> str:
 
 def frame_edges(slices: int, fps: int) -> NDArray[np.int64]:
     """Where frames begin, and where the last one ends: frame i has the slices [edges[i], edges[i + 1])."""
-    return np.arange(slices * fps // RATE_HZ + 1, dtype=np.int64) * RATE_HZ // fps
+    return np.arange(slices * fps // SLICES_PER_S + 1, dtype=np.int64) * SLICES_PER_S // fps
 
 
 class Episode(NamedTuple):
     """The frames of a trial: (frames, values) each, and where the slices of each frame begin and end."""
 
-    state: Floats
-    tactile: Floats
-    action: Floats
+    state: Singles
+    tactile: Singles
+    action: Singles
     edges: NDArray[np.int64]  # (frames + 1,)
 
 
@@ -142,7 +141,7 @@ def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Ep
         raise InputError(
             "too short for an episode",
             where=str(recording.path),
-            expected=f"two frames of {RATE_HZ / fps:g} ms",
+            expected=f"two frames of {SLICES_PER_S / fps:g} ms",
             found=f"{slices} ms",
         )
     width = sum(map(len, vectors))
@@ -150,19 +149,19 @@ def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Ep
         raise InputError(
             "too long for an episode",
             where=str(recording.path),
-            expected=f"at most {MOST_BYTES // (16 * width) // RATE_HZ} s",
-            found=f"{slices / RATE_HZ:.0f} s",
+            expected=f"at most {MOST_BYTES // (16 * width) // SLICES_PER_S} s",
+            found=f"{slices / SLICES_PER_S:.0f} s",
             hint="cut it with `evetac trim`",
         )
     columns = columns_of(files)
     state, tactile, action = (known(read_columns(columns, names, slices)) for names in vectors)
     ends = edges[1:] - 1
     return Episode(
-        state[ends[:-1]], frames_of(tactile, edges[:-1], per_frame, RATE_HZ // fps), action[ends[1:]], edges[:-1]
+        state[ends[:-1]], frames_of(tactile, edges[:-1], per_frame, SLICES_PER_S // fps), action[ends[1:]], edges[:-1]
     )
 
 
-def known(values: Masked) -> Floats:
+def known(values: Masked) -> Singles:
     """The values with the last known one wherever none is known, 0 before the first; by columns of (slices, n)."""
     missing = np.ma.getmaskarray(values)
     rows = np.where(missing, 0, np.arange(len(values))[:, None])
@@ -171,7 +170,7 @@ def known(values: Masked) -> Floats:
     return np.asarray(np.take_along_axis(filled, latest, axis=0), np.float32)
 
 
-def frames_of(values: Floats, edges: NDArray[np.int64], per_frame: str, stacked: int) -> Floats:
+def frames_of(values: Singles, edges: NDArray[np.int64], per_frame: str, stacked: int) -> Singles:
     """One row a frame from the slices (slices, n) of each; of `stacked` that many slices, as (frames, stacked * n)."""
     begins, ends = edges[:-1], edges[1:]
     if per_frame == "last":

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.lerobot.data_card import data_card
 from evetac_cli.formats.write.lerobot.episode_files import Numbered, Place, Tables, Videos
 from evetac_cli.formats.write.lerobot.episodes import (
     GREYS,
-    RATE_HZ,
     Episode,
     Vectors,
     choose_vectors,
@@ -74,7 +74,7 @@ def write(
     if test_objects and train == len(outlines):
         objects = ", ".join(sorted({str(one.facts["object"]) for one in outlines}))
         raise InputError("no trial has such an object", where="--test-objects", expected=f"of {objects}")
-    stacked = RATE_HZ // fps
+    stacked = SLICES_PER_S // fps
     names = vectors._replace(tactile=tuple(names_of(vectors.tactile, per_frame, stacked)))
     features = _features(names, tactile_key, outlines[0].frame_px, fps)
     tasks = list(dict.fromkeys(one.task for one in outlines))

@@ -1,1 +1,1 @@
-"""An event camera without scans: every event at the time at which its threshold is crossed."""
+"""An event camera without scans, every event at the time of its crossing: the measure of the scanning one."""

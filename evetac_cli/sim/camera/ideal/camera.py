@@ -1,13 +1,17 @@
 """An ideal event camera: every pixel fires at the very time at which its log brightness has changed by its threshold.
 
-The counterpart of the scanning camera (scanning/camera.py), which shares its optics, noise and interface. Here a pixel
-fires as often as its level passes a threshold, several times a slice if need be, and an event's time is that of the
-crossing, rounded down to a microsecond. Use it to tell what a scanning camera loses, or as a camera without scans.
+What it is for: `--readout ideal`, a camera whose times are right to the microsecond; and `evaluate cost camera`, which
+says by it what the scans of the other one lose. Here a pixel fires as often as its level passes a threshold, several
+times a slice if need be, and an event's time is that of the crossing, rounded down to a microsecond.
 
-Crossings are solved, not stepped through: those of the gel in dots, of the window in window, of pixels under moving
-lines in lines. Leak is that of the scanning camera: an event comes late by up to the 40 ms between two visits.
+What it shares with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with what `start` draws, and
+the noise, which are that camera's own; what moves in a slice (camera_input), optics, rings of dots, contact edges, keys
+of events, and the drift of leak, which are one level up. What it has of its own: no scan compares pixels here, the
+crossings are solved, those of the gel in dots, of the window in window, of pixels under moving lines in lines. Leak
+visits a row in 40 ms, too, so an event of leak comes late by up to that.
 
-Left out: bandwidth (a low pass has no closed form for the crossing), and what the scanning camera leaves out.
+Left out: bandwidth (a low pass has no closed form for the crossing), light that changes, a limit of the readout,
+thresholds of ON and OFF that are apart, dots that differ, and what the scanning camera leaves out.
 """
 
 from dataclasses import dataclass
@@ -15,9 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import camera_input, leak, optics
-from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.camera_input import SliceMotion, Window
+from evetac_cli.sim.camera.contact_edges import ContactEdges
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.ideal.dots import find_all_radii, solve_dots
 from evetac_cli.sim.camera.ideal.lines import LINE_STEP_PX, line_steps, solve_line_pixels
@@ -60,8 +66,7 @@ def start(
     model: CameraModel,
     dot_xy_px: ArrayLike,
     dot_radius_px: float | None,
-    window_px: tuple[int, int, int, int] | None,
-    texture: NDArray[np.float32] | None,
+    window: Window | None,
     rng: np.random.Generator,
     camera_rng: np.random.Generator | None = None,
     contact_edges: ContactEdges | None = None,
@@ -71,7 +76,7 @@ def start(
 
     Equal generators give both cameras the same thresholds, phases and hot pixels.
     """
-    shared = scanning.start(model, dot_xy_px, dot_radius_px, window_px, texture, rng, camera_rng, contact_edges)
+    shared = scanning.start(model, dot_xy_px, dot_radius_px, window, rng, camera_rng, contact_edges)
     return from_references(shared, line_step_px)
 
 
@@ -89,8 +94,7 @@ def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> 
         raise ValueError("threshold_off: expected none with an ideal camera, found one")
     if np.isnan(shared.reference).any() or np.isnan(shared.window_reference).any():
         raise ValueError("reference: expected finite levels, found those of refractory pixels")
-    if not 1e-3 <= line_step_px <= 10.0:
-        raise ValueError(f"line_step_px: expected 0.001 to 10, found {line_step_px}")
+    check_range("line_step_px", line_step_px, 1e-3, 10.0)
     shape = shared.reference.shape
     blind = shared.model.refractory_us > 0.0
     state = IdealState(
@@ -109,39 +113,16 @@ def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> 
     return state
 
 
-def step(
-    state: IdealState,
-    dot_xy_px_start: ArrayLike,
-    dot_xy_px_end: ArrayLike,
-    object_xy_px_start: ArrayLike,
-    object_xy_px_end: ArrayLike,
-    texture_contrast: float,
-    t0_us: int,
-    rng: np.random.Generator,
-    dot_path_px: ArrayLike | None = None,
-    contact_edges_start: Place | None = None,
-    contact_edges_end: Place | None = None,
-) -> Events:
+def step(state: IdealState, motion: SliceMotion, t0_us: int, rng: np.random.Generator) -> Events:
     """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
-    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px, the contrast
-    holds for the whole slice. Dots on curved paths come with `dot_path_px` (k + 1, dots, 2): where they are at k + 1
-    equally spaced times, from their start to their end. A camera with contact edges needs `contact_edges_start` and
-    `contact_edges_end`, between which they move and fade evenly. What lies elsewhere than at the end of the last slice,
-    or has another contrast, has jumped there at t0_us. ValueError on values that are not finite, farther than 1e6 px,
-    of another shape than at `start`, or a path with other ends; the state is then as before.
+    What lies elsewhere than at the end of the last slice, or has another contrast, has jumped there at t0_us.
+    ValueError on values that are not finite, farther than 1e6 px, of another shape than at `start`, or a path with
+    other ends; the state is then as before.
     """
     shared = state.shared
-    path, motion = camera_input.motions(
-        len(shared.seen_dot_xy_px),
-        dot_xy_px_start,
-        dot_xy_px_end,
-        dot_path_px,
-        object_xy_px_start,
-        object_xy_px_end,
-        texture_contrast,
-    )
-    lines = camera_input.line_motion(shared.contact_edges, contact_edges_start, contact_edges_end)
+    path, object_motion = camera_input.motions(len(shared.seen_dot_xy_px), motion)
+    lines = camera_input.line_motion(shared.contact_edges, motion)
 
     t0_us = int(t0_us)
     state.slices += 1
@@ -160,7 +141,7 @@ def step(
     steps = 0 if lines is None else line_steps(lines, path, state.line_step_px)
     made = 0
     if shared.window_level.size:
-        window = IdealWindowPixels(
+        pixels = IdealWindowPixels(
             *shared.window_px[:2],
             shared.seen_object,
             shared.texture,
@@ -169,7 +150,9 @@ def step(
             shared.window_threshold,
             state.window_release_us,
         )
-        made = solve_window(motion, window, NO_LINES if lines is None else lines, steps, times, shared.keys, made)
+        made = solve_window(
+            object_motion, pixels, NO_LINES if lines is None else lines, steps, times, shared.keys, made
+        )
     if shared.contact_edges is not None:
         shared.contact_edges.events = 0
         if lines is not None:

@@ -16,8 +16,6 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import (
     LineMotion,
-    Outline,
-    Place,
     cut_run,
     outline_rows,
     outline_runs,
@@ -58,7 +56,7 @@ def solve_line_pixels(
 
     Returns the number of events so far, and of those that lines alone made.
     """
-    start, end, outline, cut_contrast, cut_half, seen_corner, seen_cut_x, seen_level, seen_cut_level = lines
+    start, end, outline, _, cut_half, seen_corner, seen_cut_x, _, _ = lines
     lower2, solved_in, reference = gel.lower2_px2, gel.solved_in, gel.reference
     this_slice, t0_us, refractory_us = times
     inner, outer, steps_per_px, profile = gel.profile
@@ -105,24 +103,7 @@ def solve_line_pixels(
             beyond = runs[run, 1]
             if first == beyond:
                 continue
-            made, alone = _solve_run(
-                steps,
-                outline,
-                cut_contrast,
-                cut_half,
-                start,
-                end,
-                seen_level,
-                seen_cut_level,
-                dots_xy,
-                pixels,
-                when,
-                y,
-                first,
-                beyond,
-                scratch,
-                made,
-            )
+            made, alone = _solve_run(steps, lines, dots_xy, pixels, when, (y, first, beyond), scratch, made)
             line_events += alone
             lower2[y, first:beyond] = np.inf
             solved_in[y, first:beyond] = this_slice
@@ -158,23 +139,20 @@ def _along(path: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
 @njit(cache=True)
 def _solve_run(
     steps: int,
-    outline: Outline,
-    cut_contrast: float,
-    cut_half: float,
-    start: Place,
-    end: Place,
-    seen_level: NDArray[np.float32],
-    seen_cut_level: NDArray[np.float32],
+    moving: LineMotion,
     dots_xy: NDArray[np.float64],
     pixels: tuple[Any, ...],
     when: tuple[Any, ...],
-    y: int,
-    first: int,
-    beyond: int,
+    run: tuple[int, int, int],
     scratch: NDArray[np.float32],
     made: int,
 ) -> tuple[int, int]:
-    """Crossings of pixels side by side, whose levels are linear in every sub-step; counts as `solve_line_pixels`."""
+    """Crossings of pixels side by side, whose levels are linear in every sub-step; counts as `solve_line_pixels`.
+
+    run: row, first column and the one beyond the last.
+    """
+    start, end, outline, cut_contrast, cut_half, _, _, seen_level, seen_cut_level = moving
+    y, first, beyond = run
     inner, outer, steps_per_px, profile, reference, threshold, release_us = pixels
     refractory_us, t0_us, keys = when
     count = beyond - first

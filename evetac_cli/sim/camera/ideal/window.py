@@ -51,18 +51,7 @@ def solve_window(
     and cut the slice into `steps` parts; 0 where none moves.
     """
     start_xy, end_xy, contrast = motion
-    first_x, first_y, seen, texture, level, reference, threshold, release_us = window
-    _, t0_us, refractory_us = times
-    moving = (
-        steps,
-        lines.outline,
-        lines.cut_contrast,
-        lines.cut_half_px,
-        lines.start,
-        lines.end,
-        lines.seen_level,
-        lines.seen_cut_level,
-    )
+    first_x, first_y, seen, texture, level, reference, _, _ = window
     across = end_xy[0] - start_xy[0]
     down = end_xy[1] - start_xy[1]
     first_look = math.isnan(seen[2])
@@ -79,24 +68,9 @@ def solve_window(
     optics.sample_texture(texture, first_x, first_y, start_xy[0], start_xy[1], contrast, now)
     if first_look:
         reference += now
-    _add_lines(now, first_x, first_y, 0.0, *moving)
+    _add_lines(now, first_x, first_y, 0.0, steps, lines)
     if not first_look or steps > 0:
-        made = _solve_parabolas(
-            now,
-            now,
-            now,
-            0.0,
-            0.0,
-            first_x,
-            first_y,
-            reference,
-            threshold,
-            refractory_us,
-            release_us,
-            t0_us,
-            keys,
-            made,
-        )
+        made = _solve_parabolas((now, now, now), (0.0, 0.0), window, times, keys, made)
     at = 0.0
     while moves and at < 1.0:
         until = _next_texel(start_xy[0], across, start_xy[1], down, at)
@@ -106,33 +80,19 @@ def solve_window(
         optics.sample_texture(
             texture, first_x, first_y, start_xy[0] + middle * across, start_xy[1] + middle * down, contrast, half_way
         )
-        _add_lines(half_way, first_x, first_y, middle, *moving)
+        _add_lines(half_way, first_x, first_y, middle, steps, lines)
         optics.sample_texture(
             texture, first_x, first_y, start_xy[0] + until * across, start_xy[1] + until * down, contrast, then
         )
-        _add_lines(then, first_x, first_y, until, *moving)
-        made = _solve_parabolas(
-            now,
-            half_way,
-            then,
-            at * SLICE_US,
-            until * SLICE_US,
-            first_x,
-            first_y,
-            reference,
-            threshold,
-            refractory_us,
-            release_us,
-            t0_us,
-            keys,
-            made,
-        )
+        _add_lines(then, first_x, first_y, until, steps, lines)
+        span_us = (at * SLICE_US, until * SLICE_US)
+        made = _solve_parabolas((now, half_way, then), span_us, window, times, keys, made)
         now, then = then, now
         at = until
     level[:] = now
     if steps > 0:
         half_way[:] = 0.0
-        _add_lines(half_way, first_x, first_y, 1.0, *moving)
+        _add_lines(half_way, first_x, first_y, 1.0, steps, lines)
         level -= half_way
         reference -= half_way
     return made
@@ -145,17 +105,12 @@ def _add_lines(
     first_y: int,
     at: float,
     steps: int,
-    outline: Outline,
-    cut_contrast: float,
-    cut_half: float,
-    start: Place,
-    end: Place,
-    seen_level: NDArray[np.float32],
-    seen_cut_level: NDArray[np.float32],
+    lines: LineMotion,
 ) -> None:
     """Add to some pixels what lines have brought since they were last seen, after a part `at` of the slice."""
     if steps == 0:
         return
+    start, end, outline, cut_contrast, cut_half, _, _, seen_level, seen_cut_level = lines
     rows, columns = level.shape
     x = start.corner_px[0] + at * (end.corner_px[0] - start.corner_px[0])
     y = start.corner_px[1] + at * (end.corner_px[1] - start.corner_px[1])
@@ -190,25 +145,22 @@ def _next_texel(start_x: float, across: float, start_y: float, down: float, at: 
 
 @njit(cache=True)
 def _solve_parabolas(
-    now: NDArray[np.float32],
-    half_way: NDArray[np.float32],
-    then: NDArray[np.float32],
-    from_us: float,
-    until_us: float,
-    first_x: int,
-    first_y: int,
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    refractory_us: float,
-    release_us: NDArray[np.float64],
-    t0_us: int,
+    pictures: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    span_us: tuple[float, float],
+    window: IdealWindowPixels,
+    times: SliceTimes,
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
     """Crossings of levels that run on parabolas through three pictures; returns the number of events so far.
 
-    With equal times the three are one picture, to which the pixels have jumped.
+    The pictures are those at the start, middle and end of the span; with equal times the three are one picture, to
+    which the pixels have jumped.
     """
+    now, half_way, then = pictures
+    from_us, until_us = span_us
+    first_x, first_y, _, _, _, reference, threshold, release_us = window
+    _, t0_us, refractory_us = times
     rows, columns = reference.shape
     for row in range(rows):
         # Most rows have nothing to report, and counting vectorises. A parabola leaves its chord by a quarter of its

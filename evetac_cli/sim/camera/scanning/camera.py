@@ -26,13 +26,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.sim.camera import camera_input, leak, optics
-from evetac_cli.sim.camera.camera_input import ObjectMotion, check_range, check_whole
-from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.camera_input import ObjectMotion, SliceMotion, Window
+from evetac_cli.sim.camera.contact_edges import ContactEdges
 from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns
-from evetac_cli.sim.camera.noise import HotPixels, add_noise, hot_rates
+from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
@@ -186,8 +187,7 @@ def start(
     model: CameraModel,
     dot_xy_px: ArrayLike,
     dot_radius_px: float | None,
-    window_px: tuple[int, int, int, int] | None,
-    texture: NDArray[np.float32] | None,
+    window: Window | None,
     rng: np.random.Generator,
     camera_rng: np.random.Generator | None = None,
     contact_edges: ContactEdges | None = None,
@@ -197,14 +197,15 @@ def start(
     """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
     A pixel's reference starts at its level plus a uniform phase in (-C_i, C_i); without it all pixels of a rim would
-    fire at once. `dot_radius_px` None takes the model's. `window_px` is x0, y0, x1, y1, ends excluded: its pixels see
-    the texture (sides powers of two, from `optics.texture`) and no dots. Their first level is the one from which the
-    first `step` starts, so an object that is there already makes no flash. Without texture they see nothing.
+    fire at once. `dot_radius_px` None takes the model's. `window` is its corners, x0, y0, x1, y1, ends excluded, and
+    the texture (sides powers of two, from `optics.texture`) that its pixels see, and no dots. Their first level is the
+    one from which the first `step` starts, so an object that is there already makes no flash. With None for the
+    texture they see nothing.
     `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
     `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them from
     now on. `light_change` says how the light changes, if it does. `dots_differ` are factors of the radius (dots,) and
     of the log contrast (dots,) of each dot, where dots are not alike.
-    ValueError on non-finite positions, a window outside the frame, a texture that cannot be used or has no window.
+    ValueError on non-finite positions, a window outside the frame, a texture that cannot be used.
     """
     width, height = model.frame_px
     dots = camera_input.positions("dot_xy_px", dot_xy_px)
@@ -216,8 +217,9 @@ def start(
         radii, contrasts = (np.broadcast_to(np.asarray(factors, np.float64), len(dots)) for factors in dots_differ)
         shapes = dot_shapes(profile, radius_px * (radii - 1.0), contrasts)
         profile = profile._replace(inner_px=float(shapes.inner_px.min()), outer_px=float(shapes.outer_px.max()))
+    window_px, texture = (None, None) if window is None else window
     x0, y0, x1, y1 = camera_input.window_corners(window_px, model.frame_px)
-    pattern = camera_input.window_texture(texture, window_px)
+    pattern = camera_input.window_texture(texture)
 
     built = rng if camera_rng is None else camera_rng
     threshold, middle_shift = _thresholds(model, built)
@@ -280,38 +282,14 @@ def _thresholds(model: CameraModel, built: np.random.Generator) -> tuple[NDArray
     return half * (on + off), half * (on - off)
 
 
-def step(
-    state: CameraState,
-    dot_xy_px_start: ArrayLike,
-    dot_xy_px_end: ArrayLike,
-    object_xy_px_start: ArrayLike,
-    object_xy_px_end: ArrayLike,
-    texture_contrast: float,
-    t0_us: int,
-    rng: np.random.Generator,
-    dot_path_px: ArrayLike | None = None,
-    contact_edges_start: Place | None = None,
-    contact_edges_end: Place | None = None,
-) -> Events:
+def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Generator) -> Events:
     """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
-    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end, in px; the contrast
-    (1: the texture as drawn, 0: out of sight) holds for the whole slice. Dots on curved paths come with `dot_path_px`
-    (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with contact
-    edges needs `contact_edges_start` and `contact_edges_end`, between which they move and fade evenly. ValueError on
-    values that are not finite, farther than 1e6 px, of another shape than at `start`, or a path with other ends; the
-    state is then as before.
+    ValueError on values that are not finite, farther than 1e6 px, of another shape than at `start`, or a path with
+    other ends; the state is then as before.
     """
-    path, motion = camera_input.motions(
-        len(state.seen_dot_xy_px),
-        dot_xy_px_start,
-        dot_xy_px_end,
-        dot_path_px,
-        object_xy_px_start,
-        object_xy_px_end,
-        texture_contrast,
-    )
-    lines = camera_input.line_motion(state.contact_edges, contact_edges_start, contact_edges_end, coarsely=True)
+    path, object_motion = camera_input.motions(len(state.seen_dot_xy_px), motion)
+    lines = camera_input.line_motion(state.contact_edges, motion, coarsely=True)
 
     t0_us = int(t0_us)
     model = state.model
@@ -323,9 +301,9 @@ def step(
     line_events = 0
     if lines is not None:
         plain = (tuple(lines.start), tuple(lines.end), tuple(lines.outline), *lines[3:])
-        made, line_events = scan_lines(plain, path, gel, tuple(motion), window, times, state.keys)
+        made, line_events = scan_lines(plain, path, gel, tuple(object_motion), window, times, state.keys)
     else:
-        made = _scan(path, gel, tuple(motion), window, times, state.keys)
+        made = _scan(path, gel, tuple(object_motion), window, times, state.keys)
     if state.contact_edges is not None:
         state.contact_edges.events = line_events
     if first_leaking_row is not None:
@@ -365,8 +343,8 @@ def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, mad
     """Add the noise of a slice and the events of hot pixels; returns the number of events so far."""
     model = state.model
     hot = (state.hot_pixel, state.hot_cumulative_hz)
-    on_share, step_us = model.noise_on_share, model.timestamp_step_us
-    made = add_noise(model.noise_rate_hz, *hot, model.frame_px, rng, state.keys, made, on_share, step_us, t0_us)
+    noise = Noise(model.noise_rate_hz, *hot, model.noise_on_share, model.timestamp_step_us)
+    made = add_noise(noise, model.frame_px, t0_us, rng, state.keys, made)
     if state.table_hot_pixels is not None:
         made = state.table_hot_pixels.add(t0_us, model.frame_px[0], model.timestamp_step_us, state.keys, made)
     return made

@@ -22,9 +22,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
-from evetac_cli.sim.camera.camera_input import check_range
 from evetac_cli.sim.camera.contact_edges import LineMotion
 from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
@@ -40,8 +41,6 @@ from evetac_cli.sim.setup.scene import LightSettings
 
 # More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
 ROUNDING = 1e-5
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -255,7 +254,7 @@ def _shine(
             own[x] -= change
         if window_low[row] < light < window_high[row]:
             continue
-        optics.sample_texture_run(window.texture, *place, row, 0, columns, line)
+        optics.sample_texture_run(window.texture, place, row, 0, columns, line)
         window_low[row], window_high[row], made = _compare_run(
             line[:columns],
             own,

@@ -380,7 +380,6 @@ def _compare_across(
     `dot_xy` and `ink` are what draws both, `pixels` what they have; `row_xy` and `line` are scratch.
     """
     inner, outer, steps_per_px, profile, (own_inner, own_outer, own_level), texture, place = ink
-    whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     reference, threshold, middle_shift, release_us, lower2, first_x, first_y = pixels[:7]
     window_reference, window_threshold, window_middle_shift, window_release_us, due_at, row_due_at = pixels[7:]
     window_rows, window_columns = window_reference.shape
@@ -421,9 +420,7 @@ def _compare_across(
             right = min(end, first_x + window_columns) - first_x
             if not 0 <= own < window_rows or left >= right:
                 continue
-            optics.sample_texture_run(
-                texture, whole_x, whole_y, upper_left, upper_right, lower_left, lower_right, own, left, right, line
-            )
+            optics.sample_texture_run(texture, place, own, left, right, line)
             made = compare_row(
                 line,
                 window_reference,

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 
@@ -21,7 +22,6 @@ from evetac_cli.sim.camera.event_keys import event_key
 DRAWN_PX = 0.015
 UNSURE = np.float32(-1e-6)  # of a pixel at the rim of a drawn dot, where a dot somewhat farther would show
 
-Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 

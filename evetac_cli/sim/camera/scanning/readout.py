@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
-from evetac_cli.sim.camera.camera_input import check_range
 
 # Of the events of a slice: times in us, columns, rows, polarities.
 Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]

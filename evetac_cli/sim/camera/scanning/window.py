@@ -52,7 +52,7 @@ def scan_window(
         place = optics.texture_place(texture, first_x, first_y, x, y, contrast)
         if first_look:
             for row in range(rows):
-                optics.sample_texture_run(texture, *place, row, ZERO, columns, line)
+                optics.sample_texture_run(texture, place, row, ZERO, columns, line)
                 for column in range(columns):
                     reference[row, column] += line[column]
             continue
@@ -111,11 +111,8 @@ def _compare_all(
 ) -> int:
     """Compare all pixels of a window in one scan with the texture at a place; `line` is scratch for a row."""
     rows, columns = reference.shape
-    whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     for row in range(rows):
-        optics.sample_texture_run(
-            texture, whole_x, whole_y, upper_left, upper_right, lower_left, lower_right, row, ZERO, columns, line
-        )
+        optics.sample_texture_run(texture, place, row, ZERO, columns, line)
         made = compare_row(
             line,
             reference,
@@ -157,15 +154,12 @@ def _compare_due(
 ) -> int:
     """Compare the runs of a row that are due, and find when they are due again."""
     columns = reference.shape[1]
-    whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     for run in range(due_at.shape[1]):
         if travelled < due_at[row, run]:
             continue
         first = run * RUN_PX
         end = min(first + RUN_PX, columns)
-        optics.sample_texture_run(
-            texture, whole_x, whole_y, upper_left, upper_right, lower_left, lower_right, row, first, end, line
-        )
+        optics.sample_texture_run(texture, place, row, first, end, line)
         slack = _least_slack(line, reference, threshold, release_us, row, first, end, now_us)
         if not slack > 0.0:
             made = compare_row(

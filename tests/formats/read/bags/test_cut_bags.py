@@ -13,6 +13,7 @@ import pytest
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import bag_chunks, mcap_records, rosbag1_records
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
+from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.streams import read_stream
 from tests.formats.read.bags.bag_writing import Types, Write, drawn, listed, mono, shifted, write_bag, write_mcap
 from tests.importing import event_rows, refusal
@@ -311,7 +312,7 @@ def test_rows_of_a_damaged_database_come_from_both_ends(write: Write, tmp_path: 
     middle = leaves[len(leaves) // 2]
     data[middle : middle + 4096] = bytes(4096)
     path.write_bytes(data)
-    imported = read_events(path, sort=True)
+    imported = read_events(path, order=OrderOptions(sort=True))
     rows = event_rows(imported)
     assert 0.7 * EVENTS.size < len(rows) < EVENTS.size
     assert set(rows) < set(ROWS) and rows[0] == ROWS[0] and rows[-1] == ROWS[-1]
@@ -414,7 +415,7 @@ def test_mutated_bags_give_events_or_words(tmp_path: Path) -> None:
             path = tmp_path / f"mutated{whole.suffix}"
             path.write_bytes(mutated)
             try:
-                imported = read_events(path, sort=True)
+                imported = read_events(path, order=OrderOptions(sort=True))
                 assert imported.size <= EVENTS.size
             except Exception as error:
                 assert type(error).__name__ == "InputError", (whole, trial)

@@ -15,6 +15,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.ros_messages import Fields, LibcaerCompressed, Packet, event_array
 from evetac_cli.formats.read.bags.rosbag_unpacking import zstd_module
+from evetac_cli.formats.read.time_order import OrderOptions
 from tests.formats.read.bags.bag_writing import (
     BAGS,
     DEFINITIONS,
@@ -246,9 +247,9 @@ def test_time_that_goes_backwards_is_placed(write: Write) -> None:
         "db3", types, {"/e": [types.array([(at, 1, 2, 1)]), types.array([(at + 5000, 1, 2, 1), (at + 4000, 3, 2, 1)])]}
     )
     assert f"in message 1, event 1 from {START_S}.005000 s to {START_S}.004000 s" in refusal(path)
-    assert [row[0] for row in event_rows(read_events(path, sort=True))] == [0, 4000, 5000]
-    assert [row[0] for row in event_rows(read_events(path, drop_late=True))] == [0, 5000]
-    assert [row[0] for row in event_rows(read_events(path, from_restart=1))] == [0]
+    assert [row[0] for row in event_rows(read_events(path, order=OrderOptions(sort=True)))] == [0, 4000, 5000]
+    assert [row[0] for row in event_rows(read_events(path, order=OrderOptions(drop_late=True)))] == [0, 5000]
+    assert [row[0] for row in event_rows(read_events(path, order=OrderOptions(from_restart=1)))] == [0]
 
 
 def test_files_of_a_folder_are_bags_too(write: Write) -> None:
@@ -285,7 +286,7 @@ def test_damaged_bags_are_refused_or_read(write: Write, bag: str, tmp_path: Path
                 data[at] = rng.integers(256)
         broken.write_bytes(data)
         try:
-            imported = read_events(broken, sort=True)
+            imported = read_events(broken, order=OrderOptions(sort=True))
             assert imported.events.size <= 4000
         except InputError as error:
             assert "Traceback" not in str(error)

@@ -15,6 +15,7 @@ from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.event_validation import Foreign
 from evetac_cli.formats.read.prophesee import read_prophesee
+from evetac_cli.formats.read.time_order import OrderOptions
 from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
 faery = pytest.importorskip("faery")
@@ -332,7 +333,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, kind: str, suffix: st
                 data[at] = rng.integers(256)
         broken.write_bytes(data)
         try:
-            imported = read_events(broken, sort=True)
+            imported = read_events(broken, order=OrderOptions(sort=True))
             assert imported.events.size < 30_000
             plain += bool(sum(imported.counts.values()) or imported.left_out or imported.notes)
         except InputError:

@@ -17,6 +17,7 @@ from evetac_cli.evaluate.cost.camera import Workload
 from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match, reference_events
 from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.scanning import camera
@@ -42,7 +43,7 @@ pytestmark = pytest.mark.slow  # a minute of processor time
 def on_gel(model: CameraModel, reference: float) -> IdealState:
     """A camera whose pixels all have one reference and one threshold, before a dot that is still far away."""
     model = dataclasses.replace(model, mismatch=0.0)
-    shared = camera.start(model, [[-500.0, 40.0]], None, None, None, np.random.default_rng(0))
+    shared = camera.start(model, [[-500.0, 40.0]], None, None, np.random.default_rng(0))
     shared.reference[:] = reference
     return ideal.from_references(shared)
 
@@ -158,7 +159,7 @@ def test_error_falls_with_the_square_of_substeps() -> None:
         return 5.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
     load = Workload("circle", QUIET, xy, turning, 8)
-    state = camera.start(QUIET, load.path_px(1)[0], None, None, None, np.random.default_rng(0))
+    state = camera.start(QUIET, load.path_px(1)[0], None, None, np.random.default_rng(0))
     truth = reference_events(state, load.path_px(400), 2.5)
     substeps = np.array([1, 2, 4, 8])  # more is finer than the whole microseconds of events
     errors = [match(camera_cost.play_ideal(state, load, n)[0], truth).error_us for n in substeps.tolist()]
@@ -226,14 +227,14 @@ def test_scans_lose_a_known_share(motion: str) -> None:
         moved: NDArray[np.float64] = xy + travel(t_ms) * direction
         return moved
 
-    shared = camera.start(model, path(0), None, None, None, np.random.default_rng(1))
+    shared = camera.start(model, path(0), None, None, np.random.default_rng(1))
     if motion != "100 Hz, 4 px":
         shared.reference[:] = optics.gel_level(model.frame_px, path(0), shared.profile)
     scanning = copy.deepcopy(shared)
     every = play(ideal.from_references(shared), path, 20, pieces=pieces).size
     rng = np.random.default_rng(0)
     seen = sum(
-        camera.step(scanning, path(0.2 * k), path(0.2 * (k + 1)), STILL, STILL, 0.0, 1000 * k, rng).size
+        camera.step(scanning, SliceMotion(path(0.2 * k), path(0.2 * (k + 1)), STILL, STILL, 0.0), 1000 * k, rng).size
         for k in range(101)
     )
     assert seen / every == pytest.approx(share, abs=tolerance)
@@ -243,12 +244,12 @@ def test_same_sensor_as_the_scanning_camera() -> None:
     """Assert that equal generators give both cameras the same thresholds, phases, hot pixels and noise."""
     noisy = dataclasses.replace(QUIET, noise_rate_hz=50.0, hot_pixels=5)
     one = start([[40.0, 40.0]], noisy)
-    other = camera.start(noisy, [[40.0, 40.0]], None, None, None, np.random.default_rng(0))
+    other = camera.start(noisy, [[40.0, 40.0]], None, None, np.random.default_rng(0))
     for name in ("reference", "threshold", "hot_pixel", "hot_cumulative_hz"):
         np.testing.assert_array_equal(getattr(one.shared, name), getattr(other, name))
     still = line([40.0, 40.0], (0.0, 0.0))
     rng = np.random.default_rng(1)
-    scanned = [camera.step(other, still(k), still(k), STILL, STILL, 0.0, 1000 * k, rng) for k in range(20)]
+    scanned = [camera.step(other, SliceMotion(still(k), still(k), STILL, STILL, 0.0), 1000 * k, rng) for k in range(20)]
     noise = play(one, still, 20)
     assert noise.size > 100
     assert columns_equal(noise, concatenate(scanned))
@@ -257,7 +258,9 @@ def test_same_sensor_as_the_scanning_camera() -> None:
 def test_several_thresholds_in_a_slice() -> None:
     """Assert several threshold steps of a pixel in one slice, and that its end is seen."""
     state = start([[40.0, 40.0]])
-    events = ideal.step(state, [[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0, 0, np.random.default_rng(0))
+    events = ideal.step(
+        state, SliceMotion([[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0), 0, np.random.default_rng(0)
+    )
     assert np.unique(events.y.astype(int) * 100 + events.x, return_counts=True)[1].max() >= 7
     np.testing.assert_array_equal(state.shared.seen_dot_xy_px, [[48.0, 44.0]])
 
@@ -266,7 +269,9 @@ def test_jump_between_slices() -> None:
     """Assert that what jumps between slices fires at once, a step for every threshold between the two pictures."""
     state = start([[30.0, 40.0]])
     reference, threshold = state.shared.reference.copy(), state.shared.threshold
-    result = ideal.step(state, [[45.5, 40.0]], [[45.5, 40.0]], STILL, STILL, 0.0, 0, np.random.default_rng(0))
+    result = ideal.step(
+        state, SliceMotion([[45.5, 40.0]], [[45.5, 40.0]], STILL, STILL, 0.0), 0, np.random.default_rng(0)
+    )
     change = optics.gel_level(FRAME, np.array([[45.5, 40.0]]), state.shared.profile) - reference
     expected = np.floor(np.abs(change) / threshold).astype(int)
     counts = np.zeros(FRAME[::-1], int)
@@ -326,7 +331,7 @@ def test_contrast_of_the_window() -> None:
     still = [[30.0, 30.0]]
     sizes = []
     for k, contrast in enumerate((1.0, 0.2, 0.2, 0.0, 0.0, 1.0)):
-        events = ideal.step(state, still, still, (1.0 * k, 0.0), (1.0 * k, 0.0), contrast, 1000 * k, rng)
+        events = ideal.step(state, SliceMotion(still, still, (1.0 * k, 0.0), (1.0 * k, 0.0), contrast), 1000 * k, rng)
         assert (events.t == 1000 * k).all()
         sizes.append(events.size)
     assert sizes[0] == sizes[4] == 0
@@ -374,7 +379,9 @@ def test_a_million_events() -> None:
     """Assert that a slice of more than 10^6 events is capped there, and the rest counted."""
     model = CameraModel(noise_rate_hz=0.0, hot_pixels=0, threshold=0.02, mismatch=0.0, dot_radius_px=60.0)
     state = start([[-80.0, 240.0]], model)
-    events = ideal.step(state, [[-80.0, 240.0]], [[150.0, 240.0]], STILL, STILL, 0.0, 0, np.random.default_rng(0))
+    events = ideal.step(
+        state, SliceMotion([[-80.0, 240.0]], [[150.0, 240.0]], STILL, STILL, 0.0), 0, np.random.default_rng(0)
+    )
     assert events.size == 1_000_000
     assert state.dropped > 1_000_000
     assert (np.diff(events.t) >= 0).all()
@@ -397,8 +404,8 @@ def test_far_leaps_and_fast_objects_end() -> None:
     state = start([[40.0, 40.0]], window=STRIP, texture=TEXTURE)
     rng = np.random.default_rng(0)
     far = [[9e5, -9e5]]
-    ideal.step(state, [[40.0, 40.0]], far, STILL, (1e6, -1e6), 1.0, 0, rng)
-    ideal.step(state, far, [[40.0, 40.0]], (1e6, -1e6), STILL, 1.0, 1000, rng)
+    ideal.step(state, SliceMotion([[40.0, 40.0]], far, STILL, (1e6, -1e6), 1.0), 0, rng)
+    ideal.step(state, SliceMotion(far, [[40.0, 40.0]], (1e6, -1e6), STILL, 1.0), 1000, rng)
     level = optics.gel_level(FRAME, np.array([[40.0, 40.0]]), state.shared.profile)
     outside = np.isfinite(state.shared.threshold)
     assert (np.abs(level - state.shared.reference) <= state.shared.threshold * (1 + 1e-4))[outside].all()
@@ -425,7 +432,7 @@ def test_goes_on_only_from_known_references() -> None:
 def test_start_refuses(line_step_px: float) -> None:
     """Assert that a sub-step of lines out of range is refused."""
     with pytest.raises(ValueError, match="line_step_px"):
-        ideal.start(QUIET, [], None, None, None, np.random.default_rng(0), line_step_px=line_step_px)
+        ideal.start(QUIET, [], None, None, np.random.default_rng(0), line_step_px=line_step_px)
 
 
 def test_squared_radius_inverts_the_profile() -> None:

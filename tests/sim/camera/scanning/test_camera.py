@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from tests.sim.camera import small_frames
@@ -163,8 +164,10 @@ def test_scans_follow_a_curved_path() -> None:
     cut[-1] = cut[0]
     state, by_scans = start(cut[:1]), start(cut[:1], dataclasses.replace(QUIET, scans_per_ms=1))
     rng = np.random.default_rng(0)
-    whole = camera.step(state, cut[:1], cut[-1:], STILL, STILL, 0.0, 0, rng, cut[:, None])
-    single = [camera.step(by_scans, cut[k : k + 1], cut[k : k + 1], STILL, STILL, 0.0, 0, rng) for k in range(5)]
+    whole = camera.step(state, SliceMotion(cut[:1], cut[-1:], STILL, STILL, 0.0, cut[:, None]), 0, rng)
+    single = [
+        camera.step(by_scans, SliceMotion(cut[k : k + 1], cut[k : k + 1], STILL, STILL, 0.0), 0, rng) for k in range(5)
+    ]
     assert whole.size == total(single) > 200
     np.testing.assert_array_equal(state.reference, by_scans.reference)
 
@@ -211,7 +214,9 @@ def test_times_follow_the_readout_of_columns() -> None:
     """Assert times that follow the readout of columns, and one event a pixel and scan."""
     t0_us = 7_000_000_000_000
     state = start([[40.0, 40.0]])
-    events = camera.step(state, [[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0, t0_us, np.random.default_rng(0))
+    events = camera.step(
+        state, SliceMotion([[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0), t0_us, np.random.default_rng(0)
+    )
     in_slice = events.t - t0_us
     scan = in_slice // 200
     np.testing.assert_array_equal(in_slice, 200 * scan + events.x.astype(np.int64) * 200 // FRAME[0])
@@ -219,7 +224,10 @@ def test_times_follow_the_readout_of_columns() -> None:
     pixel_scans = np.stack([scan, events.x, events.y], axis=1)
     assert len(np.unique(pixel_scans, axis=0)) == events.size > 1000
     assert (
-        camera.step(state, [[48.0, 44.0]], [[48.0, 44.0]], STILL, STILL, 0.0, t0_us, np.random.default_rng(0)).size > 0
+        camera.step(
+            state, SliceMotion([[48.0, 44.0]], [[48.0, 44.0]], STILL, STILL, 0.0), t0_us, np.random.default_rng(0)
+        ).size
+        > 0
     )
 
 
@@ -301,7 +309,8 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
         states[0].candidate_runs.row_due_at[:] = -np.inf
         dots = np.array([[30.0, 30.0], [52.0, 60.0]]) + shaken[k : k + 2, None]
         parts = [
-            camera.step(state, *dots, *shaken[k : k + 2], 1.0, 1000 * k, np.random.default_rng(k)) for state in states
+            camera.step(state, SliceMotion(*dots, *shaken[k : k + 2], 1.0), 1000 * k, np.random.default_rng(k))
+            for state in states
         ]
         for woken, asleep in zip(*parts, strict=True):
             np.testing.assert_array_equal(woken, asleep)
@@ -317,7 +326,10 @@ def test_texture_density() -> None:
     pattern = optics.texture(np.random.default_rng(1), (512, 1024), 12.0, 0.06)
     state = start(np.empty((0, 2)), model, window=(540, 0, 640, 480), texture=pattern)
     slide(state, (1.0, 0.0), 20)
-    later = [camera.step(state, [], [], (k, 0), (k + 1, 0), 1.0, 0, np.random.default_rng(0)) for k in range(20, 60)]
+    later = [
+        camera.step(state, SliceMotion([], [], (k, 0), (k + 1, 0), 1.0), 0, np.random.default_rng(0))
+        for k in range(20, 60)
+    ]
     assert 100 < total(later) / 40 < 250
 
 
@@ -348,7 +360,7 @@ def test_hot_pixels() -> None:
     assert len(set(state.hot_pixel.tolist())) == 12
     assert ((rate_hz >= 20) & (rate_hz <= 200)).all()
     rng = np.random.default_rng(2)
-    result = [camera.step(state, [], [], STILL, STILL, 0.0, 1000 * k, rng) for k in range(4000)]
+    result = [camera.step(state, SliceMotion([], [], STILL, STILL, 0.0), 1000 * k, rng) for k in range(4000)]
     pixel = np.concatenate([part.y.astype(np.int64) * 640 + part.x for part in result])
     counts = np.array([np.count_nonzero(pixel == hot) for hot in state.hot_pixel])
     assert counts.sum() == pixel.size
@@ -370,7 +382,7 @@ def test_noise_counts_towards_the_limit() -> None:
     """Assert that noise that does not fit is dropped and counted too."""
     model = dataclasses.replace(QUIET, noise_rate_hz=1000.0, max_events=50)
     state = start([], model)
-    result = camera.step(state, [], [], STILL, STILL, 0.0, 0, np.random.default_rng(0))
+    result = camera.step(state, SliceMotion([], [], STILL, STILL, 0.0), 0, np.random.default_rng(0))
     assert result.size == 50
     assert state.dropped + 50 == pytest.approx(8000, abs=4 * math.sqrt(8000))
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.sim.camera import contact_edges, optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.dot_shapes import shaped_level
 from evetac_cli.sim.camera.gel_camera import dots_differ
 from evetac_cli.sim.camera.ideal import camera as ideal
@@ -25,7 +26,7 @@ UNSURE = 1e-4  # log units: single precision of both
 
 
 def start(dots: Any = APART, model: CameraModel = MODEL, factors: Any = FACTORS, **more: Any) -> CameraState:
-    return camera.start(model, dots, None, None, None, np.random.default_rng(0), dots_differ=factors, **more)
+    return camera.start(model, dots, None, None, np.random.default_rng(0), dots_differ=factors, **more)
 
 
 def misfits(state: CameraState, path: Path, slices: int) -> tuple[int, int]:
@@ -113,7 +114,7 @@ def test_lines_leak_and_light_see_each_dot_as_it_is() -> None:
     rng, events = np.random.default_rng(1), 0
     for k in range(100):
         ends = place(60.0 + 0.05 * k), place(60.05 + 0.05 * k)
-        events += camera.step(state, APART, APART, STILL, STILL, 0.0, 1000 * k, rng, None, *ends).size
+        events += camera.step(state, SliceMotion(APART, APART, STILL, STILL, 0.0, None, *ends), 1000 * k, rng).size
     assert events == 0
 
 

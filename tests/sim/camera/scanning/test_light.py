@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.contact_edges import Place
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
@@ -22,15 +23,18 @@ FineEvents = list[tuple[int, int, int, int]]
 
 
 def start(change: LightChange | None, model: CameraModel = QUIET, dots: Any = DOTS, **more: Any) -> CameraState:
-    window = more.pop("window", None)
-    texture = TEXTURE if window else None
-    return camera.start(model, dots, None, window, texture, np.random.default_rng(0), light_change=change, **more)
+    corners = more.pop("window", None)
+    window = (corners, TEXTURE) if corners else None
+    return camera.start(model, dots, None, window, np.random.default_rng(0), light_change=change, **more)
 
 
 def stand(state: CameraState, slices: int, first: int = 0) -> list[Events]:
     """Slices in which nothing moves."""
     rng, dots = np.random.default_rng(1), state.seen_dot_xy_px.copy()
-    return [camera.step(state, dots, dots, STILL, STILL, 1.0, 1000 * k, rng) for k in range(first, first + slices)]
+    return [
+        camera.step(state, SliceMotion(dots, dots, STILL, STILL, 1.0), 1000 * k, rng)
+        for k in range(first, first + slices)
+    ]
 
 
 def listed(slices: list[Events]) -> FineEvents:
@@ -80,7 +84,7 @@ def test_light_against_every_pixel(change: LightChange, refractory_us: float) ->
             expected.append((int(now) + x * 200 // FRAME[0], x, y, int(off[y, x] > 0)))
 
     for k in range(slices):
-        result.append(camera.step(state, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, rng))
+        result.append(camera.step(state, SliceMotion(at[k], at[k + 1], STILL, STILL, 0.0), 1000 * k, rng))
         for scan in range(5):
             level = table_picture(at[k] + scan / 5 * (at[k + 1] - at[k]), model)
             compare(level, 1000.0 * k + 200 * scan)
@@ -121,9 +125,9 @@ def test_bounds_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
         states[0].candidates.lower2_px2[:] = np.inf
         states[0].candidates.list_box[:] = np.nan
         dots = DOTS + shaken[k : k + 2, None]
-        ends = (*dots, *shaken[k : k + 2], 1.0, 1000 * k)
         places = (cut_place(min(k, 100)), cut_place(min(k + 1, 100)))
-        parts = [camera.step(one, *ends, np.random.default_rng(k), None, *places) for one in states]
+        motion = SliceMotion(*dots, *shaken[k : k + 2], 1.0, None, *places)
+        parts = [camera.step(one, motion, 1000 * k, np.random.default_rng(k)) for one in states]
         assert listed(parts[:1]) == listed(parts[1:]), k
         events += parts[0].size
     assert events > 3000
@@ -140,7 +144,9 @@ def test_a_step_fires_the_closed_share(share: float) -> None:
     """
     model = dataclasses.replace(QUIET, frame_px=(400, 300), mismatch=0.0)
     change = LightChange(step_at_s=0.0045, step_factor=math.exp(share * model.threshold))
-    state = camera.start(model, DOTS, None, (300, 0, 400, 300), TEXTURE, np.random.default_rng(0), light_change=change)
+    state = camera.start(
+        model, DOTS, None, ((300, 0, 400, 300), TEXTURE), np.random.default_rng(0), light_change=change
+    )
     parts = stand(state, 10)
     sizes = [part.size for part in parts]
     assert sizes[:4] == [0] * 4
@@ -178,7 +184,10 @@ def test_light_that_does_not_change_changes_nothing() -> None:
     at = walk(40, np.random.default_rng(2))
     states = [start(change, dots=at[0]) for change in (None, LightChange())]
     parts = [
-        [camera.step(one, at[k], at[k + 1], STILL, STILL, 0.0, 1000 * k, np.random.default_rng(k)) for k in range(40)]
+        [
+            camera.step(one, SliceMotion(at[k], at[k + 1], STILL, STILL, 0.0), 1000 * k, np.random.default_rng(k))
+            for k in range(40)
+        ]
         for one in states
     ]
     assert listed(parts[0]) == listed(parts[1])

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
@@ -16,7 +17,7 @@ APART = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, threshold=0
 
 
 def start(model: CameraModel = APART, *window: Any) -> camera.CameraState:
-    return camera.start(model, [[30.0, 40.0]], None, *(window or (None, None)), np.random.default_rng(0))
+    return camera.start(model, [[30.0, 40.0]], None, window or None, np.random.default_rng(0))
 
 
 def there_and_back(state: camera.CameraState, speed_px_ms: float, slices: int) -> list[Any]:
@@ -65,7 +66,7 @@ def test_window_has_both_thresholds() -> None:
         rng = np.random.default_rng(1)
         dots = [[30.0, 40.0]]
         at = [(0.1 * (300 - abs(300 - k)), 0.0) for k in range(601)]
-        slices = [camera.step(state, dots, dots, at[k], at[k + 1], 1.0, k, rng) for k in range(600)]
+        slices = [camera.step(state, SliceMotion(dots, dots, at[k], at[k + 1], 1.0), k, rng) for k in range(600)]
         ons = sum(int(part.p.sum()) for part in slices)
         events.append((ons, sum(part.size for part in slices) - ons))
     assert events[0][0] == pytest.approx(events[0][1], rel=0.05)
@@ -89,9 +90,9 @@ def test_thresholds_are_drawn_independently() -> None:
 def test_leak_makes_its_rate_with_thresholds_apart() -> None:
     """Assert that leak makes `leak_hz` ON events a second in a pixel, whatever the two thresholds."""
     model = dataclasses.replace(APART, leak_hz=10.0)
-    state = camera.start(model, np.empty((0, 2)), None, None, None, np.random.default_rng(0))
+    state = camera.start(model, np.empty((0, 2)), None, None, np.random.default_rng(0))
     nowhere, rng = np.empty((0, 2)), np.random.default_rng(1)
-    slices = [camera.step(state, nowhere, nowhere, STILL, STILL, 0.0, 1000 * k, rng) for k in range(1400)]
+    slices = [camera.step(state, SliceMotion(nowhere, nowhere, STILL, STILL, 0.0), 1000 * k, rng) for k in range(1400)]
     assert all((part.p == 1).all() for part in slices)
     settled = slices[400:]  # at first a pixel may lie below its last event by up to an OFF threshold
     assert sum(part.size for part in settled) == pytest.approx(10.0 * FRAME[0] * FRAME[1], rel=0.02)
@@ -100,4 +101,4 @@ def test_leak_makes_its_rate_with_thresholds_apart() -> None:
 def test_ideal_camera_refuses_them() -> None:
     """Assert that an ideal camera, which has one threshold a pixel, says so."""
     with pytest.raises(ValueError, match="threshold_off"):
-        ideal.start(APART, [[30.0, 40.0]], None, None, None, np.random.default_rng(0))
+        ideal.start(APART, [[30.0, 40.0]], None, None, np.random.default_rng(0))

@@ -1,0 +1,123 @@
+"""One camera of a trial: the file that it fills, and the thread that reads it where it is not the first."""
+
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import EventCamera, Rig
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.segments import RecordingWriter
+from evetac_cli.trials import session
+from evetac_cli.trials.record.current_ramp import GripperLoop
+from evetac_cli.trials.session import LateSlices, TimeSample
+
+# Of another camera; beyond them its driver drops, and counts, events.
+WAITING_EVENTS, WAITING_SLICES = 4_000_000, 60_000
+
+
+class SliceThread:
+    """Reads another camera of the same trial, so that no camera waits for the other.
+
+    Slices are kept, each with the time (s) at which it came, until they are taken; not more than a bounded number.
+    """
+
+    def __init__(self, camera: EventCamera) -> None:
+        self._camera = camera
+        self._slices: deque[tuple[Events, float]] = deque()
+        self._waiting = 0  # events
+        self._lock = threading.Lock()
+        self._running = True
+        self._thread = threading.Thread(target=self._run, name="slices", daemon=True)
+        self.error: Exception | None = None
+
+    def start(self) -> None:
+        """Begin to read the camera."""
+        self._thread.start()
+
+    def take(self) -> list[tuple[Events, float]]:
+        """The slices that came since the last call, oldest first."""
+        with self._lock:
+            taken = list(self._slices)
+            self._slices.clear()
+            self._waiting = 0
+        return taken
+
+    def stop(self) -> None:
+        """End after the slice that is awaited; the camera is not read after this returns."""
+        self._running = False
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while self._running and (events := self._camera.read()) is not None:
+                with self._lock:
+                    self._slices.append((events, self._camera.time.now_s()))
+                    self._waiting += events.size
+                while self._running and (self._waiting > WAITING_EVENTS or len(self._slices) > WAITING_SLICES):
+                    time.sleep(1e-3)
+        except Exception as error:  # raised by the thread that records
+            self.error = error
+
+
+@dataclass
+class CameraRecording:
+    """One camera of a trial, the file that it fills, and how that goes."""
+
+    output: Path
+    rig: Rig
+    recipe: Recipe
+    writer: RecordingWriter
+    slices: int = 0
+    events: int = 0
+    ended: str = ""
+    saved: Path | None = None  # the file, or the folder that is left to repair
+    error: Exception | None = None
+    first_s: float = 0.0  # when the first and the last slice came
+    last_s: float = 0.0
+    late_us: float = math.nan  # of the last slice, from its end until it came, where that is known
+    delays: TimeSample = field(default_factory=TimeSample)
+    late_slices: LateSlices = field(default_factory=lambda: LateSlices(1e6 * session.BEHIND_S))
+    loop: GripperLoop | None = None  # commands the gripper, if there is one
+    thread: SliceThread | None = None  # reads the camera, if it is not the first
+
+    def append(self, events: Events, came_s: float) -> None:
+        """Write one slice, and count it."""
+        self.first_s = self.first_s or came_s
+        self.last_s = came_s
+        self.slices += 1
+        self.events += events.size
+        self.late_us = came_s * 1e6 - self.rig.camera.host_us(self.slices * SLICE_US)
+        if not math.isnan(self.late_us):
+            self.delays.add(self.late_us)
+            self.late_slices.add(self.late_us, events.size)
+        self.writer.append(events)
+
+    def datasets(self, first: Rig) -> dict[str, Any]:
+        """The datasets capture/...; how the clock of this camera lies to that of the first, if it is another."""
+        seconds = self.last_s - self.first_s
+        rows: dict[str, Any] = {"capture/ended": self.ended}
+        if seconds > 0:
+            rows["capture/slices_per_s"] = np.float64((self.slices - 1) / seconds)
+        rows |= session.lost_datasets(self.rig.counted())
+        late_us = self.delays.spread()
+        if late_us is not None:
+            rows["capture/slice_late_us"] = late_us
+        if self.loop is not None and self.loop.commands:
+            if seconds > 0:
+                rows["capture/commands_per_s"] = np.float64(self.loop.commands / seconds)
+            rows["capture/command_misses"] = np.int64(self.loop.misses)
+            command_us = self.loop.cycle_us.spread()
+            if command_us is not None:
+                rows["capture/command_us"] = command_us
+        offset_us = self.rig.camera.host_us(0.0) - first.camera.host_us(0.0)
+        if self.rig is not first and not math.isnan(offset_us):
+            rows["capture/clock_offset_us"] = np.float64(offset_us)
+        return rows
