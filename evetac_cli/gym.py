@@ -26,7 +26,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError, missing_library
 from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim.grasp_outcome import LIFTED_MM
 from evetac_cli.sim.setup.plan import plans
 from evetac_cli.sim.setup.scene import Scene
@@ -53,10 +53,10 @@ class _Chosen(Control):
 
     goal = 0
 
-    def step(self, phase: Phase, signal: SlipSignal, position_ticks: int) -> int:
+    def step(self, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
         """The goal in ticks."""
         own = super().step(phase, signal, position_ticks)
-        return own if phase is Phase.CONTACT else self.goal
+        return own if phase is GraspPhase.CONTACT else self.goal
 
 
 class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):

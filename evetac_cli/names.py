@@ -109,7 +109,7 @@ class Capability(StrEnum):
     HARDWARE = "a real device, before which a person puts the object"
 
 
-class Training(StrEnum):
+class TrainingOption(StrEnum):
     """Ways to a force model that options of train-force belong to."""
 
     PAPER = "a training by the paper's method (--method paper)"
@@ -118,7 +118,7 @@ class Training(StrEnum):
     SENSOR = "an adaptation to a sensor of which something is known (--adapt with --sensor)"
 
 
-class Prediction(StrEnum):
+class PredictionOption(StrEnum):
     """What options of predict-force belong to."""
 
     SENSOR = "a sensor of which something is known (--sensor)"

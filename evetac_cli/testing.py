@@ -28,7 +28,7 @@ from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import Imported, read_events
 from evetac_cli.kernels.grip.control import Control, OtherLaw, SlipSignal
-from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.kernels.slip.architectures import OtherArchitecture, weight_shapes
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup import scene_file
@@ -162,7 +162,7 @@ def check_commands(gripper: Gripper, mode: Mode) -> None:
 
 def check_importer(name: str, file: Path) -> Imported:
     """The format of a plug-in, by a file of it; returns what was read, to be compared with what is in the file."""
-    row = _plugin(plugins.IMPORTERS, name, imports.Format)
+    row = _plugin(plugins.IMPORTERS, name, imports.ImportFormat)
     head = file.read_bytes()[: max(map(len, row.begins))]
     assert head.startswith(row.begins), "the file does not begin as its format says"
     assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is too short to be no chance"
@@ -182,7 +182,7 @@ def check_importer(name: str, file: Path) -> Imported:
 
 def check_exporter(name: str, folder: Path) -> Path:
     """The format of a plug-in, by a small recording; returns the file, to be compared with `small_recording`."""
-    row = _plugin(plugins.EXPORTERS, name, exports.Format)
+    row = _plugin(plugins.EXPORTERS, name, exports.ExportFormat)
     assert row.suffixes and all(suffix.startswith(".") for suffix in row.suffixes)
     source = small_recording(folder / "small.recording.h5")
     target = exports.target_path(source, name, None)
@@ -225,7 +225,7 @@ def goals(law: OtherLaw) -> list[int]:
     """The goals of a grasp of half a second, whose fingers follow: whole, and within the gripper's range."""
     control, position, slips, answers = Control(law), 300, 0, []
     for step in range(250):
-        phase = Phase(min(step // 80, 2))
+        phase = GraspPhase(min(step // 80, 2))
         slips += step % 40 == 0
         goal = control.step(phase, SlipSignal(slips, 0.5, 0.1 * step, 0.0), position)
         assert type(goal) is int

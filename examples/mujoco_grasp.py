@@ -23,7 +23,7 @@ import numpy as np
 import evetac_cli as evetac
 from evetac_cli import resources
 from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law, uses_detector
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.sim.gripper import Drive, gap_m, ticks_at_gap
 from evetac_cli.store.files import StageFile
@@ -161,11 +161,11 @@ def hand_height_m(now_ms: int) -> float:
     return min(max((now_ms - TOUCH_MS - RISES_AT_MS) * 1e-3 * RISE_M_S, 0.0), RISE_M)
 
 
-def phase_at(now_ms: int) -> Phase:
+def phase_at(now_ms: int) -> GraspPhase:
     """The phase of the grasp, as the laws know it."""
     if now_ms < TOUCH_MS:
-        return Phase.CONTACT
-    return Phase.LIFT if now_ms < TOUCH_MS + LIFT_MS else Phase.BALANCE
+        return GraspPhase.CONTACT
+    return GraspPhase.LIFT if now_ms < TOUCH_MS + LIFT_MS else GraspPhase.BALANCE
 
 
 def detector_for(sensor: evetac.TouchSensor) -> OnlineSlipDetector:

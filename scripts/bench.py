@@ -72,7 +72,7 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
         while not simulated.finished and simulated.slices < slices:
             if simulated.slices % 2 == 0:
                 if kind == "lift":
-                    phase = paper.Phase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
+                    phase = paper.GraspPhase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
                     goal = paper.step(
                         law, phase, bool(simulated._slip.truth()["truth/slip"]), simulated.finger.position_ticks
                     )

@@ -32,10 +32,10 @@ import numpy as np
 
 from evetac_cli.arrays import Flags
 from evetac_cli.console import show
-from evetac_cli.evaluate.cost.chain import Trial, run_chain, run_grasp, slip_trial
+from evetac_cli.evaluate.cost.chain import ChainTrial, run_chain, run_grasp, slip_trial
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
-from evetac_cli.evaluate.paired import Interval, known, share, share_difference
-from evetac_cli.evaluate.rows import Setting
+from evetac_cli.evaluate.paired import ConfidenceInterval, known, share, share_difference
+from evetac_cli.evaluate.rows import SolverSetting
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.store.recordings.read import open_recording
@@ -50,12 +50,12 @@ MOST_APART = 0.02  # of all slips, in which t_s may differ by more than 1 ms
 ONSETS = ("t_s_ms", "t_every_node_ms", "label_ms", "detection_ms")
 
 
-def settings(step_ms: float) -> dict[str, Setting]:
+def settings(step_ms: float) -> dict[str, SolverSetting]:
     """The two simulations of a trial."""
-    return {DEFAULT: Setting(DEFAULT), FINE: Setting("fixed step", solver={"step_ms": step_ms})}
+    return {DEFAULT: SolverSetting(DEFAULT), FINE: SolverSetting("fixed step", solver={"step_ms": step_ms})}
 
 
-def slip(trial: Trial, setting: Setting, folder: Path) -> Row:
+def slip(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Row:
     """Onsets of one slip, in slices from the start of the recording; None where there is none."""
     chain = run_chain(trial, setting, folder)
     with open_recording(slip_trial(trial, setting, folder).output) as recording:
@@ -66,7 +66,7 @@ def slip(trial: Trial, setting: Setting, folder: Path) -> Row:
     return {**onsets, "slices": chain.slices, "steps_a_slice": float(steps.mean()), "record_us": chain.record_us}
 
 
-def grasp(trial: Trial, setting: Setting, folder: Path) -> Row:
+def grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Row:
     """What became of one grasp."""
     lifted = run_grasp(trial, setting, folder)
     return {"held": lifted.held, "moved_mm": lifted.moved_mm, "grasp_us": lifted.grasp_us}
@@ -91,7 +91,7 @@ def identity(row: Row) -> tuple[Any, ...]:
 
 def run(row: Row) -> Row:
     """Run both simulations of a trial."""
-    trial = Trial(row["object"], row["seed"], row["object"], row["number"])
+    trial = ChainTrial(row["object"], row["seed"], row["object"], row["number"])
     results = {}
     for name, setting in settings(row["step_ms"]).items():
         with tempfile.TemporaryDirectory() as folder:
@@ -156,7 +156,7 @@ def _shares(what: str, holds: dict[str, Flags]) -> Row:
     return row
 
 
-def _ends(interval: Interval) -> Row:
+def _ends(interval: ConfidenceInterval) -> Row:
     return {"low": known(interval.low), "high": known(interval.high)}
 
 

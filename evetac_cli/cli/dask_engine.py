@@ -29,7 +29,7 @@ from typing import Any
 
 from evetac_cli import __version__, console
 from evetac_cli.cli import workers
-from evetac_cli.cli.dask_worker import LOOK_S, Command, Refused, check_worker, run_task
+from evetac_cli.cli.dask_worker import LOOK_S, ClusterCommand, WorkerRefused, check_worker, run_task
 from evetac_cli.cli.engines import Engine
 from evetac_cli.errors import EvetacError, InputError, missing_extra, shortened
 from evetac_cli.interrupts import CTRL_C, SignalsLetThrough, signals_blocked
@@ -67,7 +67,7 @@ def run_on_dask(
         try:
             progress(0, 0, "waiting for the cluster")
             with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
-                command = Command(module, chosen, force, __version__, Path.cwd(), sign)
+                command = ClusterCommand(module, chosen, force, __version__, Path.cwd(), sign)
                 _Run(client, command, jobs, progress, results, engine).run()
         finally:
             workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
@@ -204,7 +204,7 @@ class _Run:
     def __init__(
         self,
         client: Any,
-        command: Command,
+        command: ClusterCommand,
         jobs: list[Job],
         progress: Progress,
         results: dict[Path, Outcome | EvetacError],
@@ -285,7 +285,7 @@ class _Run:
         jobs = self.running.pop(future)
         began_s = self.handed_out_s.pop(future)
         results = self._results(future, jobs)
-        if isinstance(results, Refused):
+        if isinstance(results, WorkerRefused):
             results = []
         if results:
             self.took_s += time.monotonic() - began_s
@@ -298,13 +298,13 @@ class _Run:
             self.waiting.extendleft(reversed(rest))
             self._look_at_workers()
 
-    def _results(self, future: Any, jobs: list[Job]) -> list[Outcome | EvetacError] | Refused:
+    def _results(self, future: Any, jobs: list[Job]) -> list[Outcome | EvetacError] | WorkerRefused:
         from concurrent.futures import CancelledError
 
         from distributed import KilledWorker
 
         try:
-            results: list[Outcome | EvetacError] | Refused = future.result()
+            results: list[Outcome | EvetacError] | WorkerRefused = future.result()
         except KilledWorker as error:
             if len(jobs) > 1:  # which of them it was shows when each is a task of its own
                 self.alone = True
@@ -332,7 +332,7 @@ class _Run:
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] != "evetac_cli":
                 raise
-            return Refused("has no evetac")  # it could not even read the task
+            return WorkerRefused("has no evetac")  # it could not even read the task
         return results
 
     def _look_at_workers(self) -> None:

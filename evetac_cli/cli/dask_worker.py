@@ -18,7 +18,7 @@ _one_job_at_a_time = threading.Lock()  # in a worker, which may have several thr
 
 
 @dataclass(frozen=True)
-class Command:
+class ClusterCommand:
     """What every worker has to know of a command: how its jobs are run, and what shows that it fits."""
 
     module: str
@@ -30,13 +30,13 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Refused:
+class WorkerRefused:
     """Why a worker does not take jobs of a command."""
 
     reason: str
 
 
-def check_worker(command: Command) -> str:
+def check_worker(command: ClusterCommand) -> str:
     """Why this process cannot work for a command, in words; empty if it can."""
     if command.version != __version__:
         return f"has evetac {__version__}, and this is evetac {command.version}"
@@ -46,14 +46,16 @@ def check_worker(command: Command) -> str:
     return "" if command.sign.exists() else f"does not see the files in {command.sign.parent}: no shared storage"
 
 
-def run_task(command: Command, jobs: list[Job], seen: list[tuple[Path, ...]]) -> list[Outcome | EvetacError] | Refused:
+def run_task(
+    command: ClusterCommand, jobs: list[Job], seen: list[tuple[Path, ...]]
+) -> list[Outcome | EvetacError] | WorkerRefused:
     """What a worker does with some jobs, one after the other; fewer results if it was told to stop.
 
     seen: inputs of every job that the command itself sees.
     """
     with _one_job_at_a_time:
         if reason := check_worker(command):
-            return Refused(reason)
+            return WorkerRefused(reason)
         kernel_cache.settle_for_this_process()
         before = Path.cwd()
         os.chdir(command.folder)
@@ -69,7 +71,7 @@ def run_task(command: Command, jobs: list[Job], seen: list[tuple[Path, ...]]) ->
         return results
 
 
-def _run_job(command: Command, job: Job, seen: tuple[Path, ...], stopping: Progress) -> Outcome | EvetacError:
+def _run_job(command: ClusterCommand, job: Job, seen: tuple[Path, ...], stopping: Progress) -> Outcome | EvetacError:
     for path in seen:
         if not path.exists():
             return EvetacError(

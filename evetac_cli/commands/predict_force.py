@@ -5,7 +5,7 @@ from pathlib import Path
 
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
-from evetac_cli.names import Prediction
+from evetac_cli.names import PredictionOption
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class PredictForce:
         "With --sensor: relative error of its moduli, one standard deviation.",
         low=0.0,
         high=2.0,
-        needs=(Prediction.SENSOR,),
+        needs=(PredictionOption.SENSOR,),
     )
 
 

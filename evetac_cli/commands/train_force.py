@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
-from evetac_cli.names import Training
+from evetac_cli.names import TrainingOption
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class TrainForce:
         " and normal force and contact for any dot grid and gel, from simulated contacts, its errors measured on the"
         " files.",
         choices=("paper", "gel"),
-        needs=(Training.PAPER, Training.GEL),
+        needs=(TrainingOption.PAPER, TrainingOption.GEL),
     )
     adapt: str = parameter(
         "",
@@ -29,24 +29,24 @@ class TrainForce:
         None,
         "With --adapt: your sensor's file as `evetac identify` writes it, or a sensor's name; default: unknown.",
         recipe=False,
-        needs=(Training.ADAPTATION,),
+        needs=(TrainingOption.ADAPTATION,),
     )
     stiffness_error: float = parameter(
         0.1,
         "With --sensor: relative error of its moduli, one standard deviation.",
         low=0.0,
         high=2.0,
-        needs=(Training.SENSOR,),
+        needs=(TrainingOption.SENSOR,),
     )
     contacts: int = parameter(
-        4000, "Of method gel: contacts that are simulated.", low=10, high=1000000, needs=(Training.GEL,)
+        4000, "Of method gel: contacts that are simulated.", low=10, high=1000000, needs=(TrainingOption.GEL,)
     )
     samples: int = parameter(
         200,
         "Of method paper: samples of each trajectory, evenly spread over the contact.",
         low=3,
         high=100000,
-        needs=(Training.PAPER,),
+        needs=(TrainingOption.PAPER,),
     )
     noise_n: float = parameter(
         0.05,
@@ -54,14 +54,14 @@ class TrainForce:
         unit="N",
         low=0.0,
         high=100.0,
-        needs=(Training.PAPER, Training.ADAPTATION),
+        needs=(TrainingOption.PAPER, TrainingOption.ADAPTATION),
     )
     epochs: int = parameter(
         50,
         "Passes over the samples; of the paper's network the best on the last file is kept. Not with --adapt.",
         low=1,
         high=100000,
-        needs=(Training.PAPER, Training.GEL),
+        needs=(TrainingOption.PAPER, TrainingOption.GEL),
     )
     seed: int = parameter(0, "Seed of the noise, the first weights and the order of samples.", low=0, high=2**31 - 1)
 

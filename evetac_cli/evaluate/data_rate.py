@@ -35,7 +35,7 @@ SHOWN = 6  # recordings in the picture
 SHOWN_MS = 10  # of which one point in the picture is the mean
 
 
-class Interval(NamedTuple):
+class SliceInterval(NamedTuple):
     """Slices [start, stop) of a recording, or why there is no such interval."""
 
     start: int
@@ -129,39 +129,39 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
     return row | {"not_answered": "; ".join(reasons) or None}
 
 
-def intervals(recording: Recording, around_s: float) -> dict[str, Interval]:
+def intervals(recording: Recording, around_s: float) -> dict[str, SliceInterval]:
     """The slices of the whole recording, of contact, and of `around_s` about the onset of slip."""
     slices = len(recording)
-    contact = Interval(0, 0, "no truth, and contact is known in simulations alone")
+    contact = SliceInterval(0, 0, "no truth, and contact is known in simulations alone")
     if recording.has("truth"):
         force_n = recording.read("truth/normal_force_n")
         touched, loaded = np.flatnonzero(force_n >= TOUCH_N), np.flatnonzero(force_n > 0)
-        contact = Interval(0, 0, "nothing was touched")
+        contact = SliceInterval(0, 0, "nothing was touched")
         if len(touched):
-            contact = Interval(int(touched[0]), int(loaded[-1]) + 1)
-    return {"whole": Interval(0, slices), "contact": contact, "slip": _about_slip(recording, around_s)}
+            contact = SliceInterval(int(touched[0]), int(loaded[-1]) + 1)
+    return {"whole": SliceInterval(0, slices), "contact": contact, "slip": _about_slip(recording, around_s)}
 
 
-def _about_slip(recording: Recording, around_s: float) -> Interval:
+def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
     """As many slices before the onset as from it on; missing unless the recording holds them all."""
     half = round(500 * around_s)
     if recording.has("truth"):
         true = true_onset(recording)
         if true is None:
-            return Interval(0, 0, "no slip")
+            return SliceInterval(0, 0, "no slip")
         onset = true
     else:
         labels = _labels_beside(recording)
         if labels is None:
-            return Interval(0, 0, "neither truth nor labels beside the recording")
+            return SliceInterval(0, 0, "neither truth nor labels beside the recording")
         onset = labels.onset
         if onset < 0:
-            return Interval(0, 0, "no slip in the labels")
+            return SliceInterval(0, 0, "no slip in the labels")
     first, last = onset - half, onset + half
     if first < 0 or last > len(recording):
         held_s = (min(last, len(recording)) - max(first, 0)) / SLICES_PER_S
-        return Interval(0, 0, f"{held_s:g} s of {around_s:g} s about the onset at {onset} ms are recorded")
-    return Interval(first, last)
+        return SliceInterval(0, 0, f"{held_s:g} s of {around_s:g} s about the onset at {onset} ms are recorded")
+    return SliceInterval(first, last)
 
 
 class _Labels(NamedTuple):

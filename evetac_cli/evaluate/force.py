@@ -31,7 +31,14 @@ from evetac_cli.evaluate.gel_force import ForceReportJob
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.stages.force.train_force import ForceModel, Samples, check_grid, read_model, read_samples, sensor_sort
+from evetac_cli.stages.force.train_force import (
+    ForceModel,
+    ForceSamples,
+    check_grid,
+    read_model,
+    read_samples,
+    sensor_sort,
+)
 from evetac_cli.stages.related_files import named_files, recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
@@ -52,7 +59,7 @@ class TrialForce(NamedTuple):
     sensor: str
     sensor_name: str
     fitted: bool  # whether the model was fitted on this built sensor
-    samples: Samples
+    samples: ForceSamples
     predicted_n: dict[str, Floats]  # regression or network -> (models, samples, 2)
 
 

@@ -28,7 +28,7 @@ from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import adapt_gel, gel_model, readings
-from evetac_cli.stages.force.gel_model import Gel, GelModel, KnownGel
+from evetac_cli.stages.force.gel_model import GelModel, GelWeights, KnownGel
 from evetac_cli.stages.force.train_gel import known_sensor
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
@@ -45,7 +45,7 @@ class ForceReportJob(ModelsReportJob):
     own: int
 
 
-class Trial(NamedTuple):
+class ForceTrial(NamedTuple):
     """A trial's truth and what was predicted of it, by what is known of the gel."""
 
     path: Path
@@ -66,10 +66,10 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
         raise InputError("the model is adapted to one sensor", where="--model", expected=expected)
     headers, own_headers, by_sensor = _headers(files, own, model_header)
     identified = _identified(params.identified, files) if params.identified else {}
-    trials: list[Trial] = []
+    trials: list[ForceTrial] = []
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        gels: dict[str, dict[str, Gel]] = {}
+        gels: dict[str, dict[str, GelWeights]] = {}
         for number, path in enumerate(files):
             trials.append(_predict(path, model, gels, by_sensor, identified, params))
             progress(number + 1, len(files))
@@ -151,7 +151,7 @@ def _gels(
     own: list[Path],
     identified: KnownGel | None,
     params: EvaluateForce,
-) -> dict[str, Gel]:
+) -> dict[str, GelWeights]:
     """What is taken as known of a sensor's gel -> the model's weights."""
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
@@ -174,11 +174,11 @@ def _gels(
 def _predict(
     path: Path,
     model: GelModel,
-    gels: dict[str, dict[str, Gel]],
+    gels: dict[str, dict[str, GelWeights]],
     by_sensor: Mapping[str, list[Path]],
     identified: Mapping[str, KnownGel],
     params: EvaluateForce,
-) -> Trial:
+) -> ForceTrial:
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         name = str(tracks.read("sensor/name"))
         if name not in gels:
@@ -191,10 +191,10 @@ def _predict(
             predicted[known] = (Forces(*(values[at] for values in estimated.forces)), estimated.contact[at])
         shear_n = recording.read("truth/shear_force_n")[:: readings.EVERY].astype(float)
         normal_n = recording.read("truth/normal_force_n")[:: readings.EVERY].astype(float)
-        return Trial(path, name, shear_n, normal_n, predicted)
+        return ForceTrial(path, name, shear_n, normal_n, predicted)
 
 
-def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:
+def _row(trial: ForceTrial, name: str, range_n: float) -> dict[str, Any]:
     forces, contact = trial.predicted[name]
     pressed = trial.normal_n >= CONTACT_N
     usable = pressed & np.isfinite(forces.normal_n)
@@ -218,7 +218,7 @@ def _row(trial: Trial, name: str, range_n: float) -> dict[str, Any]:
     }
 
 
-def _summary(trials: list[Trial], rows: Rows, range_n: float, params: EvaluateForce) -> dict[str, Any]:
+def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: EvaluateForce) -> dict[str, Any]:
     """Means over files for each state of knowledge, and the range of the true forces."""
     shear = np.concatenate([one.shear_n for one in trials])
     summary: dict[str, Any] = {
@@ -243,7 +243,7 @@ def _summary(trials: list[Trial], rows: Rows, range_n: float, params: EvaluateFo
     return summary
 
 
-def _draw(figure: Any, trial: Trial) -> None:
+def _draw(figure: Any, trial: ForceTrial) -> None:
     """The first trajectory: forces with one standard deviation about them, for each state of knowledge."""
     names = list(trial.predicted)
     panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")

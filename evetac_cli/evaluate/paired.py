@@ -18,7 +18,7 @@ from evetac_cli.kernels.estimates import share as wilson
 CONFIDENCE = 0.95
 
 
-class Interval(NamedTuple):
+class ConfidenceInterval(NamedTuple):
     """A mean of paired differences or a share, the ends of its interval, and over how many trials; NaN if too few."""
 
     mean: float
@@ -27,7 +27,7 @@ class Interval(NamedTuple):
     trials: int
 
 
-def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Interval:
+def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> ConfidenceInterval:
     """The mean of ours - theirs over the trials in which both are known (not NaN).
 
     resolution: of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard deviation
@@ -37,24 +37,24 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Interva
     apart = apart[np.isfinite(apart)]
     count = len(apart)
     if count == 0:
-        return Interval(math.nan, math.nan, math.nan, 0)
+        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
     mean = float(apart.mean())
     if count == 1:
-        return Interval(mean, math.nan, math.nan, 1)
+        return ConfidenceInterval(mean, math.nan, math.nan, 1)
     spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread / math.sqrt(count)
-    return Interval(mean, mean - half, mean + half, count)
+    return ConfidenceInterval(mean, mean - half, mean + half, count)
 
 
-def share(held: Flags) -> Interval:
+def share(held: Flags) -> ConfidenceInterval:
     """The share of trials in which something holds, with Wilson's interval."""
     count = len(held)
     if count == 0:
-        return Interval(math.nan, math.nan, math.nan, 0)
-    return Interval(*wilson(int(np.count_nonzero(held)), count), count)
+        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
+    return ConfidenceInterval(*wilson(int(np.count_nonzero(held)), count), count)
 
 
-def share_difference(ours: Flags, theirs: Flags) -> Interval:
+def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
     """How much larger our share is than theirs over the same trials.
 
     The interval is Wald's with half a trial more in each of the four cells of the table of pairs (Agresti and Min,
@@ -63,12 +63,12 @@ def share_difference(ours: Flags, theirs: Flags) -> Interval:
     """
     count = len(ours)
     if count == 0:
-        return Interval(math.nan, math.nan, math.nan, 0)
+        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
     gained, lost = int(np.count_nonzero(ours & ~theirs)), int(np.count_nonzero(theirs & ~ours))
     middle = (gained - lost) / (count + 2)
     z = float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
     half = z * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
-    return Interval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
+    return ConfidenceInterval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
 
 
 def known(value: float) -> float | None:

@@ -37,7 +37,7 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class Figure:
+class PaperFigure:
     """A figure of the paper; fitted_in: the scene of ours, if any, that was adjusted until it gave this figure."""
 
     value: float
@@ -61,13 +61,13 @@ WINDOWS_S = (10.0, 2.0, 1.0)  # of windows of vibration
 WHOLE_S = 100.0  # of a tone
 
 
-def _slip(value: float, unit: str, where: str, model: str, trajectories: int) -> Figure:
+def _slip(value: float, unit: str, where: str, model: str, trajectories: int) -> PaperFigure:
     inputs = "labels by farneback" if "img" in model else SLIP_INPUTS
     conditions = Conditions(f"{model} by paper", "slip", (trajectories, SEEDS, TRAINED_ON), inputs)
-    return Figure(value, unit, where, conditions)
+    return PaperFigure(value, unit, where, conditions)
 
 
-def _slip_figures() -> Iterator[tuple[Key, Figure]]:
+def _slip_figures() -> Iterator[tuple[Key, PaperFigure]]:
     known = {  # timing correct, F1
         "no-hist": (0.87, 0.59), "no-hist-img": (0.93, 0.64), "hist10": (0.895, 0.73), "hist10-img": (0.95, 0.79),
         "hist20": (0.925, 0.815), "down5": (0.882, None), "fast-slow": (0.926, 0.816),
@@ -86,7 +86,7 @@ def _slip_figures() -> Iterator[tuple[Key, Figure]]:
         yield ("inference", model), _slip(duration_ms, "ms", f"{AHEAD}, on an RTX 3090", model, 80)
 
 
-def _vibration_figures() -> Iterator[tuple[Key, Figure]]:
+def _vibration_figures() -> Iterator[tuple[Key, PaperFigure]]:
     where = "Sensing Vibrations, table of windows"
     for tone, shares in (
         ("100", (1.00, 0.98, 0.96)), ("200", (1.00, 0.92, 0.69)), ("300", (1.00, 1.00, 0.99)),
@@ -95,10 +95,10 @@ def _vibration_figures() -> Iterator[tuple[Key, Figure]]:
         for length_s, share in zip(WINDOWS_S, shares, strict=True):
             windows = WHOLE_S / length_s * (5 if tone == "all" else 1)
             conditions = Conditions("paper", "vibration", (windows,))
-            yield ("vibration", tone, length_s), Figure(share, "share", where, conditions, fitted_in="vibration")
+            yield ("vibration", tone, length_s), PaperFigure(share, "share", where, conditions, fitted_in="vibration")
 
 
-def _force_figures() -> Iterator[tuple[Key, Figure]]:
+def _force_figures() -> Iterator[tuple[Key, PaperFigure]]:
     where = "Dot-based Shear Force Reconstruction, table"
     for model, sensor, errors in (  # mean absolute error and its sd, of Fx and Fy
         ("regression", "events", ((0.53, 0.41), (0.41, 0.29))),
@@ -109,47 +109,50 @@ def _force_figures() -> Iterator[tuple[Key, Figure]]:
         conditions = Conditions(model, "shear", (1, 4), "dots by paper" if sensor == "events" else "frames")
         for axis, of_axis in zip("xy", errors, strict=True):
             for quantity, value in zip(("mae", "sd"), of_axis, strict=True):
-                yield (quantity, model, sensor, axis), Figure(value, "N", where, conditions)
+                yield (quantity, model, sensor, axis), PaperFigure(value, "N", where, conditions)
 
 
-def _other_figures() -> Iterator[tuple[Key, Figure]]:
+def _other_figures() -> Iterator[tuple[Key, PaperFigure]]:
     where = "Data Rate Experiments, table"
     for interval, mean, sd in (("whole", 0.017, 0.004), ("contact", 0.028, 0.008), ("slip", 0.119, 0.006)):
         conditions = Conditions("bytes a second", "data-rate", (5,), f"{COLUMNS} columns")
-        yield ("data rate", interval), Figure(mean, "share of the RGB sensor's", where, conditions, "data-rate")
-        yield ("data rate, sd", interval), Figure(sd, "share of the RGB sensor's", where, conditions, "data-rate")
+        yield ("data rate", interval), PaperFigure(mean, "share of the RGB sensor's", where, conditions, "data-rate")
+        yield ("data rate, sd", interval), PaperFigure(sd, "share of the RGB sensor's", where, conditions, "data-rate")
     where = "Effectiveness of Regularization in Dot Tracking, table"
     for preset, share, lost in (("unregularised", 0.2, 9.5), ("paper", 0.8, 1.5)):
         conditions = Conditions(preset, "edge", (10,))
-        yield ("consistent", preset), Figure(share, "share", where, conditions, "edge" if preset == "paper" else "")
-        yield ("dots lost", preset), Figure(lost, "dots", where, conditions)
+        yield (
+            ("consistent", preset),
+            PaperFigure(share, "share", where, conditions, "edge" if preset == "paper" else ""),
+        )
+        yield ("dots lost", preset), PaperFigure(lost, "dots", where, conditions)
 
 
-def _grasp_figures() -> Iterator[tuple[Key, Figure]]:
+def _grasp_figures() -> Iterator[tuple[Key, PaperFigure]]:
     every = Conditions("paper", "lift", (12, 120, LIFT_S, BALANCE_S), DETECTOR)
-    yield ("kept",), Figure(0.93, "share", GRASPS, every)
-    yield ("reopened",), Figure(0.43, "share of the closing", GRASPS, every)
+    yield ("kept",), PaperFigure(0.93, "share", GRASPS, every)
+    yield ("reopened",), PaperFigure(0.43, "share of the closing", GRASPS, every)
     alone = Conditions("none", "lift", (11, 55))
-    yield ("lifted by contact alone",), Figure(0.0, "share", GRASPS, alone, fitted_in="lift")
-    yield ("moved less in most trials",), Figure(10.0, "mm", GRASPS, every)
+    yield ("lifted by contact alone",), PaperFigure(0.0, "share", GRASPS, alone, fitted_in="lift")
+    yield ("moved less in most trials",), PaperFigure(10.0, "mm", GRASPS, every)
     of_object = replace(every, size=(10, LIFT_S, BALANCE_S))
     for number, gain, kept in (
         ("10", "1", 1.0), ("11", "1", 1.0), ("12", "1", 0.9), ("13", "1", 1.0), ("14", "1", 0.6), ("15", "1", 0.9),
         ("16", "1", 1.0), ("17", "1", 1.0), ("18", "1", 1.0), ("19", "2", 1.0), ("20", "2", 1.0),
     ):  # fmt: skip
-        yield ("kept", number, gain), Figure(kept, "share", GRASPS, of_object)
+        yield ("kept", number, gain), PaperFigure(kept, "share", GRASPS, of_object)
     for number, ticks in (("17", -7.6), ("18", -13.4)):
-        yield ("opening", number, "1"), Figure(ticks, "ticks", GRASPS, of_object, fitted_in="lift")
+        yield ("opening", number, "1"), PaperFigure(ticks, "ticks", GRASPS, of_object, fitted_in="lift")
     where = "Evaluating Controller Robustness"
     for scene, kept, size in (
         *zip(ROBUSTNESS, (1.0, 0.9, 1.0), 3 * ((1, 10),), strict=True),
         (OTHER_SENSOR, 0.95, (8, 40)),  # objects 16, 17, 19 and 20 with both gels
     ):
         conditions = replace(every, scene=scene, size=(*size, LIFT_S, BALANCE_S))
-        yield ("kept", scene), Figure(kept, "share", where, conditions)
+        yield ("kept", scene), PaperFigure(kept, "share", where, conditions)
 
 
-FIGURES: dict[Key, Figure] = dict(
+FIGURES: dict[Key, PaperFigure] = dict(
     [*_slip_figures(), *_vibration_figures(), *_force_figures(), *_other_figures(), *_grasp_figures()]
 )
 
@@ -202,7 +205,7 @@ def _our_data_rate(row: Row, source: Source) -> Conditions:
     return Conditions("bytes a second", _scenes(source), (row["trajectories"],), "all columns")
 
 
-class Setting(NamedTuple):
+class PaperSetting(NamedTuple):
     """The setting of a grasp, as `evaluate grasp` names it, in parts."""
 
     law: str
@@ -211,7 +214,7 @@ class Setting(NamedTuple):
     method: str  # the law with all that is unusual about it but gain and scene
 
     @classmethod
-    def of(cls, text: str) -> "Setting":
+    def of(cls, text: str) -> "PaperSetting":
         """From its words."""
         law, *words = text.split(", ")
         gain = next((word.removeprefix("gain ") for word in words if word.startswith("gain ")), "1")
@@ -223,7 +226,7 @@ class Setting(NamedTuple):
 
 
 def _kept(row: Row) -> Key:
-    setting = Setting.of(row["setting"])
+    setting = PaperSetting.of(row["setting"])
     if row["setting"] == "none" and "object" not in row:
         return ("lifted by contact alone",)
     if setting.law not in LAWS:
@@ -246,7 +249,7 @@ def _opening(row: Row) -> Key:
 
 
 def _our_grasp(row: Row, source: Source) -> Conditions:
-    setting = Setting.of(row["setting"])
+    setting = PaperSetting.of(row["setting"])
     number = (row["trials"],) if "object" in row else (row["columns"], row["trials"])
     if setting.law == "none" or setting.law.startswith("fixed"):
         return Conditions(setting.method, setting.scene, number)
@@ -254,7 +257,7 @@ def _our_grasp(row: Row, source: Source) -> Conditions:
     return Conditions(setting.method, setting.scene, (*number, *source.grasp_s), inputs)
 
 
-class Column(NamedTuple):
+class PaperColumn(NamedTuple):
     """A column `paper_...`: what names a row's figure and says what ours is, and the columns that both read."""
 
     key: Callable[[Row], Key]
@@ -263,34 +266,34 @@ class Column(NamedTuple):
     may_need: tuple[str, ...] = ()  # where the row has them
 
 
-def _of_preset(quantity: str) -> Column:
-    return Column(
+def _of_preset(quantity: str) -> PaperColumn:
+    return PaperColumn(
         lambda row: (quantity, row["preset"]),
         lambda row, source: Conditions(row["preset"], _scenes(source), (row["trajectories"],)),
         ("preset", "trajectories"),
     )
 
 
-def _of_interval(quantity: str) -> Column:
-    return Column(lambda row: (quantity, row["interval"]), _our_data_rate, ("interval", "trajectories"))
+def _of_interval(quantity: str) -> PaperColumn:
+    return PaperColumn(lambda row: (quantity, row["interval"]), _our_data_rate, ("interval", "trajectories"))
 
 
-def _of_axis(quantity: str, axis: str) -> Column:
-    return Column(
+def _of_axis(quantity: str, axis: str) -> PaperColumn:
+    return PaperColumn(
         lambda row: (quantity, row["model"], row["sensor"], axis), _our_force, ("sensor", "model", "trajectories")
     )
 
 
-def _of_model(quantity: str) -> Column:
+def _of_model(quantity: str) -> PaperColumn:
     needs = ("model", "horizon_ms", "preset", "seeds", "trajectories")
-    return Column(_of_slip(quantity), _our_slip, needs, ("folds", "paper_f1"))
+    return PaperColumn(_of_slip(quantity), _our_slip, needs, ("folds", "paper_f1"))
 
 
-def _of_setting(key: Callable[[Row], Key]) -> Column:
-    return Column(key, _our_grasp, ("setting", "trials"), ("object", "columns"))
+def _of_setting(key: Callable[[Row], Key]) -> PaperColumn:
+    return PaperColumn(key, _our_grasp, ("setting", "trials"), ("object", "columns"))
 
 
-SHOWN: dict[str, Column] = {
+SHOWN: dict[str, PaperColumn] = {
     "paper_slip_correct": _of_model("correct"),
     "paper_f1": _of_model("f1"),
     "paper_10_to_0_ms_ahead": _of_model("10_to_0_ms_ahead"),
@@ -300,7 +303,7 @@ SHOWN: dict[str, Column] = {
     "paper_reopened_share": _of_setting(_reopened),
     "paper_opening_after_balance_ticks": _of_setting(_opening),
     **{f"paper_{quantity}_n_{axis}": _of_axis(quantity, axis) for quantity in ("mae", "sd") for axis in "xy"},
-    "paper_share": Column(
+    "paper_share": PaperColumn(
         lambda row: ("vibration", f"{row['expected_hz']:g}", row["window_s"]),
         lambda row, source: Conditions(row["method"], _scenes(source), (row["windows"],)),
         ("method", "expected_hz", "window_s", "windows"),
@@ -317,7 +320,7 @@ class Beside(NamedTuple):
     mark: str
 
 
-def mark(figure: Figure, ours: Conditions, *, simulated: bool) -> str:
+def mark(figure: PaperFigure, ours: Conditions, *, simulated: bool) -> str:
     """How ours compares with a figure of the paper: one of MARKS, the first that applies."""
     paper = figure.conditions
     if simulated and figure.fitted_in and (ours.method, ours.scene) == (paper.method, figure.fitted_in):

@@ -49,7 +49,7 @@ Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Phase:
+class ContactPhase:
     """The events of one phase, time going on without what lies between, and how many each slice has."""
 
     events: Events
@@ -60,13 +60,13 @@ class Phase:
         """How long it lasts."""
         return len(self.counts) * SLICE_US
 
-    def part(self, first: int, stop: int) -> "Phase":
+    def part(self, first: int, stop: int) -> "ContactPhase":
         """Some of its slices, time starting at 0."""
         begin, end = (int(self.counts[:place].sum()) for place in (first, stop))
         events = self.events.part(begin, end)
-        return Phase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
+        return ContactPhase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
 
-    def halves(self) -> tuple["Phase", "Phase"]:
+    def halves(self) -> tuple["ContactPhase", "ContactPhase"]:
         """Its first and its second half."""
         middle = len(self.counts) // 2
         return self.part(0, middle), self.part(middle, 2 * middle)
@@ -77,8 +77,8 @@ class Side:
     """What is compared of a recording: its phases, None where it has none, and its dots."""
 
     name: str
-    rest: Phase | None
-    motion: Phase | None
+    rest: ContactPhase | None
+    motion: ContactPhase | None
     press: pressed.Press | None
 
 
@@ -234,7 +234,7 @@ def _side(recording: Recording) -> Side:
     return Side(recording.path.name, rest, motion, press)
 
 
-def _is_still(phase: Phase, frame_px: tuple[int, int]) -> bool:
+def _is_still(phase: ContactPhase, frame_px: tuple[int, int]) -> bool:
     width, height = frame_px
     pixel = phase.events.y.astype(np.int64) * width + phase.events.x
     hot = find_hot(np.bincount(pixel, minlength=width * height), phase.duration_us * 1e-6)
@@ -254,7 +254,7 @@ def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
     return first, second
 
 
-def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase | None:
+def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> ContactPhase | None:
     """Pieces of a recording one after the other, up to MOST_EVENTS; None where the first slice has more."""
     parts: list[Events] = []
     counts: list[Counts] = []
@@ -269,7 +269,7 @@ def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> Phase | None:
         counts.append(np.diff(recording.starts[first : stop + 1]))
         slices += stop - first
         held += events.size
-    return Phase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
+    return ContactPhase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
 
 
 def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
@@ -284,7 +284,7 @@ def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
     return rows
 
 
-def _at_rest(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
+def _at_rest(phase: ContactPhase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
     events = phase.events
     scalars = figures.at_rest(*events, frame_px, phase.duration_us)
     hot, ordinary, _ = figures.split_hot(*events, frame_px, phase.duration_us * 1e-6)
@@ -295,16 +295,16 @@ def _at_rest(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float],
     }
 
 
-def _in_motion(phase: Phase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
+def _in_motion(phase: ContactPhase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
     return figures.in_motion(*phase.events, frame_px, phase.counts), {"events_a_slice, distribution": phase.counts}
 
 
 def _phase_rows(
     name: str,
-    real: Phase,
-    simulated: Phase,
+    real: ContactPhase,
+    simulated: ContactPhase,
     frame_px: tuple[int, int],
-    measure: Callable[[Phase, tuple[int, int]], tuple[dict[str, float], dict[str, NDArray]]],
+    measure: Callable[[ContactPhase, tuple[int, int]], tuple[dict[str, float], dict[str, NDArray]]],
 ) -> Rows:
     halves = [measure(half, frame_px) for half in real.halves()]
     (scalars, samples), (made, made_samples) = (measure(phase, frame_px) for phase in (real, simulated))

@@ -48,7 +48,7 @@ def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:
 
 
 @dataclass(frozen=True)
-class Setting:
+class SolverSetting:
     """One choice: the line of the picture that it lies on, its place on that line, and the scene's table [solver]."""
 
     line: str
@@ -66,6 +66,6 @@ class Setting:
         return " ".join(f"{FLAGS[key]} {value:g}" for key, value in self.solver.items())
 
 
-def line(name: str, key: str, values: tuple[float, ...], unit: str = "", **others: float) -> list[Setting]:
+def line(name: str, key: str, values: tuple[float, ...], unit: str = "", **others: float) -> list[SolverSetting]:
     """The settings of one line: a key of the table [solver] with each of these values, and others beside it."""
-    return [Setting(name, f"{value:g} {unit}".rstrip(), {key: value, **others}) for value in values]
+    return [SolverSetting(name, f"{value:g} {unit}".rstrip(), {key: value, **others}) for value in values]

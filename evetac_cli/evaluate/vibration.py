@@ -239,7 +239,7 @@ def _whole(survey: Survey, method: str, expected_hz: float | None, params: Evalu
     }
 
 
-def _uncertainty_hz(survey: Survey, tone: vibration.Line) -> float:
+def _uncertainty_hz(survey: Survey, tone: vibration.SpectralLine) -> float:
     """One sd of a tone: from noise, or from how much the shortest windows differ, if that is more.
 
     The phase at which the gel answers drifts with the tone's harmonics, which the noise does not include.

@@ -31,7 +31,7 @@ from evetac_cli.store.made_folders import new_folder
 from evetac_cli.store.recordings.read import Recording
 
 
-class Format(NamedTuple):
+class ExportFormat(NamedTuple):
     """A row of the table: endings of its files, the usual one first; who writes them; whether they hold events.
 
     of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
@@ -49,25 +49,25 @@ class Format(NamedTuple):
 
 TABLE: dict[str, Any] = {"events": False, "of_trial": True}
 FORMATS = {
-    "aedat4": Format((".aedat4",), write_aedat4.write),
-    "dsec": Format((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
-    "text": Format((".txt",), write_text.write),
-    "raw": Format((".raw",), write_prophesee.write_evt3),
-    "raw-evt2": Format((".raw",), write_prophesee.write_evt2),
-    "dat": Format((".dat",), write_prophesee.write_dat),
-    "mcap": Format((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
-    "calibration": Format((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
-    "parquet": Format((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
-    "csv": Format((".csv",), write_table.write_csv, **TABLE),
-    "lerobot": Format((".parquet", ".json", ".mp4", ".md"), None, **TABLE, write_folder=write_lerobot.write),
+    "aedat4": ExportFormat((".aedat4",), write_aedat4.write),
+    "dsec": ExportFormat((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
+    "text": ExportFormat((".txt",), write_text.write),
+    "raw": ExportFormat((".raw",), write_prophesee.write_evt3),
+    "raw-evt2": ExportFormat((".raw",), write_prophesee.write_evt2),
+    "dat": ExportFormat((".dat",), write_prophesee.write_dat),
+    "mcap": ExportFormat((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
+    "calibration": ExportFormat((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
+    "parquet": ExportFormat((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
+    "csv": ExportFormat((".csv",), write_table.write_csv, **TABLE),
+    "lerobot": ExportFormat((".parquet", ".json", ".mp4", ".md"), None, **TABLE, write_folder=write_lerobot.write),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
 LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
 
 
-def named_format(name: str) -> Format:
+def named_format(name: str) -> ExportFormat:
     """The row of a format, ours or a plug-in's; InputError if there is none of this name."""
-    row = FORMATS.get(name) or plugins.find(plugins.EXPORTERS, name, Format)
+    row = FORMATS.get(name) or plugins.find(plugins.EXPORTERS, name, ExportFormat)
     if row is None:
         expected = ", ".join((*FORMATS, *plugins.usable(plugins.EXPORTERS)))
         raise InputError("unknown value", where="--format", expected=expected, found=name)

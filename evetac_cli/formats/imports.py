@@ -24,7 +24,7 @@ from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
-from evetac_cli.formats.read.event_validation import Columns, Foreign, FrameUnknown, Normal, normalise
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, FrameUnknown, Normal, normalise
 from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
@@ -57,7 +57,7 @@ SAID = {
 }
 
 
-class Format(NamedTuple):
+class ImportFormat(NamedTuple):
     """How a file of the format begins, at one of which places, who reads it, and what a user may say of it (SAID).
 
     read: takes the path, the frame (width, height) or None, and what the user says, and gives a Foreign. A plug-in's
@@ -70,15 +70,15 @@ class Format(NamedTuple):
     at: tuple[int, ...] = (0,)
 
 
-BAG = Format(read_rosbag.SIGNS, open_rosbag, ("stream",))
-TEXT = Format((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
+BAG = ImportFormat(read_rosbag.SIGNS, open_rosbag, ("stream",))
+TEXT = ImportFormat((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
 FORMATS = {
-    "aedat4": Format((b"#!AER-DAT4",), open_aedat4, ("stream",)),
-    "aedat3": Format((read_aedat3.SIGN,), read_aedat3.open_aedat3),
-    "aedat2": Format((read_aedat2.SIGN,), read_aedat2.open_aedat2),
-    "hdf5": Format((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
-    "numpy": Format((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
-    "prophesee": Format(read_prophesee.SIGNS, open_prophesee),
+    "aedat4": ImportFormat((b"#!AER-DAT4",), open_aedat4, ("stream",)),
+    "aedat3": ImportFormat((read_aedat3.SIGN,), read_aedat3.open_aedat3),
+    "aedat2": ImportFormat((read_aedat2.SIGN,), read_aedat2.open_aedat2),
+    "hdf5": ImportFormat((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
+    "numpy": ImportFormat((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
+    "prophesee": ImportFormat(read_prophesee.SIGNS, open_prophesee),
     "rosbag": BAG,
     "text": TEXT,
 }
@@ -313,7 +313,7 @@ def left_out_text(left_out: dict[str, int]) -> str:
     return ", ".join([*named[:MOST_NAMED], *more])
 
 
-def _counted(batches: Iterable[Columns], progress: Progress) -> Iterator[Columns]:
+def _counted(batches: Iterable[EventColumns], progress: Progress) -> Iterator[EventColumns]:
     """The same batches, with their events counted. Ctrl-C is heard here."""
     count = 0
     for batch in batches:
@@ -390,7 +390,7 @@ def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:
     )
 
 
-def _format(path: Path) -> Format:
+def _format(path: Path) -> ImportFormat:
     """The row that a file belongs to; text if its first line looks like text."""
     where = str(path)
     head = _head(path)
@@ -427,11 +427,11 @@ def _format(path: Path) -> Format:
     return TEXT
 
 
-def _format_of_plugin(head: bytes, unusable: list[str]) -> Format | None:
+def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
     """The row of a plug-in whose files begin so; those that cannot be used are added to `unusable`."""
     for plugin in plugins.installed(plugins.IMPORTERS):
         try:
-            format_ = plugin.load(Format)
+            format_ = plugin.load(ImportFormat)
         except InputError:
             unusable.append(plugin.what)
             continue

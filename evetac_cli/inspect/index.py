@@ -11,10 +11,10 @@ from typing import Any
 from evetac_cli.console import print_table, say
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store.index import FOREIGN, Index, Row, open_index
+from evetac_cli.store.index import FOREIGN, Index, IndexRow, open_index
 from evetac_cli.text_files import as_utf8
 
-NAMES = tuple(name for name in Row._fields if name != "changed_ns")  # that --where knows, and a row shows
+NAMES = tuple(name for name in IndexRow._fields if name != "changed_ns")  # that --where knows, and a row shows
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
 COUNTED = ("object", "sensor", "scene", "outcome")  # of each kind of file, a table each
 MOST_UNREADABLE = 20  # of the files that are named with their reasons

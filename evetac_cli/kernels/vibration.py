@@ -106,7 +106,7 @@ class Spectrum(NamedTuple):
         )
 
 
-class Line(NamedTuple):
+class SpectralLine(NamedTuple):
     """One line of a spectrum."""
 
     frequency_hz: float
@@ -118,9 +118,9 @@ class Line(NamedTuple):
 class Finding(NamedTuple):
     """The tone in a spectrum, or None; its harmonics; the line above the band that would otherwise be the tone."""
 
-    tone: Line | None
+    tone: SpectralLine | None
     harmonics: dict[float, float]  # order (0.5, 2, 3, ...) -> motion over the tone's, 0 where there is no line
-    above_band: Line | None
+    above_band: SpectralLine | None
 
 
 def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
@@ -200,13 +200,13 @@ def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: floa
     return Finding(tone, {order: other.motion / tone.motion if other else 0.0 for order, other in others.items()}, None)
 
 
-def _line_near(lines: list[Line], frequency_hz: float, resolution_hz: float) -> Line | None:
+def _line_near(lines: list[SpectralLine], frequency_hz: float, resolution_hz: float) -> SpectralLine | None:
     """The line nearest to a frequency, if it lies within its own width of it."""
     near = min(lines, key=lambda line: abs(line.frequency_hz - frequency_hz))
     return near if abs(near.frequency_hz - frequency_hz) <= LINE_HALF_BINS * resolution_hz else None
 
 
-def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Line]:
+def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[SpectralLine]:
     """All lines from `lowest_hz` up that exceed the noise."""
     if sums.terms == 0:
         return
@@ -229,7 +229,7 @@ def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Li
     for k in np.flatnonzero(is_line) + first:
         frequency_hz, uncertainty_hz = locate(power, int(k), terms, resolution_hz)
         motion = math.sqrt(speed[k - 1 : k + 2].sum()) / frequency_hz
-        yield Line(frequency_hz, uncertainty_hz, motion, float(power[k]))
+        yield SpectralLine(frequency_hz, uncertainty_hz, motion, float(power[k]))
 
 
 def locate(power: Floats, k: int, terms: float, resolution_hz: float) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import gripper
 
 LIFTED_MM = 50.0
@@ -36,7 +36,7 @@ def outcome(rows: Mapping[str, NDArray[Any]], mm_per_px: float, planned_ms: int)
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px
     step_ms, phase, ticks = rows["control/t_us"] // SLICE_US, rows["control/phase"], rows["gripper/position_ticks"]
-    touched, lifted = (int(np.flatnonzero(phase <= end)[-1]) for end in (Phase.CONTACT, Phase.LIFT))
+    touched, lifted = (int(np.flatnonzero(phase <= end)[-1]) for end in (GraspPhase.CONTACT, GraspPhase.LIFT))
     last_ms = len(gap_mm) - 1
     touched_ms, lifted_ms = (min(int(step_ms[index]), last_ms) for index in (touched, lifted))
 

@@ -36,7 +36,7 @@ def untimed(part: str, call: Call) -> Call:
     return call
 
 
-class Part(NamedTuple):
+class ScenePart(NamedTuple):
     """A part of a scene: what is built of it, in words, and why it is left out where it is.
 
     switch: the plan without the part, or with it where it is left out; None where a scene cannot be had otherwise.
@@ -79,12 +79,12 @@ def _built(plan: Plan) -> Set[str]:
     return simulation.built | simulation.gel_camera.built
 
 
-def parts_of(plan: Plan) -> list[Part]:
+def parts_of(plan: Plan) -> list[ScenePart]:
     """All parts that a plan may have, in words, built or not."""
     return [*_mechanics(plan), *_camera(plan.scene, plan.sensor, plan.readout), *_disturbances(plan)]
 
 
-def _mechanics(plan: Plan) -> list[Part]:
+def _mechanics(plan: Plan) -> list[ScenePart]:
     scene, sensor, solver = plan.scene, plan.sensor, plan.scene.solver
     steps = f"{solver.tolerance_um:g} um a step" if solver.step_ms is None else f"{solver.step_ms:g} ms steps"
     friction, creep = sensor.friction, sensor.creep
@@ -92,29 +92,29 @@ def _mechanics(plan: Plan) -> list[Part]:
     arms = () if creep is None else zip(creep.share, creep.time_s, strict=True)
     even = replace(friction, patch_spread=None, patch_mm=None)
     return [
-        Part(
+        ScenePart(
             "gel and friction",
             f"nodes every {solver.node_pitch_mm:g} mm, {steps}",
             "nothing slips: a closed form for each wave",
         ),
-        Part(
+        ScenePart(
             "friction that varies over the gel",
             spread,
             "nothing slips" if scene.kind == "tone" else "the sensor has none",
             _sensor(friction=even),
         ),
-        Part(
+        ScenePart(
             "slow creep",
             ", ".join(f"{share:.0%} in {time_s:.3g} s" for share, time_s in arms),
             "the sensor has none",
             _sensor(creep=None),
         ),
-        Part("what touches", _touching(plan), ""),
-        Part("gripper", _gripper(scene), "a hand drives the face"),
-        Part("free object", "mass, weight, rotation", "its motion is prescribed"),
-        Part("table and hand", "lift", "nothing is lifted"),
-        Part("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
-        Part("falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "none named", _scene(drop=None)),
+        ScenePart("what touches", _touching(plan), ""),
+        ScenePart("gripper", _gripper(scene), "a hand drives the face"),
+        ScenePart("free object", "mass, weight, rotation", "its motion is prescribed"),
+        ScenePart("table and hand", "lift", "nothing is lifted"),
+        ScenePart("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
+        ScenePart("falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "none named", _scene(drop=None)),
     ]
 
 
@@ -134,7 +134,7 @@ def _gripper(scene: Scene) -> str:
     return MODES.get(scene.kind, "") if scene.gripper.current is None else "current mode, as the scene names it"
 
 
-def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[Part]:
+def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
     from evetac_cli.sim.camera.gel_camera import dot_grid  # brings numba
 
     cut, texture = scene.gel.cut, scene.texture
@@ -143,61 +143,65 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[Part]:
     no_window = "nobody looks at it" if texture is not None else "nothing behind it has texture"
     limit = 0.0 if sensor.readout is None else sensor.readout.events_per_s
     return [
-        Part("camera", READOUTS[readout].format(1000 * scene.solver.scans_per_ms), ""),
-        Part("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated while they move", ""),
-        Part(
+        ScenePart("camera", READOUTS[readout].format(1000 * scene.solver.scans_per_ms), ""),
+        ScenePart("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated while they move", ""),
+        ScenePart(
             "dots that differ",
             f"radius by {sensor.dot_radius_spread:.0%}, contrast by {sensor.dot_contrast_spread:.0%}",
             "all dots are alike",
             _sensor(dot_radius_spread=0.0, dot_contrast_spread=0.0),
         ),
-        Part(
+        ScenePart(
             "window",
             "texture of the object, moved with it",
             no_window if cut else "closed gel: it has no window",
             None if texture is None else _other_window,
         ),
-        Part("contact edges", "where they move", "none named", _without_edges),
-        Part(
+        ScenePart("contact edges", "where they move", "none named", _without_edges),
+        ScenePart(
             "cut edge",
             "moves with the gel",
             "the sensor's cut is not seen" if cut else "closed gel: no cut",
             _sensor(cut_contrast=0.0),
         ),
-        Part(
+        ScenePart(
             "noise",
             f"{sensor.noise_hz:.3g} Hz a pixel, {hot_pixels} hot pixels",
             "a camera without noise",
             _sensor(noise_hz=0.0, hot_pixels=0, hot_pixel_table=None),
         ),
-        Part(
+        ScenePart(
             "OFF threshold of its own",
             f"{off:.3g}, ON {sensor.threshold:.3g}",
             "as that of ON",
             _sensor(threshold_off=None),
         ),
-        Part("limit of the readout", f"{limit:,.0f} events a second", "as fast as events come", _sensor(readout=None)),
-        Part("slow pixels", f"{sensor.bandwidth_hz:.4g} Hz", "as fast as anything moves", _sensor(bandwidth_hz=0.0)),
-        Part(
+        ScenePart(
+            "limit of the readout", f"{limit:,.0f} events a second", "as fast as events come", _sensor(readout=None)
+        ),
+        ScenePart(
+            "slow pixels", f"{sensor.bandwidth_hz:.4g} Hz", "as fast as anything moves", _sensor(bandwidth_hz=0.0)
+        ),
+        ScenePart(
             "bandwidth that falls with light",
             "proportional to brightness",
             "one bandwidth of all pixels" if sensor.bandwidth_hz else "no pixel is slow",
             _sensor(bandwidth_by_light=False),
         ),
-        Part(
+        ScenePart(
             "uneven light",
             f"{sensor.light_gradient:.0%} less in the corners",
             "seen only where bandwidth falls with light" if sensor.light_gradient else "the sensor has none",
             _sensor(light_gradient=0.0),
         ),
-        Part(
+        ScenePart(
             "lens distortion",
             "k1 {:.3g}, k2 {:.3g}".format(*sensor.distortion),
             "the sensor has none",
             _sensor(distortion=(0.0, 0.0)),
         ),
-        Part("leak", f"{sensor.leak_hz:.4g} Hz a pixel", "the sensor has none", _sensor(leak_hz=0.0)),
-        Part(
+        ScenePart("leak", f"{sensor.leak_hz:.4g} Hz a pixel", "the sensor has none", _sensor(leak_hz=0.0)),
+        ScenePart(
             "blind pixels",
             f"{sensor.refractory_us:.4g} us after an event",
             "the sensor has none",
@@ -206,7 +210,7 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[Part]:
     ]
 
 
-def _disturbances(plan: Plan) -> list[Part]:
+def _disturbances(plan: Plan) -> list[ScenePart]:
     """What is off unless a scene, or of a gripper its sensor, names it; those that cost nothing cannot be switched."""
     scene, hand = plan.scene, plan.scene.hand
     faults = gripper_faults(scene, plan.sensor)
@@ -222,53 +226,55 @@ def _disturbances(plan: Plan) -> list[Part]:
     late = f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms" if jitter_ms else f"by {delay_ms:.3g} ms"
     jerk = hand.jerk
     return [
-        Part("changing light", _light(scene), "steady: none named", _scene(light=None)),
-        Part(
+        ScenePart("changing light", _light(scene), "steady: none named", _scene(light=None)),
+        ScenePart(
             "vanishing dots",
             "" if gone is None else f"{len(gone.dots)} from {gone.at_s:g} s on",
             "none named",
             _scene(vanishing_dots=None),
         ),
-        Part(
+        ScenePart(
             "calibration that is off",
             "" if off is None else "by {:g}, {:g} px and {:g} deg".format(*off.offset_px, off.turned_deg),
             "the dots at rest are known",
         ),
-        Part(
+        ScenePart(
             "change of friction",
             "" if change is None else f"x {change.factor:g} from {change.at_s:g} s on",
             "none named",
             _scene(friction_change=None),
         ),
-        Part(
+        ScenePart(
             "gear friction",
             f"x {low:g}" + (f" to {high:g}" if high > low else ""),
             "as the sensor's gripper has it",
         ),
-        Part("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "none named"),
-        Part(
+        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "none named"),
+        ScenePart(
             "second finger of its own",
             ", ".join(f"{name} x {factor:g}" for name, factor in factors.items() if factor != 1.0),
             "a mirror image of the first",
             lambda plan: _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)),
         ),
-        Part("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "it reads the motor's place"),
-        Part("commands that come late", late, "in effect in the next ms"),
-        Part(
+        ScenePart(
+            "noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "it reads the motor's place"
+        ),
+        ScenePart("commands that come late", late, "in effect in the next ms"),
+        ScenePart(
             "profile of the hand's motion",
             {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.profile, ""),
             "a trapezoid of speed",
             _hand(profile=HandSettings.profile),
         ),
-        Part("vibration of the hand", _vibration(hand), "none named", _hand(vibration=None)),
-        Part(
+        ScenePart("vibration of the hand", _vibration(hand), "none named", _hand(vibration=None)),
+        ScenePart(
             "jerk of the hand",
             "" if jerk is None else f"{jerk.speed_mm_s:g} mm/s for {jerk.lasts_s:g} s at {jerk.at_s:g} s",
             "none named",
             _hand(jerk=None),
         ),
-        Part("other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "as the sensor has it"),
-        Part("other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "none named"),
+        ScenePart("other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "as the sensor has it"),
+        ScenePart("other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "none named"),
     ]
 
 

@@ -69,13 +69,13 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
-        piece = _Piece(recording, first, end)
+        piece = _CutDatasets(recording, first, end)
         write_stage(job.output, recipe, piece.whole, piece.blocks(progress), piece.lengths)
     events = int(piece.whole["ms_to_idx"][-1])
     return outcome(job, made=True, simulated=simulated, slices=end - first, events=events)
 
 
-class _Piece:
+class _CutDatasets:
     """The datasets of a recording, cut to the slices [first, end): small ones whole, those with rows block by block."""
 
     def __init__(self, recording: Recording, first: int, end: int) -> None:

@@ -45,7 +45,7 @@ STEPS_AT_ONCE = 10_000
 FOREIGN = "kind IS NULL AND error IS NULL"
 
 
-class Row(NamedTuple):
+class IndexRow(NamedTuple):
     """What the index says of a file; None where a file of its kind has no such thing, or it is unknown."""
 
     path: str  # from the folder on
@@ -65,15 +65,15 @@ class Row(NamedTuple):
     error: str | None = None  # why it cannot be read
 
 
-ERROR, SIMULATED, SLICES = map(Row._fields.index, ("error", "simulated", "slices"))
+ERROR, SIMULATED, SLICES = map(IndexRow._fields.index, ("error", "simulated", "slices"))
 Seen = dict[str, tuple[int, int]]  # size and time of change of files, by their paths
-_CREATE = f"CREATE TABLE files ({', '.join(Row._fields)}, PRIMARY KEY (path)) WITHOUT ROWID"
+_CREATE = f"CREATE TABLE files ({', '.join(IndexRow._fields)}, PRIMARY KEY (path)) WITHOUT ROWID"
 _BEGINS, _ENDS = "CREATE TABLE files (path, ", ", PRIMARY KEY (path)) WITHOUT ROWID"  # of every format
-_INSERT = f"INSERT INTO files VALUES ({', '.join('?' * len(Row._fields))})"
-_SELECT = f"SELECT {', '.join(Row._fields)} FROM files"
+_INSERT = f"INSERT INTO files VALUES ({', '.join('?' * len(IndexRow._fields))})"
+_SELECT = f"SELECT {', '.join(IndexRow._fields)} FROM files"
 _OPTIONAL_TEXT = (str, type(None))
 _TYPES: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(Row._fields, _OPTIONAL_TEXT),
+    **dict.fromkeys(IndexRow._fields, _OPTIONAL_TEXT),
     "path": (str, bytes),
     **dict.fromkeys(("size_bytes", "changed_ns"), (int,)),
     **dict.fromkeys(("object", "seed"), (int, str, type(None))),
@@ -90,10 +90,10 @@ class Index(NamedTuple):
     stored: bool  # False where the folder cannot be written to, or something else has the index's name
     note: str  # what to know of something else that has the index's name; empty otherwise
 
-    def rows(self, where: str = "1", values: Sequence[Any] = ()) -> list[Row]:
+    def rows(self, where: str = "1", values: Sequence[Any] = ()) -> list[IndexRow]:
         """The rows for which a condition of SQL holds, by their paths."""
         chosen = self.table.execute(f"{_SELECT} WHERE {where} ORDER BY path", values)
-        return sorted(Row(_name(path), *more) for path, *more in chosen)
+        return sorted(IndexRow(_name(path), *more) for path, *more in chosen)
 
 
 def foreign_note(index: Index) -> str:
@@ -255,7 +255,7 @@ def _checked(table: sqlite3.Connection, seen: Seen) -> _Lies:
 
 def _are_possible(types: Sequence[type]) -> bool:
     """Whether each value of a row is of a type that its column may have."""
-    return all(kind in _TYPES[name] for name, kind in zip(Row._fields, types, strict=True))
+    return all(kind in _TYPES[name] for name, kind in zip(IndexRow._fields, types, strict=True))
 
 
 def _filled(table: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> sqlite3.Connection:
@@ -282,20 +282,20 @@ def _store(path: Path, rows: Iterable[tuple[Any, ...]]) -> bool:
 # --- what a file is ---------------------------------------------------------------------------------------------------
 
 
-def describe(folder: Path, name: str, size_bytes: int, changed_ns: int) -> Row:
+def describe(folder: Path, name: str, size_bytes: int, changed_ns: int) -> IndexRow:
     """The row of a file; one that cannot be read has its reason, one of another program neither kind nor reason."""
     from evetac_cli.store.files import StageFile
 
     try:
         with StageFile(folder / name) as file:
-            return Row(name, size_bytes, changed_ns, **_figures(file))
+            return IndexRow(name, size_bytes, changed_ns, **_figures(file))
     except ForeignFile:
-        return Row(name, size_bytes, changed_ns)
+        return IndexRow(name, size_bytes, changed_ns)
     except EvetacError as error:
         reason = f"{error.message}: {error.found}" if error.found else error.message
-        return Row(name, size_bytes, changed_ns, error=reason)
+        return IndexRow(name, size_bytes, changed_ns, error=reason)
     except (OSError, MemoryError) as error:
-        return Row(name, size_bytes, changed_ns, error=str(error) or type(error).__name__)
+        return IndexRow(name, size_bytes, changed_ns, error=str(error) or type(error).__name__)
 
 
 def _figures(file: Any) -> dict[str, Any]:

@@ -29,7 +29,7 @@ FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset d
 
 
 @dataclass(frozen=True)
-class View:
+class ViewRequest:
     """How a trial is shown while it is made.
 
     where: auto, browser or terminal; model: of the slip detector that is shown, None for the package's; threshold: of
@@ -53,7 +53,7 @@ class Trial(Job):
     number: int
     seed: int
     plan: Plan | None
-    view: View | None = field(default=None, kw_only=True)
+    view: ViewRequest | None = field(default=None, kw_only=True)
 
     @property
     def shows_simulation(self) -> bool:
@@ -107,9 +107,9 @@ class ReplayTrial(Trial):
     camera: NamedCamera
 
 
-def view_of(params: Trials) -> View | None:
+def view_of(params: Trials) -> ViewRequest | None:
     """How the trials are shown, if the flags say so."""
-    return None if params.shown_in is None else View(params.shown_in)
+    return None if params.shown_in is None else ViewRequest(params.shown_in)
 
 
 def simulated_trials(

@@ -53,9 +53,9 @@ def be_servo(log: Path) -> None:
     """Be the servo until stdin ends; a line in the log for every change."""
     from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS, baud_code
     from evetac_cli.devices.virtual import servo_process
-    from evetac_cli.devices.virtual.dynamixel_frames import Frame, Instruction
+    from evetac_cli.devices.virtual.dynamixel_frames import DynamixelFrame, Instruction
     from evetac_cli.devices.virtual.servo import Answer, VirtualServo
-    from evetac_cli.devices.virtual.servo_plant import Goals, Motion, Obstacle, OwnDynamics
+    from evetac_cli.devices.virtual.servo_plant import Goals, Obstacle, OwnDynamics, ServoMotion
     from evetac_cli.realtime.processes import set_realtime_priority
     from evetac_cli.realtime.shared_time import HOST_TIME
 
@@ -67,7 +67,7 @@ def be_servo(log: Path) -> None:
         has_current = False
         goal_s = 0.0
 
-        def advance(self, goals: Goals, now_s: float) -> Motion:
+        def advance(self, goals: Goals, now_s: float) -> ServoMotion:
             motion = super().advance(goals, now_s)
             has_current = goals.torque or abs(motion.current_ma) >= CLOSE_MA
             if has_current != self.has_current:
@@ -79,7 +79,7 @@ def be_servo(log: Path) -> None:
     class LoggedServo(VirtualServo):
         """A servo that notes when the last goal came."""
 
-        def handle(self, frame: Frame, now_s: float) -> list[Answer]:
+        def handle(self, frame: DynamixelFrame, now_s: float) -> list[Answer]:
             written = frame.instruction in (Instruction.WRITE, Instruction.SYNC_WRITE)
             if written and int.from_bytes(frame.parameters[:2], "little") in goal_registers:
                 plant.goal_s = now_s
@@ -90,7 +90,7 @@ def be_servo(log: Path) -> None:
     plant = LoggedPlant(Obstacle())
     servo = LoggedServo(plant, {"Baud Rate": baud_code(2_000_000)}, time.monotonic())
     servo_process.IDLE_S = TICK_S
-    line = servo_process.Line(servo, servo_process.Faults([], np.random.default_rng(0)), HOST_TIME)
+    line = servo_process.ServoLine(servo, servo_process.Faults([], np.random.default_rng(0)), HOST_TIME)
     print(line.port, flush=True)
     set_realtime_priority(SERVO_PRIORITY)
     while not line.wait(sys.stdin.fileno()):

@@ -16,14 +16,14 @@ from film_story import PICTURE_MS, Story, frame_times, read_story
 from PIL import Image
 
 from evetac_cli.errors import EvetacError
-from evetac_cli.pages.view.trial_files import Trial, open_trial
+from evetac_cli.pages.view.trial_files import OpenTrial, open_trial
 
 LAST_MS = 1500  # how long the last picture stays
 SHOWN_MS = 5  # the paper's images show 5 ms
 SEE_THROUGH = 127  # the colour of the palette that means: as in the picture before
 
 
-def pictures(trial: Trial, story: Story) -> Iterator[Image.Image]:
+def pictures(trial: OpenTrial, story: Story) -> Iterator[Image.Image]:
     """All pictures of the film, one after the other, in RGB."""
     recording, tracks = trial.recording, trial.tracks
     assert recording is not None and tracks is not None

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.sim.setup.plan import read_plan
 
 PICTURE_MS = 50  # of the film: 20 pictures a second
@@ -91,7 +91,7 @@ def frame_times(plan: list[Act]) -> list[float]:
     return [float(at) for act in plan for at in np.arange(act.start_ms, act.stop_ms, act.speed * PICTURE_MS)]
 
 
-def read_story(trial: Trial) -> Story:
+def read_story(trial: OpenTrial) -> Story:
     """Read all but the events; InputError if the recording is no simulated grasp, has no tracks, or shows no catch."""
     recording, tracks = trial.recording, trial.tracks
     if recording is None or not (recording.has("control") and recording.has("truth/table_gap_mm")):

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.cli import dask_engine, dask_worker, workers
-from evetac_cli.cli.dask_worker import Refused
+from evetac_cli.cli.dask_worker import WorkerRefused
 from evetac_cli.cli.engines import Engine
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
@@ -133,11 +133,11 @@ def test_a_cluster_with_certificates_is_not_asked_without(monkeypatch: pytest.Mo
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dask_worker.Command:
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dask_worker.ClusterCommand:
     """A command that was started in a folder of its own and runs."""
     (tmp_path / "sign").touch()
     monkeypatch.setattr(dask_worker, "LOOK_S", 0.0)
-    return dask_worker.Command("standing", None, False, dask_worker.__version__, tmp_path, tmp_path / "sign")
+    return dask_worker.ClusterCommand("standing", None, False, dask_worker.__version__, tmp_path, tmp_path / "sign")
 
 
 def stage_is(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
@@ -146,7 +146,7 @@ def stage_is(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
 
 
 def test_a_worker_goes_to_the_folder_of_the_command(
-    command: dask_worker.Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Assert that paths mean in the worker what they mean in the command, and that it goes back."""
     before = Path.cwd()
@@ -158,23 +158,25 @@ def test_a_worker_goes_to_the_folder_of_the_command(
 
 
 def test_a_worker_that_does_not_fit_refuses(
-    command: dask_worker.Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Assert that another version and storage that is not shared are said in words, and nothing is begun."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
     job = Job((), Path("a.h5"))
     monkeypatch.setattr(dask_worker, "__version__", "0.0.0")
     refused = dask_worker.run_task(command, [job], [()])
-    assert refused == Refused(f"has evetac 0.0.0, and this is evetac {command.version}")
+    assert refused == WorkerRefused(f"has evetac 0.0.0, and this is evetac {command.version}")
     monkeypatch.setattr(dask_worker, "__version__", command.version)
     (tmp_path / "sign").unlink()
     refused = dask_worker.run_task(command, [job], [()])
-    assert isinstance(refused, Refused) and "no shared storage" in refused.reason
-    elsewhere = dask_worker.Command("standing", None, False, command.version, tmp_path / "none", command.sign)
+    assert isinstance(refused, WorkerRefused) and "no shared storage" in refused.reason
+    elsewhere = dask_worker.ClusterCommand("standing", None, False, command.version, tmp_path / "none", command.sign)
     assert str(tmp_path / "none") in dask_worker.check_worker(elsewhere)
 
 
-def test_an_input_that_a_worker_does_not_see(command: dask_worker.Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_input_that_a_worker_does_not_see(
+    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Assert that an input that only the command sees is an error that names it."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
     results = dask_worker.run_task(command, [Job((), Path("a.h5"))], [(Path("b.recording.h5"),)])
@@ -183,7 +185,7 @@ def test_an_input_that_a_worker_does_not_see(command: dask_worker.Command, monke
     assert "b.recording.h5" in str(result) and "no shared storage" in str(result)
 
 
-def test_a_job_ends_with_its_command(command: dask_worker.Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_ends_with_its_command(command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone.
 
     What the task had finished before is told.

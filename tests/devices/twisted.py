@@ -10,7 +10,7 @@ import numpy as np
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
 from evetac_cli.devices.virtual.servo import VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics
-from evetac_cli.devices.virtual.servo_process import Faults, Line
+from evetac_cli.devices.virtual.servo_process import Faults, ServoLine
 from evetac_cli.realtime.shared_time import HOST_TIME
 from tests.devices.stepped import StepClock
 
@@ -44,7 +44,7 @@ class TwistedServo:
         plant = OwnDynamics(Obstacle(), position_ticks)
         self._servo = VirtualServo(plant, {"Baud Rate": baud_code(2_000_000), **registers}, time.now_s())
         self.twist = Twist()
-        self._line = Line(self._servo, self.twist, time)
+        self._line = ServoLine(self._servo, self.twist, time)
         self.port = self._line.port
 
     def value(self, name: str) -> int:

@@ -100,7 +100,7 @@ def test_one_place_is_asked_by_all(scene: str, mark: str, monkeypatch: pytest.Mo
 
 
 OURS = Conditions("network by paper", "slip", (90, 5), "dots by paper")
-FIGURE = paper.Figure(0.9, "share", "a table", OURS, fitted_in="slip")
+FIGURE = paper.PaperFigure(0.9, "share", "a table", OURS, fitted_in="slip")
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def texts(path: Path) -> Iterator[str]:
             yield node.value
 
 
-def written(figure: paper.Figure) -> set[str]:
+def written(figure: paper.PaperFigure) -> set[str]:
     """How a figure may be written in a text."""
     share = {f"{100 * figure.value:g}", f"{100 * figure.value:.0f}"} if figure.unit.startswith("share") else set()
     return {f"{figure.value:g}", f"{abs(figure.value):g}", *share}

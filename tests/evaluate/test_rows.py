@@ -7,7 +7,7 @@ import numpy as np
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.rows import Extent, Setting, collect, line, run_times
+from evetac_cli.evaluate.rows import Extent, SolverSetting, collect, line, run_times
 
 
 def test_an_extent_is_picked():
@@ -36,8 +36,8 @@ def test_names_and_flags() -> None:
     assert (tenth.name, tenth.flags) == ("fixed step, 0.1 ms", "--step-ms 0.1")
     (both,) = line("node pitch", "node_pitch_mm", (0.625,), "mm", step_ms=0.25)
     assert (both.name, both.flags) == ("node pitch, 0.625 mm", "--node-pitch-mm 0.625 --step-ms 0.25")
-    assert Setting("tolerance", solver={"tolerance_um": 0.05}).flags == "--tolerance 0.05"
-    assert Setting("defaults").flags == ""
+    assert SolverSetting("tolerance", solver={"tolerance_um": 0.05}).flags == "--tolerance 0.05"
+    assert SolverSetting("defaults").flags == ""
 
 
 def test_flags_are_those_of_both_commands() -> None:

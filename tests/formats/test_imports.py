@@ -24,7 +24,7 @@ from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import events_on_disk, read_text, time_order
-from evetac_cli.formats.read.event_validation import Columns, Foreign, Normal, normalise
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, Normal, normalise
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
@@ -34,11 +34,11 @@ from tests.make import event_arrays, events_at, run_stage, write_recording
 from tests.patience import PATIENCE_S
 
 
-def columns(t: Any, x: Any = None, y: Any = None, p: Any = None, first: int = 0) -> Columns:
+def columns(t: Any, x: Any = None, y: Any = None, p: Any = None, first: int = 0) -> EventColumns:
     """A batch as readers make it; what a test does not care about is 0."""
     t = np.asarray(t)
     x, y, p = (np.zeros(len(t), np.int64) if column is None else np.asarray(column) for column in (x, y, p))
-    return Columns(t, x, y, p, lambda row: f"at index {first + row}")
+    return EventColumns(t, x, y, p, lambda row: f"at index {first + row}")
 
 
 # --- validation of events -----------------------------------------------------------------------------------------
@@ -47,7 +47,7 @@ INTEGERS = st.sampled_from(["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"]).map
 
 
 @st.composite
-def integer_batches(draw: st.DrawFn) -> Columns:
+def integer_batches(draw: st.DrawFn) -> EventColumns:
     """Any integer columns, near what is allowed often enough to get through."""
     size = draw(st.integers(0, 12))
 
@@ -62,7 +62,7 @@ def integer_batches(draw: st.DrawFn) -> Columns:
 
 
 def normalised(
-    batches: Iterable[Columns], frame_px: tuple[int, int], may_be_empty: bool = False, **options: Any
+    batches: Iterable[EventColumns], frame_px: tuple[int, int], may_be_empty: bool = False, **options: Any
 ) -> tuple[Events, Normal]:
     """The events that validation gives out, joined, and what it found."""
     normal, foreign = Normal(), Foreign("", frame_px, batches, may_be_empty=may_be_empty)
@@ -71,7 +71,7 @@ def normalised(
 
 @settings(max_examples=300)
 @given(integer_batches(), st.booleans())
-def test_whatever_integers_come_in_invariants_come_out(batch: Columns, sort: bool) -> None:
+def test_whatever_integers_come_in_invariants_come_out(batch: EventColumns, sort: bool) -> None:
     """Assert that validation gives what a plain loop over Python integers gives, or refuses."""
     width, height = 10, 7
     rows = [tuple(int(value) for value in row) for row in zip(*batch[:4], strict=True)]
@@ -154,7 +154,7 @@ def test_very_many_events_of_one_millisecond(monkeypatch: pytest.MonkeyPatch, st
     monkeypatch.setattr(time_order, "MOST_WAITING", 1000)
     given = []
 
-    def batches() -> Iterable[Columns]:
+    def batches() -> Iterable[EventColumns]:
         for first in range(0, 10**5, 100):
             given.append(first)
             t = np.where(np.arange(100) % 2, 7, 7 + step_us)
@@ -201,7 +201,7 @@ def test_what_is_no_number_is_dropped_and_counted() -> None:
         (columns([0, 1], x=[0]), "columns differ in length.*\n.*\n.*t 2, x 1, y 2, p 2"),
     ],
 )
-def test_columns_that_mean_something_else_are_refused(batch: Columns, words: str) -> None:
+def test_columns_that_mean_something_else_are_refused(batch: EventColumns, words: str) -> None:
     """Assert that validation says what is wrong and where, instead of making something up."""
     with pytest.raises(InputError, match=words):
         normalised([batch], (10, 10))

@@ -35,7 +35,7 @@ def trains(
     return (rng.poisson(mean * (1 + lean)) - rng.poisson(mean * (1 - lean))).astype(np.int16)
 
 
-def tone_of(tally: NDArray[np.int16], rate_hz: float = RATE_HZ, **how: Any) -> vibration.Line | None:
+def tone_of(tally: NDArray[np.int16], rate_hz: float = RATE_HZ, **how: Any) -> vibration.SpectralLine | None:
     """The tone between 25 Hz and half the rate."""
     return find(vibration.spectrum(tally, rate_hz), 25.0, rate_hz / 2, **how).tone
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import gripper
 from evetac_cli.sim.grasp_outcome import NEEDED, opening_mm, outcome
 
@@ -16,7 +16,7 @@ TOUCH_MS, LIFT_MS, END_MS = 100, 300, 500
 def rows(**changes: Any) -> dict[str, Any]:
     """A grasp that holds: touched at tick 200, lifted at 210, balanced at 206, moved by 10 px, then by 5 more."""
     at_ms = np.arange(0, END_MS, 2)
-    phase = np.select([at_ms < TOUCH_MS, at_ms < LIFT_MS], [Phase.CONTACT, Phase.LIFT], Phase.BALANCE)
+    phase = np.select([at_ms < TOUCH_MS, at_ms < LIFT_MS], [GraspPhase.CONTACT, GraspPhase.LIFT], GraspPhase.BALANCE)
     object_px = np.zeros((END_MS, 2))
     object_px[TOUCH_MS:, 0] = 10.0
     object_px[LIFT_MS + 50 :, 1] = 5.0

@@ -18,7 +18,7 @@ from tests import small_files
 from tests.quick import few
 
 ENDLESS = "WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many) SELECT"
-COLUMNS = ", ".join(index.Row._fields)
+COLUMNS = ", ".join(index.IndexRow._fields)
 
 
 @pytest.fixture
@@ -75,8 +75,10 @@ def a_folder(path: Path) -> None:
 
 
 def view(select: str) -> Callable[[Path], None]:
-    columns = ", ".join(f"{value} AS {name}" for name, value in zip(index.Row._fields, select.split(";"), strict=False))
-    rest = ", ".join(f"NULL AS {name}" for name in index.Row._fields[select.count(";") + 1 :])
+    columns = ", ".join(
+        f"{value} AS {name}" for name, value in zip(index.IndexRow._fields, select.split(";"), strict=False)
+    )
+    rest = ", ".join(f"NULL AS {name}" for name in index.IndexRow._fields[select.count(";") + 1 :])
     return instead(f"CREATE VIEW files AS {ENDLESS} {columns}, {rest} FROM many")
 
 
@@ -135,7 +137,7 @@ def answers(folder: Path) -> Any:
     return said
 
 
-def rows(folder: Path) -> list[index.Row]:
+def rows(folder: Path) -> list[index.IndexRow]:
     with index.open_index(folder) as opened:
         return opened.rows()
 
@@ -175,7 +177,7 @@ def test_an_index_of_ours_with_senseless_contents_is_made_again(name: str, folde
 def test_rows_of_files_that_are_not_there_are_not_believed(folder: Path) -> None:
     """Assert that a row for a file elsewhere, or for one that is gone, is in no answer."""
     right = rows(folder)
-    values = ", ".join("1" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.Row._fields[1:])
+    values = ", ".join("1" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.IndexRow._fields[1:])
     changed(f"INSERT INTO files ({COLUMNS}) VALUES ('../../../etc/passwd', {values})")(folder / index.NAME)
     with index.open_index(folder) as opened:
         assert (opened.read, opened.removed, opened.rows()) == (0, 1, right)

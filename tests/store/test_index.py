@@ -18,7 +18,7 @@ from evetac_cli.store.hdf5 import disk
 from tests.conftest import Made
 
 
-def table(folder: Path) -> dict[str, index.Row]:
+def table(folder: Path) -> dict[str, index.IndexRow]:
     """The rows of a folder's index by path."""
     with index.open_index(folder) as opened:
         return {row.path: row for row in opened.rows()}
@@ -142,8 +142,8 @@ def test_what_could_not_be_read_is_tried_again(folder: Path, monkeypatch: pytest
     """Assert that a reason that passed leaves the index though the file did not change; no other file is read."""
     name, reads = next(folder.glob("*.tracks.h5")).name, index.describe
 
-    def refuse(folder: Path, name: str, size_bytes: int, changed_ns: int) -> index.Row:
-        return index.Row(name, size_bytes, changed_ns, error="cannot be opened: Permission denied")
+    def refuse(folder: Path, name: str, size_bytes: int, changed_ns: int) -> index.IndexRow:
+        return index.IndexRow(name, size_bytes, changed_ns, error="cannot be opened: Permission denied")
 
     right = table(folder)
     (folder / name).touch()

@@ -38,7 +38,7 @@ MOST_SEARCH_WORDS = 4096  # where the damage goes on: four times as many each ti
 
 
 @dataclass
-class Decoder:
+class EventWordDecoder:
     """State of the decoding of one stream, between two calls of `step`."""
 
     registers: NDArray[np.int64] = field(default_factory=loops.new_registers)
@@ -68,13 +68,13 @@ class Decoder:
         return {name: int(count) for name, count in zip(LOSSES, self.counts, strict=True)}
 
 
-def start() -> Decoder:
+def start() -> EventWordDecoder:
     """A decoder before the first byte of a stream."""
-    return Decoder()
+    return EventWordDecoder()
 
 
 def step(
-    decoder: Decoder,
+    decoder: EventWordDecoder,
     data: bytes | bytearray | memoryview,
     host_ms: int | None = None,
     most_ms: int | None = None,
@@ -107,7 +107,7 @@ def step(
     return parts[0] if len(parts) == 1 else concatenate(parts)
 
 
-def _decode(decoder: Decoder, words: NDArray[np.uint32], host_ms: int | None, most_ms: int | None) -> Events:
+def _decode(decoder: EventWordDecoder, words: NDArray[np.uint32], host_ms: int | None, most_ms: int | None) -> Events:
     """Events of the frames that these words complete."""
     most = decoder.frame.size + loops.events_in(words)
     events = Events(
@@ -130,14 +130,14 @@ def _decode(decoder: Decoder, words: NDArray[np.uint32], host_ms: int | None, mo
     return events.part(0, complete)
 
 
-def flush(decoder: Decoder) -> Events:
+def flush(decoder: EventWordDecoder) -> Events:
     """Events of the frame that is not over: for a sensor gone silent. What else comes of that frame is still taken."""
     frame = decoder.frame
     decoder.frame = empty()
     return frame
 
 
-def bytes_were_lost(decoder: Decoder) -> None:
+def bytes_were_lost(decoder: EventWordDecoder) -> None:
     """Say that bytes are missing between the last and the next step."""
     decoder.counts[LOSSES.index("torn_bytes")] += len(decoder.rest)
     decoder.rest = b""
@@ -145,7 +145,7 @@ def bytes_were_lost(decoder: Decoder) -> None:
     _distrust(decoder)
 
 
-def _distrust(decoder: Decoder) -> None:
+def _distrust(decoder: EventWordDecoder) -> None:
     """Drop the open frame, and believe nothing before the next TIMESTAMP."""
     decoder.counts[LOSSES.index("events_in_dropped_frames")] += decoder.frame.size
     decoder.frame = empty()

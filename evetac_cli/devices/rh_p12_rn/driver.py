@@ -41,7 +41,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
     baud_code,
     check_model,
 )
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, Refused
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, InstructionRefused
 from evetac_cli.devices.rh_p12_rn.measurements import Measurements
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import DeviceError, EvetacError
@@ -289,7 +289,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         try:
             for name, goal in goals.items():
                 self._bus.write(name, goal)
-        except Refused as refused:
+        except InstructionRefused as refused:
             if refused.fault == RANGE_FAULT and self._bus.read("Bus Watchdog") == WATCHDOG_TRIPPED:
                 raise DeviceError(
                     "the gripper's bus watchdog has tripped and stopped it",
@@ -348,7 +348,7 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
         if bus.read("Baud Rate") != code:
             try:
                 bus.write("Baud Rate", code)
-            except Refused:
+            except InstructionRefused:
                 raise
             except DeviceError:
                 pass  # the answer may already have come at the new rate: the ping below decides

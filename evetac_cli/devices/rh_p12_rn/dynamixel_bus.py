@@ -51,7 +51,7 @@ _BROKEN = (OSError, termios.error)  # what a port that has gone raises; serial.S
 _SYSFS = Path("/sys/bus/usb-serial/devices")
 
 
-class Refused(DeviceError):
+class InstructionRefused(DeviceError):
     """The servo answered that it did not do what it was asked; `fault` is its error number."""
 
     fault = 0
@@ -263,7 +263,9 @@ class Bus(AbstractContextManager["Bus"]):
     def _raise_for_error(self, error: int, what: str) -> None:
         fault = error & 0x7F
         if fault:
-            refused = Refused(f"the gripper {_FAULTS.get(fault, f'gives error {fault}')}: {what}", where=self._where)
+            refused = InstructionRefused(
+                f"the gripper {_FAULTS.get(fault, f'gives error {fault}')}: {what}", where=self._where
+            )
             refused.fault = fault
             raise refused
         if error & 0x80 and not self.tolerant:

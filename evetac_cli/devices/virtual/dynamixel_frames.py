@@ -42,7 +42,7 @@ class Instruction(IntEnum):
     FAST_BULK_READ = 0x9A
 
 
-class Fault(IntEnum):
+class StatusError(IntEnum):
     """Error of a status: why an instruction was not carried out."""
 
     NONE = 0
@@ -55,7 +55,7 @@ class Fault(IntEnum):
     ACCESS = 7
 
 
-class Frame(NamedTuple):
+class DynamixelFrame(NamedTuple):
     """A frame taken apart: parameters without stuffing; `sound` is whether the CRC was right; size as on the wire."""
 
     id: int
@@ -103,7 +103,7 @@ def frame(id_: int, instruction: int, parameters: bytes = b"") -> bytes:
     return before + struct.pack("<H", crc16(before))
 
 
-def status(id_: int, fault: int = Fault.NONE, parameters: bytes = b"", *, alert: bool = False) -> bytes:
+def status(id_: int, fault: int = StatusError.NONE, parameters: bytes = b"", *, alert: bool = False) -> bytes:
     """Bytes of an answer; alert says that Hardware Error Status is not zero."""
     return frame(id_, Instruction.STATUS, bytes([fault | (_ALERT if alert else 0)]) + parameters)
 
@@ -137,7 +137,7 @@ class FrameReader:
         """Drop what was begun: its rest did not come."""
         self._waiting.clear()
 
-    def push(self, data: bytes) -> list[Frame]:
+    def push(self, data: bytes) -> list[DynamixelFrame]:
         """Take the next bytes; return the frames that they end, those with a wrong CRC included."""
         self._waiting += data
         frames = []
@@ -145,7 +145,7 @@ class FrameReader:
             frames.append(frame)
         return frames
 
-    def _next(self) -> Frame | None:
+    def _next(self) -> DynamixelFrame | None:
         waiting = self._waiting
         while True:
             start = waiting.find(HEADER)
@@ -167,4 +167,4 @@ class FrameReader:
         # after damage LEN may be wrong too, and a good frame lie within
         del waiting[: size if sound else len(HEADER)]
         body = unstuffed(whole[_AROUND:-2])
-        return Frame(whole[4], body[0], body[1:], sound, size)
+        return DynamixelFrame(whole[4], body[0], body[1:], sound, size)

@@ -16,7 +16,14 @@ from typing import NamedTuple
 
 from evetac_cli.devices.rh_p12_rn import control_table as table
 from evetac_cli.devices.rh_p12_rn.control_table import BY_ADDRESS, REGISTERS, Register
-from evetac_cli.devices.virtual.dynamixel_frames import BROADCAST_ID, Fault, Frame, Instruction, fast_status, status
+from evetac_cli.devices.virtual.dynamixel_frames import (
+    BROADCAST_ID,
+    DynamixelFrame,
+    Instruction,
+    StatusError,
+    fast_status,
+    status,
+)
 from evetac_cli.devices.virtual.servo_plant import Goals, Plant
 
 TICK_DEG = 0.088
@@ -35,10 +42,10 @@ class Answer(NamedTuple):
     after_s: float
 
 
-class Refused(Exception):
+class ServoRefused(Exception):
     """An instruction that is not carried out; `fault` is the error of its answer."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: StatusError) -> None:
         self.fault = fault
 
 
@@ -148,7 +155,7 @@ class VirtualServo:
 
     # Instructions
 
-    def handle(self, frame: Frame, now_s: float) -> list[Answer]:
+    def handle(self, frame: DynamixelFrame, now_s: float) -> list[Answer]:
         """Carry out an instruction; its answers (none, or one), in order."""
         answer_level = self._get("Status Return Level")
         delay_s = self._get("Return Delay Time") * table.RETURN_DELAY_US * 1e-6
@@ -162,14 +169,14 @@ class VirtualServo:
             return []
         return [Answer(answer, (frame.size + len(answer)) * byte_s + delay_s)]
 
-    def _answer(self, frame: Frame, now_s: float, level: int) -> bytes | None:
+    def _answer(self, frame: DynamixelFrame, now_s: float, level: int) -> bytes | None:
         own_id = self._get("ID")
         secondary = self._get("Secondary ID")
         if frame.id not in (own_id, BROADCAST_ID) and not frame.id == secondary < _NO_ID:
             return None
         quiet = frame.id != own_id
         if not frame.sound:
-            return None if quiet or level < 2 else self._status(own_id, Fault.CRC)
+            return None if quiet or level < 2 else self._status(own_id, StatusError.CRC)
         self._heard_s = now_s
         self.instructions[frame.instruction] += 1
         try:
@@ -177,22 +184,22 @@ class VirtualServo:
             if listed is not None:
                 return listed if level >= 1 else None
             data = self._carry_out(frame, now_s)
-            fault = Fault.NONE
-        except Refused as refused:
+            fault = StatusError.NONE
+        except ServoRefused as refused:
             data, fault = b"", refused.fault
         if frame.instruction == Instruction.PING:
             return self._status(own_id, fault, data) if frame.id in (own_id, BROADCAST_ID) else None
         needed = 1 if frame.instruction == Instruction.READ else 2
         return None if quiet or level < needed or self._by_list(frame) else self._status(own_id, fault, data)
 
-    def _status(self, own_id: int, fault: Fault, data: bytes = b"") -> bytes:
+    def _status(self, own_id: int, fault: StatusError, data: bytes = b"") -> bytes:
         return status(own_id, fault, data, alert=self._get("Hardware Error Status") != 0)
 
     @staticmethod
-    def _by_list(frame: Frame) -> bool:
+    def _by_list(frame: DynamixelFrame) -> bool:
         return frame.instruction >= Instruction.SYNC_READ
 
-    def _read_by_list(self, frame: Frame, own_id: int) -> bytes | None:
+    def _read_by_list(self, frame: DynamixelFrame, own_id: int) -> bytes | None:
         """The answer to a sync or bulk read that asks this servo first: it would wait for those before it."""
         sync = frame.instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
         bulk = frame.instruction in (Instruction.BULK_READ, Instruction.FAST_BULK_READ)
@@ -204,10 +211,10 @@ class VirtualServo:
             first, address, size = struct.unpack_from("<BHH", frame.parameters)
         if first != own_id:
             return None
-        fault, data = Fault.NONE, bytes(size)
+        fault, data = StatusError.NONE, bytes(size)
         try:
             data = self._read(address, size)
-        except Refused as refused:
+        except ServoRefused as refused:
             fault = refused.fault
         if frame.instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
             return self._status(own_id, fault, b"" if fault else data)
@@ -216,7 +223,7 @@ class VirtualServo:
         alert = 0x80 if self._get("Hardware Error Status") else 0
         return fast_status([(fault | alert, own_id, data)]) if alone else None
 
-    def _carry_out(self, frame: Frame, now_s: float) -> bytes:
+    def _carry_out(self, frame: DynamixelFrame, now_s: float) -> bytes:
         """Data of the answer; Refused with the reason."""
         steps: dict[int, Callable[[bytes], bytes | None]] = {
             Instruction.PING: self._ping,
@@ -232,7 +239,7 @@ class VirtualServo:
         }
         step = steps.get(frame.instruction)
         if step is None:
-            raise Refused(Fault.INSTRUCTION)
+            raise ServoRefused(StatusError.INSTRUCTION)
         return step(frame.parameters) or b""
 
     def _ping(self, _: bytes) -> bytes:
@@ -240,7 +247,7 @@ class VirtualServo:
 
     def _read_one(self, parameters: bytes) -> bytes:
         if len(parameters) != 4:
-            raise Refused(Fault.DATA_LENGTH)
+            raise ServoRefused(StatusError.DATA_LENGTH)
         return self._read(*struct.unpack("<HH", parameters))
 
     def _write_one(self, parameters: bytes) -> None:
@@ -254,21 +261,21 @@ class VirtualServo:
 
     def _action(self, _: bytes) -> None:
         if self._registered is None:
-            raise Refused(Fault.INSTRUCTION)
+            raise ServoRefused(StatusError.INSTRUCTION)
         (address, data), self._registered = self._registered, None
         self._set("Registered Instruction", 0)
         self._write(address, data)
 
     def _factory_reset(self, _: bytes) -> None:
-        raise Refused(Fault.RESULT)
+        raise ServoRefused(StatusError.RESULT)
 
     def _clear(self, parameters: bytes) -> None:
         if parameters != _CLEAR:
-            raise Refused(Fault.DATA_RANGE)
+            raise ServoRefused(StatusError.DATA_RANGE)
 
     def _sync_write(self, parameters: bytes) -> None:
         if len(parameters) < 4:
-            raise Refused(Fault.DATA_LENGTH)
+            raise ServoRefused(StatusError.DATA_LENGTH)
         address, size = struct.unpack_from("<HH", parameters)
         for at in range(4, len(parameters), size + 1):
             if parameters[at] == self._get("ID"):
@@ -289,7 +296,7 @@ class VirtualServo:
     def _read(self, address: int, size: int) -> bytes:
         """Bytes from an address that begins a register; holes further on read as 0."""
         if address not in BY_ADDRESS or address + size > table.TABLE_SIZE:
-            raise Refused(Fault.ACCESS)
+            raise ServoRefused(StatusError.ACCESS)
         self._measure()
         if address + size <= table.INDIRECT_DATA:
             return bytes(self._memory[address : address + size])
@@ -305,24 +312,24 @@ class VirtualServo:
     def _write(self, address: int, data: bytes) -> None:
         for register, value in self._check(address, data):
             if register.name == "Torque Enable" and value and self._get("Hardware Error Status"):
-                raise Refused(Fault.RESULT)
+                raise ServoRefused(StatusError.RESULT)
             self._set(register.name, value)
 
     def _check(self, address: int, data: bytes) -> list[tuple[Register, int]]:
         """Registers and values of a write; Refused if any of them may not be written."""
         if not data:
-            raise Refused(Fault.DATA_LENGTH)
+            raise ServoRefused(StatusError.DATA_LENGTH)
         if address + len(data) > table.TABLE_SIZE:
-            raise Refused(Fault.ACCESS)
+            raise ServoRefused(StatusError.ACCESS)
         bytes_at = {self._mapped(address + at): value for at, value in enumerate(data)}
         writes = []
         while bytes_at:
             register = BY_ADDRESS.get(next(iter(bytes_at)))
             if register is None or not register.writable or (register.eeprom and self._get("Torque Enable")):
-                raise Refused(Fault.ACCESS)
+                raise ServoRefused(StatusError.ACCESS)
             places = range(register.address, register.address + register.size)
             if not all(place in bytes_at for place in places):
-                raise Refused(Fault.DATA_LENGTH)
+                raise ServoRefused(StatusError.DATA_LENGTH)
             value = register.decode(bytes(bytes_at.pop(place) for place in places))
             self._check_value(register, value)
             writes.append((register, value))
@@ -330,10 +337,10 @@ class VirtualServo:
 
     def _check_value(self, register: Register, value: int) -> None:
         if not register.accepts(value):
-            raise Refused(Fault.DATA_RANGE)
+            raise ServoRefused(StatusError.DATA_RANGE)
         tripped = self._get("Bus Watchdog") == table.WATCHDOG_TRIPPED
         if tripped and (register.name in _GOALS or (register.name == "Bus Watchdog" and value)):
-            raise Refused(Fault.DATA_RANGE)
+            raise ServoRefused(StatusError.DATA_RANGE)
         if register.name not in _GOALS:
             return
         limit = _LIMITED_BY.get(register.name)
@@ -342,11 +349,11 @@ class VirtualServo:
         else:
             within = self._get("Min Position Limit") <= value <= self._get("Max Position Limit")
         if not within:
-            raise Refused(Fault.DATA_LIMIT)
+            raise ServoRefused(StatusError.DATA_LIMIT)
 
 
 def _target(parameters: bytes) -> tuple[int, bytes]:
     """Address and data in the parameters of a write; Refused if they are too short."""
     if len(parameters) < 2:
-        raise Refused(Fault.DATA_LENGTH)
+        raise ServoRefused(StatusError.DATA_LENGTH)
     return struct.unpack_from("<H", parameters)[0], parameters[2:]

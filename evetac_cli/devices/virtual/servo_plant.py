@@ -59,7 +59,7 @@ class Goals(NamedTuple):
         return "current", min(max(float(self.goal_current_ma), -self.limit_ma), self.limit_ma)
 
 
-class Motion(NamedTuple):
+class ServoMotion(NamedTuple):
     """What a servo measures: current (mA), position (ticks), speed (ticks/s)."""
 
     current_ma: float = 0.0
@@ -70,7 +70,7 @@ class Motion(NamedTuple):
 class Plant(Protocol):
     """What a servo moves: it is given goals and returns what is measured."""
 
-    def advance(self, goals: Goals, now_s: float) -> Motion:
+    def advance(self, goals: Goals, now_s: float) -> ServoMotion:
         """Move under these goals until now (seconds of a clock that never goes back); what is measured then."""
 
 
@@ -97,7 +97,7 @@ class OwnDynamics:
         self._now_s = math.nan
         self._goals: Goals | None = None
 
-    def advance(self, goals: Goals, now_s: float) -> Motion:
+    def advance(self, goals: Goals, now_s: float) -> ServoMotion:
         """Steps of 1 ms until now; time not yet a whole step is kept for the next call."""
         from evetac_cli.sim.gripper import step
 
@@ -112,7 +112,7 @@ class OwnDynamics:
             step(self._state, self._drive, self._curve, mode, value, STEP_S)
         self._now_s += steps * STEP_S
         velocity = self._state.speed_m_s / (self._curve.metres_per_tick / 2)
-        return Motion(self._state.current_ma, self._state.position_ticks, velocity)
+        return ServoMotion(self._state.current_ma, self._state.position_ticks, velocity)
 
 
 def _curve(obstacle: Obstacle | None, drive: "Drive") -> "ForceCurve":
@@ -164,16 +164,16 @@ class SharedPlant:
     def __reduce__(self) -> tuple[type["SharedPlant"], tuple[Path]]:
         return SharedPlant, (self.path,)
 
-    def advance(self, goals: Goals, now_s: float) -> Motion:
+    def advance(self, goals: Goals, now_s: float) -> ServoMotion:
         """For the servo: pass on its goals; what the world showed last."""
         if goals != self._passed_on:
             self._goals.write(*goals)
             self._passed_on = goals
         shown = self._motion.read()
         if shown is None:
-            return Motion()
+            return ServoMotion()
         current_ma, position_ticks, velocity = shown[1]
-        return Motion(current_ma, int(position_ticks), velocity)
+        return ServoMotion(current_ma, int(position_ticks), velocity)
 
     def goals(self) -> Goals:
         """For the world: the servo's goals; without torque as long as there is no servo."""
@@ -183,7 +183,7 @@ class SharedPlant:
         torque, *rest = row[1]
         return Goals(bool(torque), *(int(value) for value in rest))
 
-    def show(self, motion: Motion) -> None:
+    def show(self, motion: ServoMotion) -> None:
         """For the world: how the gripper moved."""
         self._motion.write(*motion)
 

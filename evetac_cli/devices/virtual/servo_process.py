@@ -101,7 +101,7 @@ class Faults:
         return self._torque_s is not None and fault.lasts(now_s - self._torque_s)
 
 
-class Line:
+class ServoLine:
     """The pseudo terminal and the servo on it: the wire goes by the host's time, the servo by that of its world."""
 
     def __init__(self, servo: VirtualServo, faults: Faults, clock: TimeSource) -> None:
@@ -210,7 +210,7 @@ def serve(choice: Mapping[str, Any]) -> None:
     plant = make_plant(choice["plant"])
     clock = plant.time if isinstance(plant, SharedPlant) else HOST_TIME
     servo = VirtualServo(plant, choice["registers"], clock.now_s())
-    line = Line(servo, faults, clock)
+    line = ServoLine(servo, faults, clock)
     _write_line(line.port)
     asking = sys.stdin.fileno()
     begun = b""

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.devices.virtual.servo_plant import Goals, Motion, SharedPlant
+from evetac_cli.devices.virtual.servo_plant import Goals, ServoMotion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
@@ -393,4 +393,4 @@ class _RunningWorld:
         """Write down for the servo how the finger moved: current, position, and speed over the last slice."""
         finger = self._world.finger
         speed = (finger.motor_ticks - before_ticks) / SLICE_S
-        self._plant.show(Motion(finger.current_ma, finger.position_ticks, speed))
+        self._plant.show(ServoMotion(finger.current_ma, finger.position_ticks, speed))

@@ -20,7 +20,7 @@ from evetac_cli.commands.label import Label
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.evaluate.labels import true_onsets
-from evetac_cli.evaluate.rows import Setting
+from evetac_cli.evaluate.rows import SolverSetting
 from evetac_cli.evaluate.slip_models import Model, check, predict_all
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.force import models as forces
@@ -39,7 +39,7 @@ Result = TypeVar("Result")
 LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand has risen by 50 mm, less counts as not held, after 3.1 s
 
 
-class Trial(NamedTuple):
+class ChainTrial(NamedTuple):
     """A trial by the flags that choose it: its object, its seed, and the object of the grasp with that seed.
 
     number: which of the trials with that object and seed, as `--count` numbers them.
@@ -83,7 +83,7 @@ class Lifted(NamedTuple):
     grasp_us: float
 
 
-def slip_trial(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> SimulatedTrial:
+def slip_trial(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> SimulatedTrial:
     """The trial that `evetac record --scene slip --object N --seed N` makes with the flags of a setting."""
     chosen: dict[str, Any] = dict(setting.solver)
     params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **chosen)
@@ -92,7 +92,7 @@ def slip_trial(trial: Trial, setting: Setting, folder: Path, scene: str = "slip"
     return planned
 
 
-def run_chain(trial: Trial, setting: Setting, folder: Path, scene: str = "slip") -> Chain:
+def run_chain(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> Chain:
     """Record a trial with a setting, and everything that is made from it, in a folder of its own."""
     return chain_of(slip_trial(trial, setting, folder, scene))
 
@@ -149,7 +149,7 @@ def package_model() -> Model:
     return Model.read(resources.MODEL)
 
 
-def run_grasp(trial: Trial, setting: Setting, folder: Path) -> Lifted:
+def run_grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Lifted:
     """The grasp that `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 0.5` makes with a setting's flags."""
     chosen: dict[str, Any] = dict(setting.solver)
     times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}

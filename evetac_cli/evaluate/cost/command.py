@@ -22,7 +22,7 @@ OUTPUT = "report"
 METHOD = 2
 
 
-class Part(NamedTuple):
+class CostPart(NamedTuple):
     """How a part is measured, title, errors and size of its picture, which files it takes, if any, and --trials or not.
 
     inputs: (files, --model) -> the files that the report is made from.
@@ -38,14 +38,14 @@ class Part(NamedTuple):
     inputs: Callable[[list[Path], Path | None], tuple[Path, ...]] | None = None
 
 
-PARTS: dict[str, Part] = {
-    "sim": Part(
+PARTS: dict[str, CostPart] = {
+    "sim": CostPart(
         "Simulated gel and camera: error against run time",
         simulator_cost.ERRORS,
         simulator_cost.measure,
         simulator_cost.summary,
     ),
-    "pipeline": Part(
+    "pipeline": CostPart(
         "Settings of a recording: error at the end of the chain against its run time, means over trials",
         pipeline.ERRORS,
         pipeline.measure,
@@ -53,20 +53,20 @@ PARTS: dict[str, Part] = {
         pipeline.draw,
         pipeline.size_in,
     ),
-    "label": Part(
+    "label": CostPart(
         "Methods of labelling: error against run time",
         ("error_ms_onset", "error_ms_reference"),
         labels.measure,
         labels.summary,
     ),
-    "track": Part(
+    "track": CostPart(
         "Dot tracker: error against run time",
         ("error_px_rms", "error_px_worst"),
         tracker.measure,
         tracker.summary,
         takes_trials=False,
     ),
-    "model": Part(
+    "model": CostPart(
         "Slip detectors: error against the time of one inference",
         ("error_share_timing", "error_share_f1"),
         models.measure,
@@ -76,7 +76,7 @@ PARTS: dict[str, Part] = {
         takes_trials=False,
         inputs=models.inputs,
     ),
-    "grasp": Part(
+    "grasp": CostPart(
         "Grasps with a late detector, a slow controller, another detector",
         ("error_share_lost", "error_mm_moved"),
         grasp.measure,
@@ -84,7 +84,7 @@ PARTS: dict[str, Part] = {
         grasp.draw,
         inputs=grasp.inputs,
     ),
-    "scenes": Part(
+    "scenes": CostPart(
         "What the parts of a scene cost a slice",
         (),
         scene_parts.measure,

@@ -24,8 +24,8 @@ from evetac_cli.evaluate.cost.gel_reference import simulate_explicit, simulate_m
 from evetac_cli.evaluate.cost.gel_trial import (
     PAD_M,
     SAMPLE_S,
-    Motion,
-    Trial,
+    GelMotion,
+    GelTrial,
     draw_trial,
     simulate,
 )
@@ -53,7 +53,7 @@ NODES = Extent[tuple[tuple[int, int], ...]](
 FINEST_NODES = Extent(quick=(64, 48), full=(96, 72))
 
 
-def errors_um(motion: Motion, reference: Motion) -> tuple[float, float]:
+def errors_um(motion: GelMotion, reference: GelMotion) -> tuple[float, float]:
     """Root mean square distance from a reference of the object's position, and of the gel; NaN after a blow-up."""
     if len(motion.pose) == 0:
         return math.nan, math.nan
@@ -62,7 +62,7 @@ def errors_um(motion: Motion, reference: Motion) -> tuple[float, float]:
     return 1e6 * math.sqrt(square), 1e6 * math.sqrt(gel_square)
 
 
-def row(setting: str, motion: Motion, reference: Motion | None, outcome: str = "finished") -> Row:
+def row(setting: str, motion: GelMotion, reference: GelMotion | None, outcome: str = "finished") -> Row:
     """The row of a setting; without a reference it is one itself and has no error."""
     blown_up = not math.isnan(motion.blown_up_s)
     object_um, gel_um = errors_um(motion, reference) if reference else (math.nan, math.nan)
@@ -82,7 +82,7 @@ def time_step_text(dt_us: float) -> str:
     return f"{dt_us / 1e3:g} ms" if dt_us >= 100 else f"{dt_us:g} us"
 
 
-def time_reference(trial: Trial, dt_us: float = REFERENCE_US.quick) -> tuple[Motion, Row]:
+def time_reference(trial: GelTrial, dt_us: float = REFERENCE_US.quick) -> tuple[GelMotion, Row]:
     """The reference in time at a step far below all others, and its row: errors bounded by step doubling.
 
     Its theta of 0.51 leaves next to nothing of the first order, and still damps the ringing. An error falls at least in
@@ -94,18 +94,18 @@ def time_reference(trial: Trial, dt_us: float = REFERENCE_US.quick) -> tuple[Mot
     return once, row(setting, once, twice, "error bounded by step doubling")
 
 
-def implicit_row(trial: Trial, reference: Motion, theta: float, dt_us: float) -> Row:
+def implicit_row(trial: GelTrial, reference: GelMotion, theta: float, dt_us: float) -> Row:
     """`gel.step` at a theta and a time step."""
     return row(f"theta {theta:g}, dt {time_step_text(dt_us)}", simulate(trial, 1e-6 * dt_us, theta), reference)
 
 
-def explicit_row(trial: Trial, reference: Motion, dt_us: float) -> Row:
+def explicit_row(trial: GelTrial, reference: GelMotion, dt_us: float) -> Row:
     """The explicit integrator at a time step, also where it blows up."""
     return row(f"explicit, dt {time_step_text(dt_us)}", simulate_explicit(trial, 1e-6 * dt_us), reference)
 
 
 def node_rows(
-    trial: Trial,
+    trial: GelTrial,
     counts: Iterable[tuple[int, int]] = NODES.quick,
     finest: tuple[int, int] = FINEST_NODES.quick,
     dt_s: float = 1e-3,
@@ -114,7 +114,7 @@ def node_rows(
     x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
     points = pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2)
 
-    def motion(columns: int, rows: int) -> Motion:
+    def motion(columns: int, rows: int) -> GelMotion:
         return simulate(replace(trial, columns=columns, rows=rows), dt_s, 0.51, points_xy_m=points)
 
     reference = motion(*finest)
@@ -123,7 +123,7 @@ def node_rows(
     yield row(f"{finest[0]} x {finest[1]} nodes", reference, None, "the reference of the grids")
 
 
-def layer_rows(trial: Trial, dt_s: float = 1e-3) -> Iterator[Row]:
+def layer_rows(trial: GelTrial, dt_s: float = 1e-3) -> Iterator[Row]:
     """Layers of order 0 and 1 by `gel.step` against order 2 by its cosine modes, same grid and time step."""
     reference = simulate_modes(trial, 2, dt_s, 0.51)
     for order in (0, 1):

@@ -7,15 +7,15 @@ from numba import njit
 from scipy.fft import dctn, idctn
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.cost.gel_trial import Motion, Trial, follow
+from evetac_cli.evaluate.cost.gel_trial import GelMotion, GelTrial, follow
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.pad_equation import Layer, spring
+from evetac_cli.sim.gel.pad_equation import PadConstants, spring
 
 CREEP_M_S = 1e-3  # below about this slip speed the explicit integrator's friction is viscous
 TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integrator has blown up
 
 
-def simulate_explicit(trial: Trial, dt_s: float) -> Motion:
+def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
     """The trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere."""
     if trial.begin_s or trial.hang_s:
         raise ValueError(
@@ -70,7 +70,7 @@ def _explicit_steps(
     mu: float,
     dt: float,
     steps: int,
-    layer: Layer,
+    layer: PadConstants,
 ) -> tuple[int, bool]:
     """Advance in place; returns the steps made, and whether it ended early, as something moved faster than it could."""
     rows, columns = shares.shape
@@ -145,8 +145,8 @@ def layer_stiffness(state: gel.GelState, order: int) -> Floats:
 
 
 def simulate_modes(
-    trial: Trial, order: int, dt_s: float, theta: float, *, tolerance: float = 1e-6, max_rounds: int = 5000
-) -> Motion:
+    trial: GelTrial, order: int, dt_s: float, theta: float, *, tolerance: float = 1e-6, max_rounds: int = 5000
+) -> GelMotion:
     """The trial, time step by time step as `gel.step` poses it, for a layer of any order, solved in another way.
 
     The balance is searched by alternating directions: a linear system in cosine modes, then the friction of each node,

@@ -24,7 +24,7 @@ BLOCK_S = 1e-3  # run time is taken block by block, or step by step where a step
 
 
 @dataclass(frozen=True)
-class Trial:
+class GelTrial:
     """A simulated trial: grid, material, object, contact, and a grip that falls evenly from `first_n` to `last_n`.
 
     The grip begins to fall at `begin_s`; the weight is handed over evenly until `hang_s`, or hangs from the start.
@@ -68,15 +68,15 @@ class Trial:
         return (share * self.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
 
 
-def draw_trial(seed: int) -> Trial:
+def draw_trial(seed: int) -> GelTrial:
     """The trial of a seed, which decides how far the fingers are tilted and how far beside its centre they hold."""
     rng = np.random.default_rng(seed)
     tilt_rad = rng.choice([-1, 1]) * rng.uniform(0.005, 0.015)
     centre_m = (rng.uniform(-2e-3, 2e-3), rng.choice([-1, 1]) * rng.uniform(1e-3, 2e-3))
-    return Trial(tilt_rad=float(tilt_rad), centre_m=(float(centre_m[0]), float(centre_m[1])))
+    return GelTrial(tilt_rad=float(tilt_rad), centre_m=(float(centre_m[0]), float(centre_m[1])))
 
 
-class Motion(NamedTuple):
+class GelMotion(NamedTuple):
     """The motion of a simulated trial, sampled every 10 ms, and its run time.
 
     pose: (samples, 3); gel_m: displacement, (samples, points, 2), of all nodes or of the points asked for.
@@ -93,7 +93,7 @@ class Motion(NamedTuple):
 Advance = Callable[[int, int], tuple[int, bool]]  # (first step, number of steps) -> (steps made, blown up)
 
 
-def follow(trial: Trial, dt_s: float, advance: Advance, sample: Callable[[], tuple[Floats, Floats]]) -> Motion:
+def follow(trial: GelTrial, dt_s: float, advance: Advance, sample: Callable[[], tuple[Floats, Floats]]) -> GelMotion:
     """Advance a trial to its end, with the clock running, and sample it."""
     steps_a_sample = round(SAMPLE_S / dt_s)
     if abs(steps_a_sample * dt_s / SAMPLE_S - 1) > 1e-9:
@@ -108,16 +108,16 @@ def follow(trial: Trial, dt_s: float, advance: Advance, sample: Callable[[], tup
             blocks.append((time.thread_time() - started) / (made * dt_s) * 1e3)
             done += made
             if blown_up:
-                return Motion(np.empty((0, 3)), np.empty((0, 0, 2)), np.array(blocks), done * dt_s)
+                return GelMotion(np.empty((0, 3)), np.empty((0, 0, 2)), np.array(blocks), done * dt_s)
         pose, field = sample()
         poses.append(pose)
         fields.append(field)
-    return Motion(np.array(poses), np.array(fields), np.array(blocks))
+    return GelMotion(np.array(poses), np.array(fields), np.array(blocks))
 
 
 def simulate(
-    trial: Trial, dt_s: float, theta: float, *, tolerance: float = 1e-6, points_xy_m: Floats | None = None
-) -> Motion:
+    trial: GelTrial, dt_s: float, theta: float, *, tolerance: float = 1e-6, points_xy_m: Floats | None = None
+) -> GelMotion:
     """Simulate a trial with `gel.step`; ValueError where dt_s does not divide 10 ms."""
     state = trial.start()
     shares = trial.shares(state)

@@ -28,7 +28,7 @@ from evetac_cli.evaluate.paired import difference, known
 from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.trials.grasp.loop import SlipDetector
+from evetac_cli.trials.grasp.loop import SliceDetector
 
 OBJECTS = Extent[tuple[int, ...]](quick=(11, 17), full=(10, 11, 12, 13, 17, 18))
 TRIALS = Extent(quick=1, full=3)  # of each object
@@ -46,7 +46,7 @@ TITLES = {
 
 
 @dataclass(frozen=True)
-class Setting:
+class GraspSetting:
     """How slip is detected and the gripper controlled."""
 
     name: str
@@ -80,9 +80,9 @@ def summary(rows: Rows) -> dict[str, Any]:
     return {"settings": len(rows), "trials": sum(row["trials"] for row in rows)}
 
 
-def settings(full: bool, models: Sequence[Path]) -> list[Setting]:
+def settings(full: bool, models: Sequence[Path]) -> list[GraspSetting]:
     """The usual setting and all that differ from it."""
-    usual = Setting("500 Hz, no latency")
+    usual = GraspSetting("500 Hz, no latency")
     return [
         usual,
         *(replace(usual, name=f"latency {ms} ms", latency_ms=ms) for ms in LATENCIES_MS.pick(full)),
@@ -92,7 +92,7 @@ def settings(full: bool, models: Sequence[Path]) -> list[Setting]:
     ]
 
 
-def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
+def _rows(settings: Sequence[GraspSetting], params: EvaluateCost) -> Iterator[Row]:
     for controller in CONTROLLERS.pick(params.full):
         usual: list[GraspResult] = []
         for setting in settings:
@@ -111,7 +111,7 @@ def _rows(settings: Sequence[Setting], params: EvaluateCost) -> Iterator[Row]:
             yield {"setting": f"{controller}, {setting.name}", **_figures(results, usual)}
 
 
-def _unchanged(detector: SlipDetector, devices: Rig) -> SlipDetector:
+def _unchanged(detector: SliceDetector, devices: Rig) -> SliceDetector:
     return detector
 
 

@@ -36,26 +36,29 @@ from evetac_cli.evaluate.cost.chain import (
     LIFT_S,
     SLIP_ERRORS,
     Chain,
+    ChainTrial,
     Lifted,
-    Trial,
     fit_force,
     run_chain,
     run_grasp,
     slip_errors,
 )
 from evetac_cli.evaluate.paired import difference, known, on_front
-from evetac_cli.evaluate.rows import Extent, Setting, line, run_times
+from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 
 TRIALS = Extent(quick=4, full=20)
 OBJECTS = (8, 1, 12, 4, 16, 3, 14, 6, 10, 17)  # that slip, in turn
 GRASPED = (11, 17, 12, 13, 10, 18)  # in turn
-CALIBRATION = (Trial(8, 9000, 11), Trial(3, 9001, 11))  # of the regression of forces; below the seeds that are reported
+CALIBRATION = (
+    ChainTrial(8, 9000, 11),
+    ChainTrial(3, 9001, 11),
+)  # of the regression of forces; below the seeds that are reported
 
-DEFAULTS = Setting("defaults")
-REFERENCE = Setting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.625, "camera_substeps": 4})
-FINEST = Setting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "camera_substeps": 8})
-CHOICES = Extent[tuple[Setting, ...]](
+DEFAULTS = SolverSetting("defaults")
+REFERENCE = SolverSetting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.625, "camera_substeps": 4})
+FINEST = SolverSetting("reference", solver={"step_ms": 0.05, "node_pitch_mm": 0.5, "camera_substeps": 8})
+CHOICES = Extent[tuple[SolverSetting, ...]](
     quick=(
         *line("fixed step", "step_ms", (1.0,), "ms"),
         *line("tolerance", "tolerance_um", (0.05,), "um"),
@@ -88,7 +91,7 @@ SLICE_MS = 1.0  # onsets are whole slices
 class Measured:
     """The errors and run times of one setting, an entry a trial."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: SolverSetting) -> None:
         self.setting = setting
         self.trials: Rows = []
         self.errors: dict[str, list[float]] = {name: [] for name in ERRORS}
@@ -96,7 +99,9 @@ class Measured:
         self.record_us: list[float] = []
         self.grasp_us: list[float] = []
 
-    def add(self, trial: Trial, chain: Chain, lifted: Lifted, slip_errors: dict[str, float], reference: Lifted) -> None:
+    def add(
+        self, trial: ChainTrial, chain: Chain, lifted: Lifted, slip_errors: dict[str, float], reference: Lifted
+    ) -> None:
         """Append what came out of a trial."""
         both_held = lifted.held and reference.held
         moved = abs(lifted.moved_mm - reference.moved_mm) if both_held else float("nan")
@@ -124,9 +129,9 @@ class Measured:
         return np.array(self.errors[name])
 
 
-def trials(count: int, seed: int) -> list[Trial]:
+def trials(count: int, seed: int) -> list[ChainTrial]:
     """Trials with seeds from `seed` on, each with an object that slips and one that is grasped."""
-    return [Trial(OBJECTS[k % len(OBJECTS)], seed + k, GRASPED[k % len(GRASPED)]) for k in range(count)]
+    return [ChainTrial(OBJECTS[k % len(OBJECTS)], seed + k, GRASPED[k % len(GRASPED)]) for k in range(count)]
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:

@@ -24,7 +24,7 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
-from evetac_cli.trials.grasp.loop import SlipDetector, Timing, grasp_slices
+from evetac_cli.trials.grasp.loop import SliceDetector, Timing, grasp_slices
 from evetac_cli.trials.grasp.online_detector import open_detector
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
@@ -36,7 +36,7 @@ CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 class TimedDetector:
     """A detector whose slices are timed."""
 
-    detector: SlipDetector
+    detector: SliceDetector
     took_us: list[float] = field(default_factory=list)
 
     def step(self, events: Events) -> float:
@@ -56,7 +56,7 @@ class TimedDetector:
 class FixedDetector:
     """A detector whose decision comes from elsewhere: `slips` says whether there is slip; displacements stay."""
 
-    detector: SlipDetector
+    detector: SliceDetector
     slips: Callable[[], bool]
     count: int = 0
 
@@ -73,7 +73,7 @@ class FixedDetector:
         return self.detector.signal._replace(slips=self.count)
 
 
-def ground_truth_detector(detector: SlipDetector, devices: Rig) -> SlipDetector:
+def ground_truth_detector(detector: SliceDetector, devices: Rig) -> SliceDetector:
     """A detector that gives the gross slip that only the simulation knows."""
     truth = devices.truth
     assert truth is not None
@@ -109,7 +109,7 @@ def run_short_grasp(
     seed: int,
     model: Path | None = None,
     change_plan: Callable[[Plan], Plan] = lambda plan: plan,
-    wrap_detector: Callable[[SlipDetector, Rig], SlipDetector] = lambda detector, devices: detector,
+    wrap_detector: Callable[[SliceDetector, Rig], SliceDetector] = lambda detector, devices: detector,
 ) -> GraspResult:
     """Simulate one short grasp.
 

@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.cost.gel_trial import PAD_M, Trial, draw_trial
-from evetac_cli.evaluate.rows import Extent, Setting, line, run_times
+from evetac_cli.evaluate.cost.gel_trial import PAD_M, GelTrial, draw_trial
+from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Row
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
@@ -73,7 +73,7 @@ def onset_ms(slid_px: Floats) -> float:
     return float(first + (SLIP_PX - before_px) / (slid_px[first] - before_px))
 
 
-def unloadings() -> dict[str, Callable[[Trial], Trial]]:
+def unloadings() -> dict[str, Callable[[GelTrial], GelTrial]]:
     """The two ways to unload a trial, by name."""
     slow: dict[str, Any] = {"first_n": 1.1, "last_n": 0.58, "seconds": 0.36, "begin_s": 0.1, "hang_s": 0.08}
     return {"fast": lambda trial: trial, "slow": lambda trial: replace(trial, **slow)}
@@ -92,13 +92,13 @@ def frictions() -> dict[str, gel.Friction]:
     }
 
 
-def grid(trial: Trial, solver: Solver) -> Trial:
+def grid(trial: GelTrial, solver: Solver) -> GelTrial:
     """The trial on the nodes of a solver."""
     columns, rows = solver.nodes(PAD_M)
     return replace(trial, columns=columns, rows=rows)
 
 
-def solve(trial: Trial, solver: Solver) -> Slide:
+def solve(trial: GelTrial, solver: Solver) -> Slide:
     """Solve a trial from start to end, on the nodes of the solver."""
     trial = grid(trial, solver)
     state, stepper = trial.start(), Stepper(solver, SLICE_S)
@@ -119,7 +119,7 @@ def solve(trial: Trial, solver: Solver) -> Slide:
     return Slide(*(np.array(column) for column in zip(*samples, strict=True)))
 
 
-def choices(full: bool) -> list[Setting]:
+def choices(full: bool) -> list[SolverSetting]:
     """The settings that are compared."""
     return [
         *line("fixed step", "step_ms", STEPS_MS.pick(full), "ms"),
@@ -144,7 +144,7 @@ def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator
             yield from _part_rows(part, cases, full)
 
 
-def _part_rows(part: str, cases: Sequence[Trial], full: bool) -> Iterator[Row]:
+def _part_rows(part: str, cases: Sequence[GelTrial], full: bool) -> Iterator[Row]:
     """The rows of one panel: trials of one unloading and friction."""
     finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, residual=1e-8)
     in_time = [solve(trial, finest) for trial in cases]
@@ -156,7 +156,7 @@ def _part_rows(part: str, cases: Sequence[Trial], full: bool) -> Iterator[Row]:
         yield _row(part, setting, solved, in_space if "node_pitch_mm" in chosen else in_time)
 
 
-def _row(part: str, setting: Setting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
+def _row(part: str, setting: SolverSetting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
     """The row of a setting over all trials of a panel."""
     errors = [_errors(one, reference) for one, reference in zip(solved, references, strict=True)]
     onset, last_stuck, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))

@@ -20,17 +20,17 @@ OUTPUT = "report"
 METHOD = 2
 
 
-class Part(NamedTuple):
+class StabilityPart(NamedTuple):
     """How a part is tried, and the column by which its cases are counted."""
 
     cases: Callable[[int, bool], Sequence[Callable[[], Rows]]]
     counted_by: str
 
 
-PARTS: dict[str, Part] = {
-    "sim": Part(simulator_stability.cases, "part"),
-    "track": Part(tracker.cases, "preset"),
-    "grasp": Part(grasp.cases, "controller"),
+PARTS: dict[str, StabilityPart] = {
+    "sim": StabilityPart(simulator_stability.cases, "part"),
+    "track": StabilityPart(tracker.cases, "preset"),
+    "grasp": StabilityPart(grasp.cases, "controller"),
 }
 
 

@@ -37,7 +37,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import SensorGripper
-from evetac_cli.trials.grasp.loop import SlipDetector
+from evetac_cli.trials.grasp.loop import SliceDetector
 
 QUICK_CONTROLLERS = ("paper", "load-proportional")
 BALANCE_S = 2.0
@@ -51,7 +51,7 @@ NAN_AT_REST = "truth/slip_half_wavelength_nodes"  # there is none where nothing 
 class UnevenSlices:
     """A detector whose slices are lost or come twice on their way to it, at random."""
 
-    detector: SlipDetector
+    detector: SliceDetector
     rng: np.random.Generator
     lost: float = 0.0  # share
     twice: float = 0.0
@@ -75,7 +75,7 @@ class UnevenSlices:
 class DyingDetector:
     """A detector that fails in the middle of a grasp."""
 
-    detector: SlipDetector
+    detector: SliceDetector
     slices_left: int = DIES_AFTER_MS
 
     def step(self, events: Events) -> float:
@@ -92,12 +92,12 @@ class DyingDetector:
 
 
 @dataclass(frozen=True)
-class Case:
+class GraspCase:
     """One extreme: how the plan, the detector or the controller is changed."""
 
     name: str
     change_plan: Callable[[Plan], Plan] = lambda plan: plan
-    wrap_detector: Callable[[SlipDetector, np.random.Generator], SlipDetector] = lambda detector, rng: detector
+    wrap_detector: Callable[[SliceDetector, np.random.Generator], SliceDetector] = lambda detector, rng: detector
     timing: tuple[tuple[str, Any], ...] = ()  # fields of ShortGrasp
     paper_only: bool = False
 
@@ -116,26 +116,28 @@ def _scene(tables: Tables, plan: Plan) -> Plan:
     return merge(plan, tables)
 
 
-def extreme_cases(*, full: bool) -> list[Case]:
+def extreme_cases(*, full: bool) -> list[GraspCase]:
     """The extremes, by name."""
     factors = (0.1, 0.3, 3.0, 10.0) if full else (0.1, 10.0)
     frictions = (0.1, 0.3, 1.3, 2.0) if full else (0.1, 2.0)
     scenes = LIFTS | (MORE_LIFTS if full else {})
     return [
-        Case("as usual"),
-        *(Case(f"servo gain x{factor:g}", partial(_servo, factor)) for factor in factors),
-        *(Case(f"law's gain x{factor:g}", timing=(("gain", factor),), paper_only=True) for factor in factors),
-        *(Case(f"friction {mu:g}", partial(_friction, mu)) for mu in frictions),
-        Case("detector never fires", wrap_detector=lambda detector, rng: FixedDetector(detector, lambda: False)),
-        Case("detector always fires", wrap_detector=lambda detector, rng: FixedDetector(detector, lambda: True)),
-        Case("detector dies while the hand rises", wrap_detector=lambda detector, rng: DyingDetector(detector)),
-        Case("one slice in five lost", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, lost=0.2)),
-        Case("one slice in five twice", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, twice=0.2)),
-        Case("latency 50 ms", timing=(("latency_ms", 50),)),
-        Case("control at 50 Hz", timing=(("control_hz", 50.0),)),
-        Case("2 kg, friction 0.1, gel x0.1", partial(_together, 2000.0, 0.1, 0.1)),
-        Case("5 g, friction 2, gel x10", partial(_together, 5.0, 2.0, 10.0)),
-        *(Case(name, partial(_scene, tables)) for name, tables in scenes.items()),
+        GraspCase("as usual"),
+        *(GraspCase(f"servo gain x{factor:g}", partial(_servo, factor)) for factor in factors),
+        *(GraspCase(f"law's gain x{factor:g}", timing=(("gain", factor),), paper_only=True) for factor in factors),
+        *(GraspCase(f"friction {mu:g}", partial(_friction, mu)) for mu in frictions),
+        GraspCase("detector never fires", wrap_detector=lambda detector, rng: FixedDetector(detector, lambda: False)),
+        GraspCase("detector always fires", wrap_detector=lambda detector, rng: FixedDetector(detector, lambda: True)),
+        GraspCase("detector dies while the hand rises", wrap_detector=lambda detector, rng: DyingDetector(detector)),
+        GraspCase("one slice in five lost", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, lost=0.2)),
+        GraspCase(
+            "one slice in five twice", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, twice=0.2)
+        ),
+        GraspCase("latency 50 ms", timing=(("latency_ms", 50),)),
+        GraspCase("control at 50 Hz", timing=(("control_hz", 50.0),)),
+        GraspCase("2 kg, friction 0.1, gel x0.1", partial(_together, 2000.0, 0.1, 0.1)),
+        GraspCase("5 g, friction 2, gel x10", partial(_together, 5.0, 2.0, 10.0)),
+        *(GraspCase(name, partial(_scene, tables)) for name, tables in scenes.items()),
     ]
 
 
@@ -155,13 +157,13 @@ def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     ]
 
 
-def grasp_rows(case: Case, controller: str, seed: int) -> Rows:
+def grasp_rows(case: GraspCase, controller: str, seed: int) -> Rows:
     """Grasp once under a case: what became of the object, or how the grasp broke off."""
     rng = np.random.default_rng([seed, 1])
     short = replace(ShortGrasp(USUAL_OBJECT, controller, balance_s=BALANCE_S), **dict(case.timing))
     used: list[Rig] = []
 
-    def wrap(detector: SlipDetector, devices: Rig) -> SlipDetector:
+    def wrap(detector: SliceDetector, devices: Rig) -> SliceDetector:
         used.append(devices)
         return case.wrap_detector(detector, rng)
 

@@ -46,7 +46,7 @@ OBJECT = 11  # of the paper, in slips
 
 
 @dataclass(frozen=True)
-class Case:
+class TrackerCase:
     """Events slice by slice, before dots whose shift from rest in px is `shift(k)` at the end of slice k.
 
     A dot's rim makes events while it moves; `more` adds others. `changes` are constants other than the preset's.
@@ -59,26 +59,29 @@ class Case:
     polarity: int | None = None  # all events have this one
 
 
-def extreme_cases() -> list[Case]:
+def extreme_cases() -> list[TrackerCase]:
     """The extremes, by name."""
     usual = partial(_circle, 3.0, 200.0)
     return [
-        Case("no events"),
-        Case("one event a slice", more=lambda k, rng: _anywhere(rng, 1)),
-        Case("dots on a circle of 3 px", shift=usual),
-        Case("all events brighter", shift=usual, polarity=1),
-        Case("all events darker", shift=usual, polarity=0),
-        Case("1e6 events a slice, for 3 slices", shift=usual, more=_burst),
-        Case(
+        TrackerCase("no events"),
+        TrackerCase("one event a slice", more=lambda k, rng: _anywhere(rng, 1)),
+        TrackerCase("dots on a circle of 3 px", shift=usual),
+        TrackerCase("all events brighter", shift=usual, polarity=1),
+        TrackerCase("all events darker", shift=usual, polarity=0),
+        TrackerCase("1e6 events a slice, for 3 slices", shift=usual, more=_burst),
+        TrackerCase(
             "1e4 events a dot and slice", more=lambda k, rng: rim_events(rng, 10_000 * len(DOTS_PX)) if k < 5 else None
         ),
-        Case("1e4 events on one side of one dot", more=_one_sided),
-        Case("dots leave the frame at 5 px/ms", shift=lambda k: (-5.0 * k, 0.0)),
-        Case("a hand passes over, 5,000 events a slice", shift=usual, more=partial(_bar, 5_000)),
-        Case("a hand passes over, 20,000 events a slice", shift=usual, more=partial(_bar, 20_000)),
-        Case("vibration of 1 px at 498 Hz", shift=lambda k: (math.sin(2 * math.pi * 0.498 * (k + 1)), 0.0)),
-        *(Case(f"step size {gain:g}", shift=usual, changes={"step_size": gain}) for gain in GAINS),
-        *(Case(f"regulariser {weight:g}", shift=usual, changes={"regulariser_weight": weight}) for weight in WEIGHTS),
+        TrackerCase("1e4 events on one side of one dot", more=_one_sided),
+        TrackerCase("dots leave the frame at 5 px/ms", shift=lambda k: (-5.0 * k, 0.0)),
+        TrackerCase("a hand passes over, 5,000 events a slice", shift=usual, more=partial(_bar, 5_000)),
+        TrackerCase("a hand passes over, 20,000 events a slice", shift=usual, more=partial(_bar, 20_000)),
+        TrackerCase("vibration of 1 px at 498 Hz", shift=lambda k: (math.sin(2 * math.pi * 0.498 * (k + 1)), 0.0)),
+        *(TrackerCase(f"step size {gain:g}", shift=usual, changes={"step_size": gain}) for gain in GAINS),
+        *(
+            TrackerCase(f"regulariser {weight:g}", shift=usual, changes={"regulariser_weight": weight})
+            for weight in WEIGHTS
+        ),
     ]
 
 
@@ -130,7 +133,7 @@ def _moving_rims(before: NDArray[np.float64], after: NDArray[np.float64], rng: n
     return x, y, (side[inside] < 0).astype(np.uint8)
 
 
-def track_rows(case: Case, preset: str, slices: int, seed: int = 0) -> Rows:
+def track_rows(case: TrackerCase, preset: str, slices: int, seed: int = 0) -> Rows:
     """Track the events of a case with a preset, for some slices."""
 
     def run() -> Rows:
@@ -141,7 +144,7 @@ def track_rows(case: Case, preset: str, slices: int, seed: int = 0) -> Rows:
     return run_case(case.name, run, preset=preset)
 
 
-def _played(case: Case, slices: int, rng: np.random.Generator) -> Iterator[tuple[Columns, Floats]]:
+def _played(case: TrackerCase, slices: int, rng: np.random.Generator) -> Iterator[tuple[Columns, Floats]]:
     """The events of every slice, and where the dots are at its end."""
     dots_px = DOTS_PX.copy()
     for k in range(slices):

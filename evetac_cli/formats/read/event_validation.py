@@ -34,7 +34,7 @@ LIT_EVENTS = 1 << 18  # of so many events, which pixels they came from is kept
 LIT_PIXELS = 1 << 24  # of larger frames, several pixels count as one
 
 
-class Columns(NamedTuple):
+class EventColumns(NamedTuple):
     """A batch of raw events: t in us, x and y in px, p as in the file; `place` says where the user finds row i.
 
     t is on the clock of the file, without its wraps (clock.py), but may go back.
@@ -53,7 +53,7 @@ class Foreign:
 
     format: str
     frame_px: tuple[int, int]
-    batches: Iterable[Columns]
+    batches: Iterable[EventColumns]
     clock_us: int = 0  # to be added to every t, where a file keeps it apart
     notes: list[str] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)  # what the file holds beside the events, and how much of it
@@ -250,12 +250,12 @@ class _Seen:
         return [f"polarity {value} is taken as -1, darker" for value in sorted(self._polarities) if value in MINUS_ONES]
 
 
-def _gathered(batches: Iterable[Columns], where: str) -> Iterator[Columns]:
+def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColumns]:
     """The same batches, small ones of the same types joined, so that what is done once a batch costs little."""
-    waiting: list[Columns] = []
+    waiting: list[EventColumns] = []
     count = 0
 
-    def joined() -> Columns:
+    def joined() -> EventColumns:
         nonlocal count
         parts, starts = list(waiting), np.cumsum([0, *(len(part.t) for part in waiting)]).tolist()
         waiting.clear()
@@ -263,7 +263,7 @@ def _gathered(batches: Iterable[Columns], where: str) -> Iterator[Columns]:
         if len(parts) == 1:
             return parts[0]
         t, x, y, p = (np.concatenate(column) for column in zip(*(part[:4] for part in parts), strict=True))
-        return Columns(t, x, y, p, lambda row: parts[at := bisect_right(starts, row) - 1].place(row - starts[at]))
+        return EventColumns(t, x, y, p, lambda row: parts[at := bisect_right(starts, row) - 1].place(row - starts[at]))
 
     for batch in batches:
         check_lengths([len(column) for column in batch[:4]], where)
@@ -306,7 +306,7 @@ def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
         yield part, place
 
 
-def _without_fault(batch: Columns, frame_px: tuple[int, int]) -> Events | None:
+def _without_fault(batch: EventColumns, frame_px: tuple[int, int]) -> Events | None:
     """The events of a batch, where they are whole numbers and all of them inside the frame: most are.
 
     These few comparisons take a tenth of what it takes to look at every number for itself. None for other batches.
@@ -345,7 +345,7 @@ def check_lengths(lengths: Sequence[int], where: str) -> None:
         raise InputError("columns differ in length", where=where, expected="t, x, y, p of one length", found=each)
 
 
-def _finite(batch: Columns) -> NDArray[np.bool_]:
+def _finite(batch: EventColumns) -> NDArray[np.bool_]:
     """Which rows hold four numbers; NaN and infinity have no place in time or frame."""
     finite = np.ones(len(batch.t), bool)
     for column in batch[:4]:
@@ -354,13 +354,13 @@ def _finite(batch: Columns) -> NDArray[np.bool_]:
     return finite
 
 
-def _at(batch: Columns, rows: NDArray[np.intp]) -> Columns:
+def _at(batch: EventColumns, rows: NDArray[np.intp]) -> EventColumns:
     """Some rows of a batch, which still know their place in the file."""
     t, x, y, p = (column[rows] for column in batch[:4])
-    return Columns(t, x, y, p, lambda row: batch.place(int(rows[row])))
+    return EventColumns(t, x, y, p, lambda row: batch.place(int(rows[row])))
 
 
-def _check_values(batch: Columns, where: str, foreign: Foreign) -> None:
+def _check_values(batch: EventColumns, where: str, foreign: Foreign) -> None:
     """Refuse values that mean the columns are not what we take them for; comparisons only, so nothing can wrap."""
 
     def refuse(bad: NDArray[np.bool_], column: NDArray[Any], message: str, expected: str, hint: str = "") -> None:

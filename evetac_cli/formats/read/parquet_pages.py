@@ -24,7 +24,7 @@ WANTED = {
 }
 
 
-class Chunk(NamedTuple):
+class ColumnChunk(NamedTuple):
     """A column of a row group: its values, where its pages begin, and how many bytes they are."""
 
     values: int
@@ -36,7 +36,7 @@ class RowGroup(NamedTuple):
     """The rows of a group, and its columns."""
 
     rows: int
-    chunks: tuple[Chunk, ...]
+    chunks: tuple[ColumnChunk, ...]
 
 
 def footer_bytes(file: BinaryIO) -> int:
@@ -63,10 +63,10 @@ def _group(group: Mapping[int, Any]) -> RowGroup:
     return RowGroup(group[ROWS], tuple(_chunk(column[CHUNK]) for column in group[COLUMNS]))
 
 
-def _chunk(numbers: Mapping[int, int]) -> Chunk:
+def _chunk(numbers: Mapping[int, int]) -> ColumnChunk:
     """Where a column has a table of its values, that is its first page."""
     first = min(filter(None, (numbers.get(DICTIONARY_AT), numbers[DATA_AT])), default=0)
-    return Chunk(numbers[VALUES], first, numbers[CHUNK_PACKED])
+    return ColumnChunk(numbers[VALUES], first, numbers[CHUNK_PACKED])
 
 
 def unpacked_bytes(file: BinaryIO, first: int, packed: int) -> Iterator[int]:

@@ -17,7 +17,7 @@ from evetac_cli.formats.read.column_order import by_name, places_of, refuse_colu
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.event_validation import (
     CLOCK_LIMIT_US,
-    Columns,
+    EventColumns,
     Foreign,
     at_index,
     check_lengths,
@@ -31,7 +31,7 @@ OFFSETS = ("t_offset", "events/t_offset")
 INDICES = re.compile(r"(^|/)(ms_to_idx|ms_map_idx|indexes|t_offset|image_raw_event_inds)$")
 
 
-class Layout(NamedTuple):
+class Hdf5Layout(NamedTuple):
     """Where a layout has its events; `order` of a table names its columns, () of a compound its fields by name."""
 
     name: str
@@ -42,14 +42,14 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = (
-    Layout("DSEC", ("events/t", "events/x", "events/y", "events/p")),
-    Layout("rpg", ("events/ts", "events/xs", "events/ys", "events/ps"), us_per_unit=None),
-    Layout("MVSEC", ("davis/left/events",), "x y t p", 1e6, "left"),
-    Layout("MVSEC", ("davis/right/events",), "x y t p", 1e6, "right"),
-    Layout("M3ED", tuple(f"prophesee/left/{name}" for name in "txyp"), stream="left"),
-    Layout("M3ED", tuple(f"prophesee/right/{name}" for name in "txyp"), stream="right"),
-    Layout("v2e", ("events",), "t x y p"),
-    Layout("Prophesee", ("CD/events",)),
+    Hdf5Layout("DSEC", ("events/t", "events/x", "events/y", "events/p")),
+    Hdf5Layout("rpg", ("events/ts", "events/xs", "events/ys", "events/ps"), us_per_unit=None),
+    Hdf5Layout("MVSEC", ("davis/left/events",), "x y t p", 1e6, "left"),
+    Hdf5Layout("MVSEC", ("davis/right/events",), "x y t p", 1e6, "right"),
+    Hdf5Layout("M3ED", tuple(f"prophesee/left/{name}" for name in "txyp"), stream="left"),
+    Hdf5Layout("M3ED", tuple(f"prophesee/right/{name}" for name in "txyp"), stream="right"),
+    Hdf5Layout("v2e", ("events",), "t x y p"),
+    Hdf5Layout("Prophesee", ("CD/events",)),
 )
 EXPECTED = "events in the layout of " + ", ".join(dict.fromkeys(layout.name for layout in LAYOUTS))
 
@@ -99,7 +99,7 @@ def open_hdf5(
     return foreign
 
 
-def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> tuple[Layout, list[str]]:
+def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> tuple[Hdf5Layout, list[str]]:
     """The layout of the file, and the names of the other cameras in it."""
     present = [layout for layout in LAYOUTS if all(name in datasets for name in layout.paths)]
     if not present:
@@ -115,7 +115,7 @@ def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> 
     return chosen, [label for label in labels if label != chosen.stream and wanted is None]
 
 
-def _frame(file: CheckedHdf5, layout: Layout) -> tuple[Note | None, tuple[int, int] | None]:
+def _frame(file: CheckedHdf5, layout: Hdf5Layout) -> tuple[Note | None, tuple[int, int] | None]:
     """The note of an export of ours, and the frame that it or Prophesee's attribute `geometry` says."""
     text = file.text_attribute(NAME)
     if text is not None:
@@ -127,8 +127,8 @@ def _frame(file: CheckedHdf5, layout: Layout) -> tuple[Note | None, tuple[int, i
 
 
 def _batches(
-    path: Path, layout: Layout, order: tuple[int, int, int, int] | None, rows: int, times: ColumnTimes
-) -> Iterator[Columns]:
+    path: Path, layout: Hdf5Layout, order: tuple[int, int, int, int] | None, rows: int, times: ColumnTimes
+) -> Iterator[EventColumns]:
     """The events in blocks; order: places of t, x, y, p in a table."""
     with CheckedHdf5(path) as file:
         datasets = file.datasets(layout.paths, EVENT_FILE_FILTERS)
@@ -137,7 +137,7 @@ def _batches(
             for start in range(0, rows, BATCH_ROWS):
                 t, x, y, p = _columns([part[start : start + BATCH_ROWS] for part in parts], order)
                 place = partial(at_index, start)
-                yield Columns(times.us(t, place), x, y, p, place)
+                yield EventColumns(times.us(t, place), x, y, p, place)
         except DAMAGE as error:
             raise _unreadable(str(path), error) from error
 
@@ -180,7 +180,7 @@ def _refuse_own(file: CheckedHdf5) -> None:
         )
 
 
-def _check_kind(file: CheckedHdf5, dataset: Any, layout: Layout, name: str) -> None:
+def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) -> None:
     """What holds events is a list of numbers, a table of four columns, or a compound with the four fields."""
     shape: tuple[int, ...] = dataset.shape or ()
     kind = dataset.dtype.kind

@@ -35,7 +35,7 @@ from evetac_cli.formats.read.column_order import (
     unit_said,
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, check_lengths, choose_frame
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, at_index, check_lengths, choose_frame
 from evetac_cli.formats.read.unpacked_size import refuse_too_much
 
 EVIMO = ("events_t", "events_xy", "events_p")
@@ -219,13 +219,13 @@ def _rows(stretches: list[Stretch]) -> Generator[list[NDArray[Any]], None, None]
 
 def _batches(
     stretches: list[Stretch], places: tuple[int, int, int, int], times: ColumnTimes, where: str
-) -> Iterator[Columns]:
+) -> Iterator[EventColumns]:
     start = 0
     with _damage_in_words(where):
         for parts in _rows(stretches):
             t, x, y, p = (parts[place] for place in places)
             place = partial(at_index, start)
-            yield Columns(times.us(t, place), x, y, p, place)
+            yield EventColumns(times.us(t, place), x, y, p, place)
             start += len(t)
 
 

@@ -32,7 +32,7 @@ from evetac_cli.formats.read.column_order import (
     unit_said,
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
-from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame, no_events
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
@@ -48,7 +48,7 @@ IN_NAMES = re.compile(r"\bx@(\d{1,5})\b.*\by@(\d{1,5})\b")
 TWO_NUMBERS = re.compile(r"\s*(\d{1,5})[ \t]+(\d{1,5})\s*$")
 
 
-class Layout(NamedTuple):
+class TextLayout(NamedTuple):
     """How a line is read: the order of its columns, how many it has, and the separator (None: blanks)."""
 
     order: Order
@@ -102,12 +102,12 @@ def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
 
 def _batches(
     path: Path, foreign: Foreign, columns: str | None, time_unit: str | None
-) -> Generator[Columns, None, None]:
+) -> Generator[EventColumns, None, None]:
     """One batch a block of lines; raises InputError with the number of the line that cannot be read.
 
     `foreign` is told what was assumed, and what was left out.
     """
-    layout: Layout | None = None
+    layout: TextLayout | None = None
     names: list[str] = []
     comment = ""
     begun = False  # a line with content was met
@@ -134,7 +134,7 @@ def _batches(
         assert foreign.times is not None
         place = partial(_place, number, lines)
         t, x, y, p = table.T
-        yield Columns(foreign.times.us(t, place), x, y, p, place)
+        yield EventColumns(foreign.times.us(t, place), x, y, p, place)
         for name in layout.unused:
             foreign.left_out[name] = foreign.left_out.get(name, 0) + len(table)
 
@@ -209,7 +209,7 @@ def _are_names(line: str, number: int, path: str) -> bool:
     )
 
 
-def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str], columns: str | None) -> Layout:
+def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str], columns: str | None) -> TextLayout:
     """How lines are read, by their names, by what the user says, or by what fits the block of the first of them."""
     separator = _separator(first)
     truth = bool(TRUTH.search(first))
@@ -217,15 +217,15 @@ def _layout(path: Path, number: int, lines: list[str], first: str, names: list[s
     if order is not None:
         refuse_columns(columns, str(path))
         unused = [f"values of {name.strip()[:40] or i + 1}" for i, name in enumerate(names) if i not in order.places]
-        return Layout(order, len(names), separator, unused=tuple(unused), truth=truth)
+        return TextLayout(order, len(names), separator, unused=tuple(unused), truth=truth)
     if columns is not None:
-        return Layout(Order(places_of(said_order(columns, str(path))), None), 4, separator, truth=truth)
-    plain = Layout(Order(places_of(ORDERS[0]), None), 4, separator, truth=truth)
+        return TextLayout(Order(places_of(said_order(columns, str(path))), None), 4, separator, truth=truth)
+    plain = TextLayout(Order(places_of(ORDERS[0]), None), 4, separator, truth=truth)
     guessed = guess_order(_table(path, number, lines, plain))
     return plain._replace(order=Order(places_of(guessed), None), guessed=guessed)
 
 
-def _unit(lines: list[str], layout: Layout) -> float:
+def _unit(lines: list[str], layout: TextLayout) -> float:
     """How many us the unit of time has, by how the first finite time of some lines is written."""
     at = layout.order.places[0]
     times = (fields[at] for line in lines if len(fields := _fields(line, layout.separator)) > at)
@@ -233,7 +233,7 @@ def _unit(lines: list[str], layout: Layout) -> float:
     return 1.0 if INTEGER.fullmatch(sample) else 1e6
 
 
-def _table(path: Path, number: int, lines: list[str], layout: Layout) -> NDArray[np.float64]:
+def _table(path: Path, number: int, lines: list[str], layout: TextLayout) -> NDArray[np.float64]:
     """The columns t, x, y, p of a block, shape (events, 4)."""
     count, separator, places = layout.columns, layout.separator, layout.order.places
     if not any(map(_data, lines)):

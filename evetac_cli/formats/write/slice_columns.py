@@ -94,7 +94,7 @@ class WrittenFolder(NamedTuple):
     figures: dict[str, Any]
 
 
-class Columns(NamedTuple):
+class SliceColumns(NamedTuple):
     """The columns of one dataset; read(start, stop) gives the slices [start, stop), (rows, columns).
 
     Masked is what is not known: NaN, before the first row of a clock, after the end of a file.
@@ -107,7 +107,7 @@ class Columns(NamedTuple):
     read: Callable[[int, int], Masked]
 
 
-def columns_of(files: TrialFiles) -> list[Columns]:
+def columns_of(files: TrialFiles) -> list[SliceColumns]:
     """All columns of a trial, without its time; features repeat some of tracks and labels, which then stand once."""
     made = [_event_counts(files.recording)]
     dots = _dot_words(files)
@@ -125,7 +125,7 @@ def columns_of(files: TrialFiles) -> list[Columns]:
     return kept
 
 
-def read_columns(columns: Sequence[Columns], names: Sequence[str], slices: int) -> Masked:
+def read_columns(columns: Sequence[SliceColumns], names: Sequence[str], slices: int) -> Masked:
     """All slices of the columns of these names, (slices, columns), as float32; KeyError for a name that is missing."""
     by_name: dict[str, Masked] = {}
     for group in columns:
@@ -159,19 +159,19 @@ def _clocks(file: StageFile) -> list[str]:
     return [path.removesuffix("/t_us") for path in file.contents() if path.endswith("/t_us")]
 
 
-def _event_counts(recording: Recording) -> Columns:
+def _event_counts(recording: Recording) -> SliceColumns:
     def read(start: int, stop: int) -> Masked:
         return np.ma.array(np.diff(recording.starts[start : stop + 1]).astype(np.int32)[:, None])
 
-    return Columns(("events_total",), ("all events of the slice",), "", np.dtype(np.int32), read)
+    return SliceColumns(("events_total",), ("all events of the slice",), "", np.dtype(np.int32), read)
 
 
-def _of_detector(probability: NDArray[np.float32]) -> Columns:
+def _of_detector(probability: NDArray[np.float32]) -> SliceColumns:
     def read(start: int, stop: int) -> Masked:
         return _masked(probability[start:stop, None])
 
     meaning = "slip probability by the detector whose header stands beside those of the files"
-    return Columns(("model_probability",), (meaning,), "", np.dtype(np.float32), read)
+    return SliceColumns(("model_probability",), (meaning,), "", np.dtype(np.float32), read)
 
 
 def _dot_words(files: TrialFiles) -> Callable[[int], str]:
@@ -183,7 +183,7 @@ def _dot_words(files: TrialFiles) -> Callable[[int], str]:
     return lambda number: f"dot {number} (row {number // columns}, column {number % columns})"
 
 
-def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[Columns]:
+def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[SliceColumns]:
     stored, table = file.contents(), schema.load(file.kind)
     clocks = {group: file.read(f"{group}/t_us") for group in _clocks(file)}
     described = [(path, row) for path in stored if (row := table.find(path)) is not None and row.path not in COPIED]
@@ -203,7 +203,7 @@ def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[Columns]:
         unit = row.unit or _unit_of_column(file, group, path.rpartition("/")[2])
         named = _named(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
         names, meanings = tuple(name for name, _ in named), tuple(words for _, words in named)
-        yield Columns(names, meanings, unit, np.dtype(row.dtype), read)
+        yield SliceColumns(names, meanings, unit, np.dtype(row.dtype), read)
 
 
 def _unit_of_column(file: StageFile, group: str, column: str) -> str:

@@ -102,7 +102,7 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
     offset_us = t_offset_us(recording)
     _check(recording, offset_us)
     frame_id = "evetac_simulated" if recording.header["simulated"] else "evetac"
-    make = _Messages(types, frame_id, offset_us)
+    make = _TopicMessages(types, frame_id, offset_us)
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="evetac")
@@ -168,7 +168,7 @@ def _check(recording: Recording, offset_us: int) -> None:
         )
 
 
-class _Messages:
+class _TopicMessages:
     """Makes the messages of each topic, in the order of their times, reading block by block."""
 
     def __init__(self, types: Any, frame_id: str, offset_us: int) -> None:

@@ -30,7 +30,7 @@ TIME_HIGH, TIME_LOW, ROW, COLUMN = 8, 6, 0, 2  # the upper four bits of a word
 EVENT_OF_DAT = bytes((0x0C, 8))  # "contrast detection", of 8 bytes
 
 
-class Layout(NamedTuple):
+class PropheseeLayout(NamedTuple):
     """The first text lines, what follows them, the limits, and the words of all events, piece by piece."""
 
     name: str
@@ -84,12 +84,12 @@ def dat_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
 
 RAW_HEAD = "% evt {}.0\n% format EVT{};height={{height}};width={{width}}\n% geometry {{width}}x{{height}}\n"
 DAT_HEAD = "% Data file containing CD events.\n% Version 2\n% Height {height}\n% Width {width}\n"
-EVT3 = Layout("EVT3", RAW_HEAD.format(3, 3), b"% end\n", 2**11, np.inf, evt3_words)
-EVT2 = Layout("EVT2", RAW_HEAD.format(2, 2), b"% end\n", 2**11, 2**34, evt2_words)
-DAT = Layout("DAT", DAT_HEAD, EVENT_OF_DAT, 2**14, 2**32, dat_words)
+EVT3 = PropheseeLayout("EVT3", RAW_HEAD.format(3, 3), b"% end\n", 2**11, np.inf, evt3_words)
+EVT2 = PropheseeLayout("EVT2", RAW_HEAD.format(2, 2), b"% end\n", 2**11, 2**34, evt2_words)
+DAT = PropheseeLayout("DAT", DAT_HEAD, EVENT_OF_DAT, 2**14, 2**32, dat_words)
 
 
-def _write(layout: Layout, recording: Recording, path: Path, progress: Progress) -> None:
+def _write(layout: PropheseeLayout, recording: Recording, path: Path, progress: Progress) -> None:
     """All events in a layout; InputError, before anything is written, where frame or times need more bits."""
     width, height = recording.frame_px
     length_us = len(recording) * SLICE_US

@@ -24,8 +24,8 @@ import numpy as np
 
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.slice_columns import (
-    Columns,
     Opener,
+    SliceColumns,
     TrialFiles,
     WrittenFolder,
     columns_of,
@@ -141,7 +141,7 @@ def _partition(name: str, value: Any) -> str:
     return f"{name}={quote(str(value), safe='')}"
 
 
-def _schema(arrow: Any, columns: Sequence[Columns], types: Mapping[str, Any]) -> Any:
+def _schema(arrow: Any, columns: Sequence[SliceColumns], types: Mapping[str, Any]) -> Any:
     """Arrow's schema: time, what names the trial, the columns; units and meanings as metadata of each."""
 
     def field(name: str, type_: Any, unit: str, meaning: str) -> Any:
@@ -161,7 +161,7 @@ def _write_parquet(
     arrow: Any,
     table: Any,
     files: TrialFiles,
-    columns: Sequence[Columns],
+    columns: Sequence[SliceColumns],
     facts: Mapping[str, Any],
     path: Path,
     progress: Progress,
@@ -176,7 +176,7 @@ def _batches(
     arrow: Any,
     table: Any,
     files: TrialFiles,
-    columns: Sequence[Columns],
+    columns: Sequence[SliceColumns],
     facts: Mapping[str, Any],
     progress: Progress,
 ) -> Iterator[Any]:

@@ -38,7 +38,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
     hardware_errors,
 )
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
-from evetac_cli.devices.rh_p12_rn.dynamixel_bus import RANGE_FAULT, Bus, Refused
+from evetac_cli.devices.rh_p12_rn.dynamixel_bus import RANGE_FAULT, Bus, InstructionRefused
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
@@ -423,7 +423,7 @@ class GripperCheck:
         try:
             self._bus.write("Goal Current", 0)
             refused = False
-        except Refused as error:
+        except InstructionRefused as error:
             refused = error.fault == RANGE_FAULT
         goals = "refused" if refused else "accepted"
         said = f"Bus Watchdog {watchdog}, goals {goals}, Torque Enable {torque}; {also}"

@@ -18,8 +18,8 @@ from evetac_cli.sim.setup.plan import named_objects, one_sensor
 LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
     plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
-    plugins.IMPORTERS: lambda plugin: plugin.load(imports.Format),
-    plugins.EXPORTERS: lambda plugin: plugin.load(exports.Format),
+    plugins.IMPORTERS: lambda plugin: plugin.load(imports.ImportFormat),
+    plugins.EXPORTERS: lambda plugin: plugin.load(exports.ExportFormat),
     plugins.CONTROLLERS: lambda plugin: plugin.load(OtherLaw),
     plugins.NETWORKS: lambda plugin: plugin.load(OtherArchitecture),
     plugins.SCENES: lambda plugin: scene_file.load(plugin.name),

@@ -30,7 +30,7 @@ WORST_RESIDUAL = 0.2  # rms, share of the contrast
 ITERATIONS = 20
 
 
-class Dots(NamedTuple):
+class DotCentres(NamedTuple):
     """Centres (n, 2) in px and radii (n,) in px; NaN where the rim did not show."""
 
     centre_xy_px: Floats
@@ -44,10 +44,10 @@ def contrast(picture: RestImage) -> float:
     return float(np.percentile(moved, 90)) if len(moved) >= LEAST_PIXELS else 0.0
 
 
-def find(picture: RestImage) -> Dots:
+def find(picture: RestImage) -> DotCentres:
     """Find all dots of one size, in no order; none if nothing was seen to move."""
     events = contrast(picture)
-    nothing = Dots(np.empty((0, 2)), np.empty(0))
+    nothing = DotCentres(np.empty((0, 2)), np.empty(0))
     if events == 0.0:
         return nothing
     signed = np.clip((picture.brighter.astype(np.float32) - picture.darker) / events, -1.0, 1.0).astype(np.float32)
@@ -62,7 +62,7 @@ def find(picture: RestImage) -> Dots:
     return _distinct(fit(picture, places, float(radius)))
 
 
-def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> Dots:
+def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> DotCentres:
     """Fit dots near given places, (n, 2), and a common radius, with NaN where no such dot shows.
 
     A dot is refused whose centre is more than 0.6 radii from where it was looked for, whose radius is more than a fifth
@@ -74,7 +74,7 @@ def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> Dots:
     fitted = np.array([_fit_one(picture, events, place, radius_px) for place in centre_xy_px]).reshape(-1, 3)
     usual = np.median(fitted[np.isfinite(fitted[:, 2]), 2]) if np.isfinite(fitted[:, 2]).any() else np.nan
     fitted[~(np.abs(fitted[:, 2] - usual) <= 0.2 * usual)] = np.nan
-    return Dots(fitted[:, :2], fitted[:, 2])
+    return DotCentres(fitted[:, :2], fitted[:, 2])
 
 
 def _vote(signed: NDArray[np.float32], radius: int) -> tuple[float, Floats]:
@@ -137,7 +137,7 @@ def _fit_one(picture: RestImage, events: float, place: Floats, radius: float) ->
     return float(estimate[0]), float(estimate[1]), float(estimate[2])
 
 
-def _distinct(dots: Dots) -> Dots:
+def _distinct(dots: DotCentres) -> DotCentres:
     """Dots that were found, each once: places within a radius of an earlier one are the same dot."""
     distinct: list[int] = []
     for index, centre in enumerate(dots.centre_xy_px):
@@ -145,4 +145,4 @@ def _distinct(dots: Dots) -> Dots:
             np.hypot(*(centre - dots.centre_xy_px[other])) > dots.radius_px[other] for other in distinct
         ):
             distinct.append(index)
-    return Dots(dots.centre_xy_px[distinct], dots.radius_px[distinct])
+    return DotCentres(dots.centre_xy_px[distinct], dots.radius_px[distinct])

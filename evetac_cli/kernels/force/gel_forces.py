@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels import logistic
-from evetac_cli.kernels.force.models import Layer
+from evetac_cli.kernels.force.models import DenseLayer
 
 SLICE_S = 1e-3
 LEAST_MM = 2e-3  # added to the field's root mean square: a gel at rest moves by what the tracker errs
@@ -35,12 +35,12 @@ CREEP_ARMS = 2
 class GelNetwork(NamedTuple):
     """Fully connected layers with ReLU between them, and a linear part beside them; to x, y, normal in mm2."""
 
-    layers: tuple[Layer, ...]
-    linear: Layer
+    layers: tuple[DenseLayer, ...]
+    linear: DenseLayer
     scale_mm2: Floats  # (3,): what comes out is multiplied by it
 
 
-class Errors(NamedTuple):
+class ForceErrorModel(NamedTuple):
     """How far force over modulus is off, sd: a floor in mm2, and a share of it that is the same in all of a contact."""
 
     shear_floor_mm2: float
@@ -131,7 +131,7 @@ def scale_of(gel: Stiffness) -> Scale:
     return Scale(np.stack([shear] * 2), np.stack([covariance] * 2), normal, normal_covariance)
 
 
-def predict(scale: Scale, errors: Errors, shear: Floats, normal: Floats) -> Forces:
+def predict(scale: Scale, errors: ForceErrorModel, shear: Floats, normal: Floats) -> Forces:
     """Forces from their terms: shear (n, 2, 4), normal (n, 2); NaN where these are. The normal force is 0 or more."""
     shear_n = np.einsum("nak,ak->na", shear, scale.shear)
     shear_variance = np.einsum("nak,akl,nal->na", shear, scale.shear_covariance, shear)
@@ -148,7 +148,7 @@ def predict(scale: Scale, errors: Errors, shear: Floats, normal: Floats) -> Forc
 
 def adapt(
     scale: Scale,
-    errors: Errors,
+    errors: ForceErrorModel,
     shear: Floats,
     normal: Floats,
     shear_n: Floats,
@@ -156,7 +156,7 @@ def adapt(
     contact: NDArray[np.int64],
     time_s: Floats,
     reading_sd_n: float,
-) -> tuple[Scale, Errors]:
+) -> tuple[Scale, ForceErrorModel]:
     """The weights after known forces, by regression with the weights before as prior (ridge towards them), and errors.
 
     The errors are those given, or as much larger as readings are farther off than they allow: of dots that were tracked
@@ -197,7 +197,7 @@ def adapt(
         offsets=False,
     )
     of_shear, of_normal = max(one[2] for one in shears), normals[2]
-    enlarged = Errors(
+    enlarged = ForceErrorModel(
         of_shear * errors.shear_floor_mm2,
         of_shear * errors.shear_share,
         of_normal * errors.normal_floor_mm2,

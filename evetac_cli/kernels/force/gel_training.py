@@ -16,7 +16,7 @@ from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.force.dot_field import mirrored
 from evetac_cli.kernels.force.gel_forces import LEAST_MM, GelNetwork
-from evetac_cli.kernels.force.models import Layer
+from evetac_cli.kernels.force.models import DenseLayer
 
 HIDDEN = (192, 192)
 LEARNING_RATE = 3e-3
@@ -98,5 +98,5 @@ def train(
     return GelTraining(GelNetwork(layers, _layer(network.linear), scale), losses)
 
 
-def _layer(part: nn.Linear) -> Layer:
-    return Layer(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy())
+def _layer(part: nn.Linear) -> DenseLayer:
+    return DenseLayer(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy())

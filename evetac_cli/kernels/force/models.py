@@ -22,7 +22,7 @@ class Regression(NamedTuple):
     offset_n: Floats  # (2,)
 
 
-class Layer(NamedTuple):
+class DenseLayer(NamedTuple):
     """One fully connected layer: inputs @ weight.T + bias."""
 
     weight: NDArray[np.float32]  # (outputs, inputs)
@@ -32,7 +32,7 @@ class Layer(NamedTuple):
 class Network(NamedTuple):
     """Fully connected layers with ReLU between them, on displacements in units of scale_px, giving units of scale_n."""
 
-    layers: tuple[Layer, ...]
+    layers: tuple[DenseLayer, ...]
     scale_px: float
     scale_n: float
 
@@ -111,14 +111,14 @@ def sample_slices(normal_force_n: ArrayLike, count: int, every: int) -> NDArray[
     return np.linspace(first, last, count).round().astype(np.int64) * every
 
 
-class Errors(NamedTuple):
+class ForceErrors(NamedTuple):
     """Absolute errors over samples: mean and standard deviation for x and y, in N."""
 
     mean_n: Floats  # (2,)
     sd_n: Floats  # (2,)
 
 
-def errors(predicted_n: Floats, measured_n: Floats) -> Errors:
+def errors(predicted_n: Floats, measured_n: Floats) -> ForceErrors:
     """Absolute errors of predicted against measured forces (n, 2), as in the paper's table."""
     off = np.abs(predicted_n - measured_n)
-    return Errors(off.mean(axis=0), off.std(axis=0))
+    return ForceErrors(off.mean(axis=0), off.std(axis=0))

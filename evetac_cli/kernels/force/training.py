@@ -22,7 +22,7 @@ from torch import nn
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.force.models import Layer, Network, check_samples
+from evetac_cli.kernels.force.models import DenseLayer, Network, check_samples
 
 HIDDEN = (128, 128)
 DROPOUT = 0.25
@@ -31,7 +31,7 @@ BATCH = 32
 FIRST_WEIGHTS = 0.2  # of the hidden layers, as a share of torch's own
 
 
-class Training(NamedTuple):
+class ForceTraining(NamedTuple):
     """A trained network, and how it came about: root mean squared errors after every epoch, in N."""
 
     network: Network
@@ -48,7 +48,7 @@ def train(
     rng: np.random.Generator,
     epochs: int = 50,
     on_progress: Callable[[int, int], None] | None = None,
-) -> Training:
+) -> ForceTraining:
     """Train on displacements (n, dots, 2) and forces (n, 2); choose the epoch on those held out.
 
     ValueError on samples that do not fit, do not move, or have no force.
@@ -91,7 +91,7 @@ def train(
             if on_progress:
                 on_progress(epoch + 1, epochs)
     assert best is not None
-    return Training(best, learned_n, held_out_n, int(np.argmin(held_out_n)))
+    return ForceTraining(best, learned_n, held_out_n, int(np.argmin(held_out_n)))
 
 
 def _tensor(values: Floats, scale: float) -> torch.Tensor:
@@ -109,5 +109,5 @@ def _build(inputs: int) -> nn.Sequential:
 
 def _arrays(network: nn.Sequential, scale_px: float, scale_n: float) -> Network:
     linear = [part for part in network if isinstance(part, nn.Linear)]
-    layers = [Layer(*(each.detach().numpy().copy() for each in (part.weight, part.bias))) for part in linear]
+    layers = [DenseLayer(*(each.detach().numpy().copy() for each in (part.weight, part.bias))) for part in linear]
     return Network(tuple(layers), scale_px, scale_n)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
-from evetac_cli.kernels.grip.paper import GripLaw, Phase
+from evetac_cli.kernels.grip.paper import GraspPhase, GripLaw
 
 LAWS: dict[str, GripLaw | LoadLaw] = {
     "paper": paper.PAPER,
@@ -64,7 +64,7 @@ class OtherLaw:
         """The state before the first step; control_hz: how many there will be a second."""
         return LawState()
 
-    def step(self, state: LawState, phase: Phase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+    def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
         """One control step: the goal position in whole ticks, from 0, open, to 740, closed.
 
         slip: whether the detector found any since the step before; position_ticks: where the fingers are.
@@ -129,7 +129,7 @@ class Control:
         else:
             self._law, self._state = paper.PAPER, paper.start()
 
-    def step(self, phase: Phase, signal: SlipSignal, position_ticks: int) -> int:
+    def step(self, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
         """One control step: the goal position in ticks."""
         self.slip = signal.slips > self._slips
         self._slips = signal.slips
@@ -146,8 +146,8 @@ class Control:
         if isinstance(self.law, OtherLaw):
             goal = self.law.step(self._state, phase, self.slip, signal, position_ticks)
             return min(max(int(goal), paper.PAPER.first_tick), paper.PAPER.last_tick)
-        if isinstance(self.law, FixedGrip) and phase is not Phase.CONTACT:
-            if self._state.phase is Phase.CONTACT:
+        if isinstance(self.law, FixedGrip) and phase is not GraspPhase.CONTACT:
+            if self._state.phase is GraspPhase.CONTACT:
                 self._state = paper.GripState(phase, -float(self.law.beyond), float(position_ticks))
             if self.law.beyond == 0:
                 return position_ticks

@@ -24,7 +24,7 @@ import math
 from dataclasses import dataclass, fields
 
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 
 LEAST_LOAD_PX = 0.05  # less than this counts as no load
 CLOSE_ENOUGH_TICKS = 0.25  # fingers that are no farther behind than this are not pushed
@@ -88,7 +88,7 @@ class LoadLaw:
 class LoadState:
     """What the controller remembers between steps."""
 
-    phase: Phase = Phase.CONTACT
+    phase: GraspPhase = GraspPhase.CONTACT
     rest_ticks: float = 0.0  # where light contact ended: next to no force
     rest_px: tuple[float, float] = (0.0, 0.0)  # mean displacement there
     ratio: float = 0.0
@@ -116,7 +116,7 @@ def start() -> LoadState:
 
 def step(
     state: LoadState,
-    phase: Phase,
+    phase: GraspPhase,
     slip: bool,
     mean_displacement_px: tuple[float, float],
     position_ticks: int,
@@ -124,18 +124,18 @@ def step(
     law: LoadLaw,
 ) -> int:
     """One control step of dt_s: the goal in ticks. mean_displacement_px: of all dots, to the right and down."""
-    if phase is Phase.CONTACT:
+    if phase is GraspPhase.CONTACT:
         state.rest_ticks, state.rest_px = position_ticks - 0.5, mean_displacement_px
         state.place_ticks = position_ticks + 0.5
         state.wanted_ticks = state.rest_ticks
         state.u_ff = -law.approach
         return _clip_whole(position_ticks + law.approach, law.last_tick)
-    if state.phase is Phase.CONTACT:
+    if state.phase is GraspPhase.CONTACT:
         state.ratio, state.spare_ticks = law.first_ratio, law.lift_ticks
     state.phase = phase
     load_px = math.hypot(mean_displacement_px[0] - state.rest_px[0], mean_displacement_px[1] - state.rest_px[1])
     _observe(state, position_ticks)
-    if phase is Phase.LIFT:
+    if phase is GraspPhase.LIFT:
         if slip and load_px > LEAST_LOAD_PX:
             state.ratio = min(state.ratio + law.first_ratio * dt_s / law.rise_s, law.most_ratio)
     else:
@@ -144,7 +144,7 @@ def step(
     state.quiet_s = 0.0 if slip else state.quiet_s + dt_s
     wanted = state.rest_ticks + state.spare_ticks + state.ratio * load_px
     slowest = (state.wanted_ticks - state.rest_ticks) * dt_s / law.settle_s
-    state.wanted_ticks = max(wanted, state.wanted_ticks - (0.0 if phase is Phase.LIFT else slowest))
+    state.wanted_ticks = max(wanted, state.wanted_ticks - (0.0 if phase is GraspPhase.LIFT else slowest))
     state.x_ref = state.wanted_ticks
     push = _push(state, position_ticks, dt_s, law)
     state.u_ff = -float(push)

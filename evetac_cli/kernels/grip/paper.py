@@ -21,7 +21,7 @@ from evetac_cli.checks import check_range
 PAPER_HZ = 500.0  # rate of control for which the paper states the increments
 
 
-class Phase(IntEnum):
+class GraspPhase(IntEnum):
     """Phases of a grasp."""
 
     CONTACT = 0
@@ -75,7 +75,7 @@ PAPER_RESET = GripLaw(paper_reset=True)
 class GripState:
     """What the controller remembers between steps."""
 
-    phase: Phase = Phase.CONTACT
+    phase: GraspPhase = GraspPhase.CONTACT
     u_ff: float = 0.0
     x_ref: float = math.nan  # ticks; NaN: x_e is zero, the reference is the present position
     slipped: bool = False  # s(t - 1)
@@ -88,7 +88,7 @@ def start() -> GripState:
     return GripState()
 
 
-def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: GripLaw = PAPER) -> int:
+def step(state: GripState, phase: GraspPhase, slip: bool, position_ticks: int, law: GripLaw = PAPER) -> int:
     """One control step: `slip` says whether the detector counted slip since the step before; returns the goal in ticks.
 
     Lift: each step with slip closes by one tick of u_ff, each without opens by 0.01; where slip ends, the present
@@ -97,17 +97,17 @@ def step(state: GripState, phase: Phase, slip: bool, position_ticks: int, law: G
     closes. (Paper, section VII-A.)
     """
     if phase != state.phase:
-        if phase is Phase.LIFT:
+        if phase is GraspPhase.LIFT:
             state.u_ff = 0.0  # "u_ff is initialized as zero"
             state.slipped = False  # the detector counts from here on: making contact is not slip
         else:  # balance goes on with the same u_ff, but x_e is zero again until slip begins in this phase
             state.x_ref = math.nan
         state.phase = phase
     gain = 1.0
-    if phase is Phase.CONTACT:
+    if phase is GraspPhase.CONTACT:
         state.u_ff = law.approach
         reference = float(position_ticks)
-    elif phase is Phase.LIFT:
+    elif phase is GraspPhase.LIFT:
         state.u_ff = _clip(state.u_ff + (law.lift_slip if slip else law.lift_no_slip), law.lowest, 0.0)
         if state.slipped and not slip:
             state.x_ref = float(position_ticks)

@@ -75,7 +75,7 @@ class Runs(NamedTuple):
         return self.before.joined(self.after)
 
 
-class Dots(NamedTuple):
+class DotOptics(NamedTuple):
     """What each dot shows, (dots, 2) and (dots,), NaN where it does not show.
 
     Places, radii and blur are in px; `inside_on` are events of the first runs from ink to gel, mean over the pixels of
@@ -104,7 +104,7 @@ def darkening_share(distance_px: Floats, radius_px: float, sigma_px: float, log_
     return share
 
 
-def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float) -> tuple[Dots, RimProfile]:
+def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float) -> tuple[DotOptics, RimProfile]:
     """Fit every dot near its place (dots, 2), with a radius that is nearly right; ValueError where nothing moved."""
     if not any(side.any() for picture in runs for side in picture):
         raise ValueError("expected pictures in which dots have moved, found none")
@@ -139,7 +139,7 @@ def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: f
         profile = RimProfile(from_edge_px, sums[0] / sums[1])
     lost = np.isnan(fitted[:, 0])
     count[lost] = np.nan
-    return Dots(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], fitted[:, 4]), profile
+    return DotOptics(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], fitted[:, 4]), profile
 
 
 def _excess(before: Floats, after: Floats, dot: Floats) -> float:
@@ -222,7 +222,7 @@ class Optics(NamedTuple):
     dot_contrast_spread: Estimate
 
 
-def optics(dots: Dots, kept_share: float, off_over_on: float, noise_hz: float, rng: np.random.Generator) -> Optics:
+def optics(dots: DotOptics, kept_share: float, off_over_on: float, noise_hz: float, rng: np.random.Generator) -> Optics:
     """What the rims tell of all dots; ValueError with fewer than FEWEST_DOTS.
 
     `kept_share` of the events are left by scans (thresholds.py), `off_over_on` is the ratio of the thresholds, 1

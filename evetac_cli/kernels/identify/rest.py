@@ -43,7 +43,7 @@ ROUNDS = 25  # of expectation maximisation for a share
 EXACT_BELOW, BINS_A_DECADE = 32, 20  # intervals of so many steps and more are counted in bins
 
 
-class HotPixels(NamedTuple):
+class HotPixelRates(NamedTuple):
     """Hot pixels, an entry for each; `low_hz` and `high_hz` are the 95 % intervals of `rate_hz`."""
 
     x_px: Ints
@@ -68,7 +68,7 @@ class RestNoise(NamedTuple):
     hot_on_share: Estimate
     dead_time_us: Estimate | None
     timestamp_step_us: Estimate | None
-    table: HotPixels
+    table: HotPixelRates
 
 
 def analyse(
@@ -144,7 +144,7 @@ def find_hot(counts: Ints, duration_s: float) -> NDArray[np.bool_]:
 
 def _table(
     t_us: Ints, pixel: Ints, p: NDArray, width: int, duration_s: float, dead_us: float, step_us: float
-) -> HotPixels:
+) -> HotPixelRates:
     """The table of hot pixels from their events, sorted by pixel and then by time."""
     numbers, first = np.unique(pixel, return_index=True)
     rows = [
@@ -153,7 +153,7 @@ def _table(
         if len(times)
     ]
     columns = np.array(rows, np.float64).reshape(-1, 7).T
-    return HotPixels(numbers % width, numbers // width, *columns)
+    return HotPixelRates(numbers % width, numbers // width, *columns)
 
 
 def _row(

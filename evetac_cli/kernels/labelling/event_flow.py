@@ -84,7 +84,7 @@ class EventFlowConstants:
         check_range("follow_share", self.follow_share, 0.0, 1.0, below=True)
 
 
-class Motion(NamedTuple):
+class ImageMotion(NamedTuple):
     """Motion up to the start of every slice of a block, and after its last, as measured by the events."""
 
     dot_px: Floats  # (slices + 1, dots, 2) displacement of every dot from its place at rest
@@ -154,7 +154,7 @@ def pixel_parts(between: Between, slices: int, window: Region, gel: Region, dots
 
 def follow(
     between: Between, slices: int, part: NDArray[np.int16], dots: Floats, radius_px: float, edge_events: float
-) -> Iterator[tuple[int, Motion]]:
+) -> Iterator[tuple[int, ImageMotion]]:
     """Follow every dot by the polarity of its rim's events, and count the window's: first slice and motion of blocks.
 
     A dark dot that moves along e gets brighter at its rear and darker in front, with `edge_events` events at every
@@ -171,17 +171,17 @@ def follow(
         _follow(tuple(between(first, stop)), part, (dots, centre, radius_px, step), first, stop, dot_px, window_events)
         window_events = counted + np.cumsum(window_events)
         counted = int(window_events[-1])
-        yield first, Motion(dot_px, window_events)
+        yield first, ImageMotion(dot_px, window_events)
 
 
-def _away(motion: Motion) -> Floats:
+def _away(motion: ImageMotion) -> Floats:
     """How far the dots are from rest, (slices + 1, dots)."""
     return np.hypot(motion.dot_px[..., 0], motion.dot_px[..., 1])
 
 
 def _find(
     object_px: Floats,
-    blocks: Iterator[tuple[int, Motion]],
+    blocks: Iterator[tuple[int, ImageMotion]],
     dots: int,
     start: int,
     constants: EventFlowConstants,

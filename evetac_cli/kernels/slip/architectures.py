@@ -31,7 +31,7 @@ IMAGE_FC = 10
 LEAST_ROWS, LEAST_COLUMNS = 2, 4  # of a grid of dots that a network over them can take
 
 
-class View(NamedTuple):
+class ChannelView(NamedTuple):
     """How a network sees one channel of a dot: newest slices as they are, then means over consecutive blocks.
 
     With `change`, all but the first value v are given as newest value - v: otherwise a displacement of many px would
@@ -62,7 +62,7 @@ class DotArchitecture:
     """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of our own."""
 
     name: str
-    views: tuple[View, ...]  # in the order of the inputs
+    views: tuple[ChannelView, ...]  # in the order of the inputs
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
     every: int = 1  # slices from one prediction to the next; held in between
@@ -247,8 +247,8 @@ def _train_cut_ms(history: int) -> int:
     return 20 if history <= 20 else 50
 
 
-def _distance_and_events(recent: int, block: int = 1, means: int = 0) -> tuple[View, View]:
-    return View("distance", recent, block, means), View("events", recent, block, means)
+def _distance_and_events(recent: int, block: int = 1, means: int = 0) -> tuple[ChannelView, ChannelView]:
+    return ChannelView("distance", recent, block, means), ChannelView("events", recent, block, means)
 
 
 ARCHITECTURES: dict[str, Architecture] = {
@@ -257,8 +257,8 @@ ARCHITECTURES: dict[str, Architecture] = {
         # the paper's table of model configurations
         DotArchitecture("no-hist", _distance_and_events(1), fc1=10, fc2=4),
         DotArchitecture("hist10", _distance_and_events(10), fc1=12, fc2=4),
-        DotArchitecture("events-only", (View("events", 10),), fc1=8, fc2=4),
-        DotArchitecture("disp-only", (View("distance", 10),), fc1=8, fc2=4),
+        DotArchitecture("events-only", (ChannelView("events", 10),), fc1=8, fc2=4),
+        DotArchitecture("disp-only", (ChannelView("distance", 10),), fc1=8, fc2=4),
         DotArchitecture("hist20", _distance_and_events(20), fc1=20, fc2=8),
         DotArchitecture("down5", _distance_and_events(0, 5, 10), fc1=12, fc2=4, every=5),
         DotArchitecture("fast-slow", _distance_and_events(10, 10, 5), fc1=15, fc2=8),
@@ -275,9 +275,9 @@ ARCHITECTURES: dict[str, Architecture] = {
         DotArchitecture(
             "disp-xy",
             (
-                View("x", 10, 10, 5, change=True),
-                View("y", 10, 10, 5, change=True),
-                View("events", 10, 10, 5),
+                ChannelView("x", 10, 10, 5, change=True),
+                ChannelView("y", 10, 10, 5, change=True),
+                ChannelView("events", 10, 10, 5),
             ),
             fc1=24,
             fc2=8,

@@ -17,9 +17,9 @@ from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
     GEL_PX,
     Architecture,
+    ChannelView,
     DotArchitecture,
     ImageArchitecture,
-    View,
 )
 from evetac_cli.kernels.slip.features import EventImages
 
@@ -132,7 +132,7 @@ def _turning(
     return was, column, sign
 
 
-def view_table(views: Sequence[View]) -> NDArray[np.int64]:
+def view_table(views: Sequence[ChannelView]) -> NDArray[np.int64]:
     """The views of an architecture for `fill`, (views, 5): channel, recent, block, means, whether as change."""
     rows = [(CHANNELS.index(view.channel), view.recent, view.block, view.means, view.change) for view in views]
     return np.array(rows, np.int64)

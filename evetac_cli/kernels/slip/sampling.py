@@ -36,7 +36,7 @@ NORMALISE_VALUES = 1 << 22  # at a time
 
 
 @dataclass(frozen=True)
-class Samples:
+class SlipSamples:
     """Trajectories end to end, and for each pool the slices (int64) at which a sample's history ends.
 
     Why so: inputs are gathered again for each batch, because all of them together hold every slice as often as the
@@ -64,7 +64,7 @@ def gather(
     columns: int = 8,
     horizon_ms: int = 0,
     join: Callable[[Iterable[inputs.Series]], inputs.Series] = inputs.join,
-) -> Samples:
+) -> SlipSamples:
     """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
@@ -76,7 +76,7 @@ def gather(
     shares: list[NDArray[np.float32]] = []
     series = join(_sorted(trajectories, architecture, rows * columns, horizon_ms, pools, shares))
     ends = {name: np.concatenate(pool) for name, pool in pools.items()}
-    return Samples(architecture, rows, columns, series, **ends, slip_share=np.concatenate(shares))
+    return SlipSamples(architecture, rows, columns, series, **ends, slip_share=np.concatenate(shares))
 
 
 def _sorted(
@@ -138,12 +138,12 @@ class Batch(NamedTuple):
     quiet: NDArray[np.int64]
 
 
-def steps_per_epoch(samples: Samples) -> int:
+def steps_per_epoch(samples: SlipSamples) -> int:
     """Batches in one pass over the busy pool."""
     return -(-len(samples.busy) // _busy_share(samples))
 
 
-def batches(samples: Samples, rng: np.random.Generator) -> Iterator[Batch]:
+def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
     """Draw batches without end; `steps_per_epoch` of them see every busy sample once.
 
     Each pool is shuffled, dealt out, and shuffled again when it is used up; slip and quiet samples run on over the
@@ -171,7 +171,7 @@ def quarter_turns(samples: int, rng: np.random.Generator) -> NDArray[np.int64]:
 
 
 def augment(
-    samples: Samples, batch: NDArray[np.float32], turns: NDArray[np.int64], factors: NDArray[np.float32]
+    samples: SlipSamples, batch: NDArray[np.float32], turns: NDArray[np.int64], factors: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Rotate each input of a batch by its quarter turns, as if the object had been gripped so (paper); a new array.
 
@@ -180,7 +180,7 @@ def augment(
     return inputs.turn(samples.architecture, batch, samples.rows, samples.columns, turns, factors)
 
 
-def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def channel_stats(samples: SlipSamples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
     images = isinstance(samples.architecture, ImageArchitecture)
     axes = (0, 2, 3) if images else (0, 1)
@@ -199,7 +199,7 @@ def channel_stats(samples: Samples) -> tuple[NDArray[np.float64], NDArray[np.flo
     return mean, np.sqrt(np.maximum(square - np.square(mean), 0))
 
 
-def pool_shares(samples: Samples) -> list[tuple[int, NDArray[np.int64], float]]:
+def pool_shares(samples: SlipSamples) -> list[tuple[int, NDArray[np.int64], float]]:
     """Of each pool that is not empty its share of a batch, its slices, and their label."""
     pools = (
         (SLIP_SHARE, samples.slip, 1.0),
@@ -209,7 +209,7 @@ def pool_shares(samples: Samples) -> list[tuple[int, NDArray[np.int64], float]]:
     return [pool for pool in pools if len(pool[1])]
 
 
-def _busy_share(samples: Samples) -> int:
+def _busy_share(samples: SlipSamples) -> int:
     return BUSY_SHARE if len(samples.quiet) else BUSY_SHARE + QUIET_SHARE
 
 

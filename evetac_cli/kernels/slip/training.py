@@ -15,7 +15,7 @@ from torch.nn import functional
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
 from evetac_cli.kernels.slip.sampling import (
-    Samples,
+    SlipSamples,
     augment,
     batches,
     channel_stats,
@@ -94,7 +94,7 @@ class Checkpoint(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Training:
+class SlipTraining:
     """The result of a run of training."""
 
     preset: Preset
@@ -114,7 +114,7 @@ class Training:
 TrainingState = dict[str, NDArray[Any]]  # an unfinished run, as named arrays
 
 
-class Limits(NamedTuple):
+class TrainingLimits(NamedTuple):
     """When a run of training ends; `epochs` None takes the preset's.
 
     With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
@@ -123,7 +123,7 @@ class Limits(NamedTuple):
 
     epochs: int | None = None
     max_steps: int | None = None
-    validation: Samples | None = None
+    validation: SlipSamples | None = None
     patience: int | None = None
 
 
@@ -139,20 +139,20 @@ class Hooks(NamedTuple):
     point: Callable[[int, float, float | None], None] | None = None
 
 
-NO_LIMITS, NO_HOOKS = Limits(), Hooks()
+NO_LIMITS, NO_HOOKS = TrainingLimits(), Hooks()
 
 
 def train(
-    samples: Samples,
+    samples: SlipSamples,
     preset: Preset,
     rng: np.random.Generator,
-    limits: Limits = NO_LIMITS,
+    limits: TrainingLimits = NO_LIMITS,
     hooks: Hooks = NO_HOOKS,
     *,
     device: str = "cpu",
     resume_from: TrainingState | None = None,
     start: Mapping[str, NDArray[np.float32]] | None = None,
-) -> Training:
+) -> SlipTraining:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
     Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where `max_steps` cuts the run, as many
@@ -179,7 +179,7 @@ def train(
     points = set(_evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains = rng.spawn(4)
-    run = _Run(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device, steps, planned)
+    run = _TrainingRun(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device, steps, planned)
     if resume_from is not None:
         run.restore(resume_from)
         if on_point:
@@ -214,7 +214,7 @@ def train(
     return _training(preset, run.state())
 
 
-def ended(preset: Preset, saved: TrainingState) -> Training | None:
+def ended(preset: Preset, saved: TrainingState) -> SlipTraining | None:
     """The result of a run whose saved state is that at its end; None if it is of another run, or has not ended."""
     try:
         return _training(preset, saved) if int(saved["step"]) == int(saved["steps"]) else None
@@ -222,13 +222,13 @@ def ended(preset: Preset, saved: TrainingState) -> Training | None:
         return None
 
 
-def _training(preset: Preset, state: TrainingState) -> Training:
+def _training(preset: Preset, state: TrainingState) -> SlipTraining:
     curve = np.asarray(state["curve_step"]), np.asarray(state["curve_loss"])
     checkpoints = _checkpoints(_groups(state)["checkpoint"])
-    return Training(preset, checkpoints, *curve, int(state["steps"]), int(state["planned"]), state)
+    return SlipTraining(preset, checkpoints, *curve, int(state["steps"]), int(state["planned"]), state)
 
 
-class _Run:
+class _TrainingRun:
     """A run of training between two steps."""
 
     def __init__(
@@ -290,7 +290,7 @@ class _Run:
             new = [value.detach() for value in self.trained.values()]
             torch._foreach_lerp_(list(self.average.values()), new, 1 - old)
 
-    def waits(self, validation: Samples) -> int:
+    def waits(self, validation: SlipSamples) -> int:
         """Take the loss on samples for validation; how many such losses there were since the least."""
         now = Checkpoint(self.step, self.weights())
         self.validated = loss = validation_loss(validation, now.weights, self.device)
@@ -388,7 +388,7 @@ def _groups(saved: TrainingState) -> dict[str, TrainingState]:
     return groups
 
 
-def validation_loss(samples: Samples, arrays: Mapping[str, NDArray[np.float32]], device: str = "cpu") -> float:
+def validation_loss(samples: SlipSamples, arrays: Mapping[str, NDArray[np.float32]], device: str = "cpu") -> float:
     """Mean binary cross entropy of a network over samples, every pool with its share of a batch, none of them turned.
 
     arrays: the network's weights, as from `networks.weights`.
@@ -418,7 +418,7 @@ def _checkpoints(saved: TrainingState) -> list[Checkpoint]:
 
 
 def _network(
-    samples: Samples, preset: Preset, seed: int, start: Mapping[str, NDArray[np.float32]] | None
+    samples: SlipSamples, preset: Preset, seed: int, start: Mapping[str, NDArray[np.float32]] | None
 ) -> tuple[Network, nn.Linear | None]:
     """The network to train, and the second output beside its own where the preset and the samples have one."""
     shape = samples.rows, samples.columns

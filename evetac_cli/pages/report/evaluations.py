@@ -10,7 +10,7 @@ from evetac_cli.pages.report.study import Found
 
 
 @dataclass(frozen=True)
-class Column:
+class ReportColumn:
     """A column: its heading, the figure of ours, and the name by which paper.SHOWN knows the paper's."""
 
     heading: str
@@ -26,7 +26,7 @@ class Subject:
     section: str
     title: str
     rows: Callable[[Found], Rows]
-    columns: tuple[Column, ...] = ()
+    columns: tuple[ReportColumn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -170,15 +170,15 @@ SUBJECTS = (
         "Models",
         having("setting", "seeds"),
         (
-            Column("model", "setting"),
-            Column("seeds", "seeds"),
-            Column("trajectories", "trajectories"),
-            Column("timing correct", "slip_correct", "paper_slip_correct"),
-            Column("sd", "slip_correct_sd"),
-            Column("early", "slip_early"),
-            Column("late", "slip_late"),
-            Column("F1", "f1", "paper_f1"),
-            Column("sd of F1", "f1_sd"),
+            ReportColumn("model", "setting"),
+            ReportColumn("seeds", "seeds"),
+            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("timing correct", "slip_correct", "paper_slip_correct"),
+            ReportColumn("sd", "slip_correct_sd"),
+            ReportColumn("early", "slip_early"),
+            ReportColumn("late", "slip_late"),
+            ReportColumn("F1", "f1", "paper_f1"),
+            ReportColumn("sd of F1", "f1_sd"),
         ),
     ),
     Subject(
@@ -187,15 +187,15 @@ SUBJECTS = (
         "First detection against the labels' onset, shares of trajectories",
         _timing,
         (
-            Column("model", "setting"),
-            Column("median [ms]", "t_m_minus_t_c_ms_median"),
-            Column("over 50 ms ahead", "over_50_ms_ahead"),
-            Column("50 to 31", "50_to_31_ms_ahead"),
-            Column("30 to 11", "30_to_11_ms_ahead"),
-            Column("10 to 0 ms ahead", "10_to_0_ms_ahead", "paper_10_to_0_ms_ahead"),
-            Column("1 to 20 ms after", "1_to_20_ms_after"),
-            Column("over 20 ms after", "over_20_ms_after"),
-            Column("never", "never_detected"),
+            ReportColumn("model", "setting"),
+            ReportColumn("median [ms]", "t_m_minus_t_c_ms_median"),
+            ReportColumn("over 50 ms ahead", "over_50_ms_ahead"),
+            ReportColumn("50 to 31", "50_to_31_ms_ahead"),
+            ReportColumn("30 to 11", "30_to_11_ms_ahead"),
+            ReportColumn("10 to 0 ms ahead", "10_to_0_ms_ahead", "paper_10_to_0_ms_ahead"),
+            ReportColumn("1 to 20 ms after", "1_to_20_ms_after"),
+            ReportColumn("over 20 ms after", "over_20_ms_after"),
+            ReportColumn("never", "never_detected"),
         ),
     ),
     Subject(
@@ -204,13 +204,13 @@ SUBJECTS = (
         "Onset by the labels against gross slip",
         _summary,
         (
-            Column("method", "method"),
-            Column("trajectories", "trajectories"),
-            Column("onsets found", "onsets_found"),
-            Column("median error [ms]", "onset_error_ms_median"),
-            Column("worst [ms]", "onset_error_ms_worst"),
-            Column("share in -4..+3 ms", "within_minus4_plus3_ms"),
-            Column("over 4 ms before gross slip", "earlier_than_4_ms_before_gross_slip"),
+            ReportColumn("method", "method"),
+            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("onsets found", "onsets_found"),
+            ReportColumn("median error [ms]", "onset_error_ms_median"),
+            ReportColumn("worst [ms]", "onset_error_ms_worst"),
+            ReportColumn("share in -4..+3 ms", "within_minus4_plus3_ms"),
+            ReportColumn("over 4 ms before gross slip", "earlier_than_4_ms_before_gross_slip"),
         ),
     ),
     Subject(
@@ -219,13 +219,13 @@ SUBJECTS = (
         "Presets",
         having("preset", "consistent_share"),
         (
-            Column("preset", "preset"),
-            Column("trajectories", "trajectories"),
-            Column("all dots end where they began", "consistent_share", "paper_consistent_share"),
-            Column("dots lost where not", "dots_lost_mean", "paper_dots_lost_mean"),
-            Column("error, rms [px]", "error_px_rms"),
-            Column("worst dot [px]", "error_px_worst"),
-            Column("standing still [px]", "still_px_rms"),
+            ReportColumn("preset", "preset"),
+            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("all dots end where they began", "consistent_share", "paper_consistent_share"),
+            ReportColumn("dots lost where not", "dots_lost_mean", "paper_dots_lost_mean"),
+            ReportColumn("error, rms [px]", "error_px_rms"),
+            ReportColumn("worst dot [px]", "error_px_worst"),
+            ReportColumn("standing still [px]", "still_px_rms"),
         ),
     ),
     Subject(
@@ -234,15 +234,15 @@ SUBJECTS = (
         "Controllers and settings",
         having("setting", "columns"),
         (
-            Column("setting", "setting"),
-            Column("trials", "trials"),
-            Column("lifted and kept", "success", "paper_success"),
-            Column("lifted", "lifted"),
-            Column("kept of those lifted", "balanced"),
-            Column("grip at the end [N]", "force_end_n"),
-            Column("moved, median [mm]", "moved_mm_median"),
-            Column("moved, mean [mm]", "moved_mm_mean"),
-            Column("opened again in balance", "reopened_share", "paper_reopened_share"),
+            ReportColumn("setting", "setting"),
+            ReportColumn("trials", "trials"),
+            ReportColumn("lifted and kept", "success", "paper_success"),
+            ReportColumn("lifted", "lifted"),
+            ReportColumn("kept of those lifted", "balanced"),
+            ReportColumn("grip at the end [N]", "force_end_n"),
+            ReportColumn("moved, median [mm]", "moved_mm_median"),
+            ReportColumn("moved, mean [mm]", "moved_mm_mean"),
+            ReportColumn("opened again in balance", "reopened_share", "paper_reopened_share"),
         ),
     ),
     Subject(
@@ -251,13 +251,15 @@ SUBJECTS = (
         "By object",
         having("setting", "object", "trials"),
         (
-            Column("setting", "setting"),
-            Column("object", "object"),
-            Column("trials", "trials"),
-            Column("lifted and kept", "success", "paper_success"),
-            Column("opening at the end [ticks]", "opening_after_balance_ticks", "paper_opening_after_balance_ticks"),
-            Column("grip at the end [N]", "force_end_n"),
-            Column("moved, median [mm]", "moved_mm_median"),
+            ReportColumn("setting", "setting"),
+            ReportColumn("object", "object"),
+            ReportColumn("trials", "trials"),
+            ReportColumn("lifted and kept", "success", "paper_success"),
+            ReportColumn(
+                "opening at the end [ticks]", "opening_after_balance_ticks", "paper_opening_after_balance_ticks"
+            ),
+            ReportColumn("grip at the end [N]", "force_end_n"),
+            ReportColumn("moved, median [mm]", "moved_mm_median"),
         ),
     ),
     Subject(
@@ -266,12 +268,12 @@ SUBJECTS = (
         "Shear force, models for one sensor",
         _forces,
         (
-            Column("dots from", "sensor"),
-            Column("model", "model"),
-            Column("sensor", "sensor_name"),
-            Column("trajectories", "trajectories"),
-            Column("error of Fx [N]", "mae_n_x", "paper_mae_n_x"),
-            Column("error of Fy [N]", "mae_n_y", "paper_mae_n_y"),
+            ReportColumn("dots from", "sensor"),
+            ReportColumn("model", "model"),
+            ReportColumn("sensor", "sensor_name"),
+            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("error of Fx [N]", "mae_n_x", "paper_mae_n_x"),
+            ReportColumn("error of Fy [N]", "mae_n_y", "paper_mae_n_y"),
         ),
     ),
     Subject(
@@ -280,13 +282,13 @@ SUBJECTS = (
         "Forces, a model for any sensor",
         _gel_forces,
         (
-            Column("stiffness of the gel", "stiffness"),
-            Column("trajectories", "trajectories"),
-            Column("shear error [N]", "mae_n"),
-            Column("normal error [N]", "normal_mae_n"),
-            Column("shear within its sd", "shear_within_sd"),
-            Column("normal within its sd", "normal_within_sd"),
-            Column("contact right", "contact_right"),
+            ReportColumn("stiffness of the gel", "stiffness"),
+            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("shear error [N]", "mae_n"),
+            ReportColumn("normal error [N]", "normal_mae_n"),
+            ReportColumn("shear within its sd", "shear_within_sd"),
+            ReportColumn("normal within its sd", "normal_within_sd"),
+            ReportColumn("contact right", "contact_right"),
         ),
     ),
     Subject(
@@ -295,11 +297,11 @@ SUBJECTS = (
         "Windows whose tone is right",
         _windows,
         (
-            Column("method", "method"),
-            Column("tone [Hz]", "expected_hz"),
-            Column("window [s]", "window_s"),
-            Column("windows", "windows"),
-            Column("share right", "share", "paper_share"),
+            ReportColumn("method", "method"),
+            ReportColumn("tone [Hz]", "expected_hz"),
+            ReportColumn("window [s]", "window_s"),
+            ReportColumn("windows", "windows"),
+            ReportColumn("share right", "share", "paper_share"),
         ),
     ),
     Subject(
@@ -308,12 +310,12 @@ SUBJECTS = (
         "Recordings",
         having("file", "method", "seconds"),
         (
-            Column("recording", "file"),
-            Column("method", "method"),
-            Column("duration [s]", "seconds"),
-            Column("frequency [Hz]", "frequency_hz"),
-            Column("uncertainty [Hz]", "uncertainty_hz"),
-            Column("tone [Hz]", "expected_hz"),
+            ReportColumn("recording", "file"),
+            ReportColumn("method", "method"),
+            ReportColumn("duration [s]", "seconds"),
+            ReportColumn("frequency [Hz]", "frequency_hz"),
+            ReportColumn("uncertainty [Hz]", "uncertainty_hz"),
+            ReportColumn("tone [Hz]", "expected_hz"),
         ),
     ),
     Subject(
@@ -322,10 +324,10 @@ SUBJECTS = (
         "Share of an RGB sensor's bytes",
         having("interval", "share_mean"),
         (
-            Column("interval", "interval"),
-            Column("trajectories", "trajectories"),
-            Column("share", "share_mean", "paper_share_mean"),
-            Column("sd", "share_sd", "paper_share_sd"),
+            ReportColumn("interval", "interval"),
+            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("share", "share_mean", "paper_share_mean"),
+            ReportColumn("sd", "share_sd", "paper_share_sd"),
         ),
     ),
     Subject("evaluate realism", "realism", "Figures", having("figure", "distance")),
@@ -336,22 +338,22 @@ SUBJECTS = (
         "Cases, of each what is nearest to its bound",
         _cases,
         (
-            Column("part", "part"),
-            Column("case", "case"),
-            Column("ok", "ok"),
-            Column("quantity", "quantity"),
-            Column("value", "value"),
-            Column("bound", "bound"),
-            Column("unit", "unit"),
-            Column("outcome", "outcome"),
-            Column("reason for the bound", "reason"),
+            ReportColumn("part", "part"),
+            ReportColumn("case", "case"),
+            ReportColumn("ok", "ok"),
+            ReportColumn("quantity", "quantity"),
+            ReportColumn("value", "value"),
+            ReportColumn("bound", "bound"),
+            ReportColumn("unit", "unit"),
+            ReportColumn("outcome", "outcome"),
+            ReportColumn("reason for the bound", "reason"),
         ),
     ),
 )
 
 
-def columns_of(subject: Subject, rows: Rows) -> tuple[Column, ...]:
+def columns_of(subject: Subject, rows: Rows) -> tuple[ReportColumn, ...]:
     """The columns that hold anything."""
     every = dict.fromkeys(key for row in rows for key in row)
-    named = subject.columns or tuple(Column(key.replace("_", " "), key) for key in every)
+    named = subject.columns or tuple(ReportColumn(key.replace("_", " "), key) for key in every)
     return tuple(column for column in named if any(row.get(column.key) is not None for row in rows))

@@ -15,7 +15,7 @@ TIMING_MS = (metrics.EARLIEST_MS, metrics.LATEST_MS)
 LABELS_MS = (EARLIEST_MS, LATEST_MS)
 
 
-class Figure(NamedTuple):
+class StudyFigure(NamedTuple):
     """One figure of a study: what, how much, over how many trials, and what kind of number it is.
 
     kind: `share`, 0 to 1; `time` in s; `count`; else nothing, and the unit is in the name.
@@ -44,16 +44,16 @@ def in_words(value: float | int, kind: str) -> str:
     return figure_text(value)
 
 
-def headline(study: Study) -> list[Figure]:
+def headline(study: Study) -> list[StudyFigure]:
     """What is known of all trials together; what no trial tells is left out."""
     trials = study.trials
     seconds = [trial.row.slices / SLICES_PER_S for trial in trials if trial.row.slices]
     figures = [
-        Figure("trials", len(trials)),
-        Figure("recorded", sum(seconds), kind="time"),
-        Figure("events", sum(trial.events or 0 for trial in trials), kind="count"),
-        Figure("objects", len({trial.row.object for trial in trials if trial.row.object is not None})),
-        Figure("sensors", len({trial.row.sensor for trial in trials if trial.row.sensor is not None})),
+        StudyFigure("trials", len(trials)),
+        StudyFigure("recorded", sum(seconds), kind="time"),
+        StudyFigure("events", sum(trial.events or 0 for trial in trials), kind="count"),
+        StudyFigure("objects", len({trial.row.object for trial in trials if trial.row.object is not None})),
+        StudyFigure("sensors", len({trial.row.sensor for trial in trials if trial.row.sensor is not None})),
     ]
     slipping = [trial for trial in trials if trial.t_s is not None and trial.labelled_by is not None]
     errors = [trial.label_error_ms for trial in slipping if trial.label_error_ms is not None]
@@ -61,20 +61,20 @@ def headline(study: Study) -> list[Figure]:
         over = f"{len(slipping)} that slip"
         right = sum(LABELS_MS[0] <= error <= LABELS_MS[1] for error in errors)
         figures += [
-            Figure("onsets that have a label", len(errors) / len(slipping), over, kind="share"),
-            Figure("labels within -4..+3 ms of the truth", right / len(slipping), over, kind="share"),
+            StudyFigure("onsets that have a label", len(errors) / len(slipping), over, kind="share"),
+            StudyFigure("labels within -4..+3 ms of the truth", right / len(slipping), over, kind="share"),
         ]
     if errors:
-        figures.append(Figure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
+        figures.append(StudyFigure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
     judged = [ms for trial in trials for ms in trial.late_by]
     if judged:
         over = f"{len(judged)} trials times models"
         known = [ms for ms in judged if ms is not None]
         correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known)
-        figures.append(Figure("timing correct, all models", correct / len(judged), over, kind="share"))
-        figures += [Figure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
+        figures.append(StudyFigure("timing correct, all models", correct / len(judged), over, kind="share"))
+        figures += [StudyFigure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
     figures += [
-        Figure("F1 of the best model", report.summary[key])
+        StudyFigure("F1 of the best model", report.summary[key])
         for report in study.reports("evaluate slip")
         for key in ("f1", "best_f1")
         if report.summary.get(key) is not None
@@ -82,14 +82,14 @@ def headline(study: Study) -> list[Figure]:
     dots = [trial.tracking_px for trial in trials if trial.tracking_px is not None]
     if dots:
         rms = float(np.sqrt(np.mean(np.square(dots))))
-        figures.append(Figure("dots from the truth, rms [px]", rms, str(len(dots))))
+        figures.append(StudyFigure("dots from the truth, rms [px]", rms, str(len(dots))))
     grasps = [trial.grasp for trial in trials if trial.grasp is not None]
     if grasps:
         held = [grasp for grasp in grasps if grasp.get("balanced")]
-        figures.append(Figure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), kind="share"))
+        figures.append(StudyFigure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), kind="share"))
         for name, key in (("object moved, median [mm]", "moved_mm"), ("grip at the end, median [N]", "force_end_n")):
             values = [grasp[key] for grasp in held if isinstance(grasp.get(key), (int, float))]
-            figures += [Figure(name, float(np.median(values)), f"{len(values)} kept")] if values else []
+            figures += [StudyFigure(name, float(np.median(values)), f"{len(values)} kept")] if values else []
     return figures
 
 

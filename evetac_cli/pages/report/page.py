@@ -10,7 +10,7 @@ from evetac_cli.pages import shared
 from evetac_cli.pages.report import charts, evaluations, figures
 from evetac_cli.pages.report.charts import Chart
 from evetac_cli.pages.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
-from evetac_cli.pages.report.figures import TIMING_MS, Figure
+from evetac_cli.pages.report.figures import TIMING_MS, StudyFigure
 from evetac_cli.pages.report.missing import Lack, missing
 from evetac_cli.pages.report.study import Found, Study
 from evetac_cli.pages.report.tables import cell, figure_text, table
@@ -114,7 +114,7 @@ def _overview(studies: Sequence[Study]) -> str:
     return table(["figure", *names, f"{names[1]} minus {names[0]}"], rows)
 
 
-def _over(figure: Figure) -> str:
+def _over(figure: StudyFigure) -> str:
     return f" <small>over {html.escape(figure.over)}</small>" if figure.over else ""
 
 
@@ -161,7 +161,7 @@ def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], severa
     return f"<h3>{shared.short(title)}{badge}{more}</h3>" + table(heads, rows)
 
 
-def _with_paper(column: evaluations.Column, row: dict[str, Any], evaluation: Found) -> str:
+def _with_paper(column: evaluations.ReportColumn, row: dict[str, Any], evaluation: Found) -> str:
     """A cell with the paper's figure and its mark beside ours."""
     beside = paper.beside(column.paper, row, evaluation.source) if column.paper else None
     words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""

@@ -16,10 +16,10 @@ from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Progress, Rows
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import Row, foreign_note, open_index, recording_of
+from evetac_cli.store.index import IndexRow, foreign_note, open_index, recording_of
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
 
@@ -63,7 +63,7 @@ class StudyTrial:
     """One trial of a data set, and what its files and the reports say of it; None where they do not."""
 
     recording_id: str
-    row: Row  # of its recording in the index, else of another of its files
+    row: IndexRow  # of its recording in the index, else of another of its files
     files: dict[str, str]  # kind -> path from the folder on
     events: int | None = None
     has_truth: bool = False
@@ -146,7 +146,7 @@ def read_study(folder: Path, progress: Progress) -> Study:
             _read_report(study, row.path)
         if row.kind == "model":
             study.models_at.append(folder / row.path)
-    groups: dict[str, dict[str, Row]] = {}
+    groups: dict[str, dict[str, IndexRow]] = {}
     several: Counter[str] = Counter()
     for row in rows:
         if row.recording is None or row.kind is None or row.kind not in OF_TRIAL:
@@ -244,7 +244,7 @@ def _thumbnail(trial: StudyTrial, recording: Recording) -> bytes:
 def _detected_while_grasping(recording: Recording) -> Iterator[int]:
     """The first slice, if any, in which a grasp's detector said slip after the light contact."""
     if recording.has("control"):
-        slip = (recording.read("control/slip") > 0) & (recording.read("control/phase") > Phase.CONTACT)
+        slip = (recording.read("control/slip") > 0) & (recording.read("control/phase") > GraspPhase.CONTACT)
         yield from (int(recording.read("control/t_us")[at] // SLICE_US) for at in np.flatnonzero(slip)[:1])
 
 

@@ -22,7 +22,7 @@ from evetac_cli.pages.view.event_images import (
 )
 from evetac_cli.pages.view.page import render_page
 from evetac_cli.pages.view.time_series import model_output, series_panels, slip_lanes, slip_onsets
-from evetac_cli.pages.view.trial_files import Trial, open_trial
+from evetac_cli.pages.view.trial_files import OpenTrial, open_trial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
@@ -79,7 +79,7 @@ def run(
     return Outcome([row], view.simulated, {"notes": " ".join(view.notes) or None})
 
 
-def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
+def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData:
     """Gather what is drawn of a trial; no larger for an hour than for a second."""
     span = _span(trial, params)
     empty = span[0] == span[1]
@@ -122,19 +122,19 @@ def collect_view(trial: Trial, params: View, progress: Progress) -> ViewData:
     return view
 
 
-def _label_notes(trial: Trial) -> list[str]:
+def _label_notes(trial: OpenTrial) -> list[str]:
     """A note on labels that no sensor could have given."""
     copied = trial.labels is not None and trial.labels.header["parameters"].get("method") == "truth"
     return ["The labels were copied from the truth (simulated)."] if copied else []
 
 
-def _confidence(trial: Trial) -> float | None:
+def _confidence(trial: OpenTrial) -> float | None:
     """How sure labels are of their onset, 0 to 1; None where there is none."""
     confidence = float("nan") if trial.labels is None else float(trial.labels.read("confidence"))
     return confidence if math.isfinite(confidence) else None
 
 
-def _film(trial: Trial, view: ViewData) -> bytes:
+def _film(trial: OpenTrial, view: ViewData) -> bytes:
     if not view.pictures:
         raise InputError("there is nothing to animate: no event images", where=str(trial.files[0].path))
     from evetac_cli.pages.view.film import render_film
@@ -142,7 +142,7 @@ def _film(trial: Trial, view: ViewData) -> bytes:
     return render_film(view, trial.files[0].path.name)
 
 
-def _span(trial: Trial, params: View) -> tuple[int, int]:
+def _span(trial: OpenTrial, params: View) -> tuple[int, int]:
     """First and last (excluded) slice to show; InputError where none is left."""
     slices = trial.slices
     start = round(params.start_s * SLICES_PER_S)

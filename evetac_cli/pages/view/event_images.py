@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Progress
-from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording
@@ -25,7 +25,7 @@ DENSE_SHARE = 0.4  # of all images
 GREYS = (0, 128, 255)  # darker, nothing, brighter
 
 
-def frame_size_px(trial: Trial) -> tuple[int, int]:
+def frame_size_px(trial: OpenTrial) -> tuple[int, int]:
     """Width and height of the sensor in px; 0 where no file has them."""
     if trial.recording is not None:
         return trial.recording.frame_px
@@ -33,7 +33,7 @@ def frame_size_px(trial: Trial) -> tuple[int, int]:
     return width, height
 
 
-def window_px(trial: Trial) -> tuple[int, int, int, int] | None:
+def window_px(trial: OpenTrial) -> tuple[int, int, int, int] | None:
     """Corners x0, y0, x1, y1 of the window in px, if there was one."""
     for file in (trial.recording, trial.tracks):
         if file is not None and file.has("sensor/window_px"):
@@ -42,7 +42,7 @@ def window_px(trial: Trial) -> tuple[int, int, int, int] | None:
     return None
 
 
-def choose_frame_times(view: ViewData, trial: Trial, most: int) -> None:
+def choose_frame_times(view: ViewData, trial: OpenTrial, most: int) -> None:
     """Choose the times of at most so many images: even over the span, and dense around onsets and the busiest slice."""
     start, stop = view.span
     last = max(start, stop - view.shown_ms)
@@ -64,7 +64,7 @@ def choose_frame_times(view: ViewData, trial: Trial, most: int) -> None:
     view.frame_times = np.unique(np.clip(np.concatenate((uniform, *near)), start, last))
 
 
-def draw_pictures(view: ViewData, trial: Trial, progress: Progress) -> None:
+def draw_pictures(view: ViewData, trial: OpenTrial, progress: Progress) -> None:
     """Draw a PNG at each time; where they would make the page too large, every other one is left out, repeatedly."""
     recording = trial.recording
     if recording is None:
@@ -126,7 +126,7 @@ def telling_frame(view: ViewData) -> int:
     return int(np.argmax(view.events)) if view.events else 0
 
 
-def place_dots(view: ViewData, trial: Trial) -> None:
+def place_dots(view: ViewData, trial: OpenTrial) -> None:
     """Places of the dots at the end of each image, tracked and true; NaN after the end of the tracks."""
     ends = np.minimum(view.frame_times + view.shown_ms, view.span[1]) - 1
     if trial.tracks is not None:

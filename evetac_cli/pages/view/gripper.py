@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, SLICES_PER_S
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.pages.view.event_images import read_rows
 from evetac_cli.pages.view.time_series import decimated, first_row, own_clock, rows_of, timed
-from evetac_cli.pages.view.trial_files import Trial, inner
-from evetac_cli.pages.view.view_data import Lane, Line, Panel, SideView
+from evetac_cli.pages.view.trial_files import OpenTrial, inner
+from evetac_cli.pages.view.view_data import Lane, Panel, Series, SideView
 from evetac_cli.sim.gripper import gap_m
 from evetac_cli.store.recordings.read import Recording
 
 TOUCH_N = 0.03  # normal force that is contact, as in `evaluate data-rate`
-PHASES = (("contact", Phase.CONTACT, INK), ("lift", Phase.LIFT, BLUE), ("balance", Phase.BALANCE, GREEN))
+PHASES = (("contact", GraspPhase.CONTACT, INK), ("lift", GraspPhase.LIFT, BLUE), ("balance", GraspPhase.BALANCE, GREEN))
 
 
-def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
+def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
     """Current and width; of a grasp goal and position instead of the width, height and distance moved."""
     recording = trial.recording
     if recording is None or not recording.has("gripper"):
@@ -38,7 +38,7 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
     current = Panel("Gripper, current", "mA", measured, {}, simulated)
     if not recording.has("control"):
         width = [
-            Line("width", line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
+            Series("width", line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
             for line in position
         ]
         return [current, Panel("Gripper, width between the fingers", "mm", width, {}, simulated)]
@@ -63,7 +63,7 @@ def gripper_panels(trial: Trial, span: tuple[int, int]) -> list[Panel]:
     return panels
 
 
-def _mm_per_px(trial: Trial) -> float | None:
+def _mm_per_px(trial: OpenTrial) -> float | None:
     scale = inner(trial.recording_parameters, "sensor_row", "mm_per_px")
     return float(scale) if isinstance(scale, (int, float)) else None
 
@@ -71,13 +71,13 @@ def _mm_per_px(trial: Trial) -> float | None:
 def _gripped_at(recording: Recording) -> int | None:
     """The last slice of light contact in a grasp; None where it never ends."""
     phase = recording.read("control/phase")
-    light = np.flatnonzero(phase == Phase.CONTACT)
+    light = np.flatnonzero(phase == GraspPhase.CONTACT)
     if not len(light) or light[-1] + 1 == len(phase):
         return None
     return min(int(recording.read("control/t_us")[light[-1]] // SLICE_US), len(recording) - 1)
 
 
-def phase_lanes(trial: Trial, span: tuple[int, int]) -> list[Lane]:
+def phase_lanes(trial: OpenTrial, span: tuple[int, int]) -> list[Lane]:
     """When a grasp was in which of its phases."""
     recording = trial.recording
     if recording is None or not recording.has("control"):
@@ -93,7 +93,7 @@ def phase_lanes(trial: Trial, span: tuple[int, int]) -> list[Lane]:
     ]
 
 
-def contact_times(trial: Trial, span: tuple[int, int]) -> dict[str, int]:
+def contact_times(trial: OpenTrial, span: tuple[int, int]) -> dict[str, int]:
     """When the object was gripped, or first touched: where a page opens if nothing slips."""
     recording = trial.recording
     times: dict[str, int | None] = {}
@@ -108,7 +108,7 @@ def contact_times(trial: Trial, span: tuple[int, int]) -> dict[str, int]:
     return {name: at for name, at in times.items() if at is not None and span[0] <= at < span[1]}
 
 
-def outcome_badges(trial: Trial) -> list[tuple[str, str]]:
+def outcome_badges(trial: OpenTrial) -> list[tuple[str, str]]:
     """What became of a grasp, as its recording says; nothing where it does not."""
     recording = trial.recording
     if recording is None or not recording.has("control/outcome"):
@@ -125,7 +125,7 @@ def outcome_badges(trial: Trial) -> list[tuple[str, str]]:
     return shown
 
 
-def side_view(trial: Trial, ends: NDArray[np.int64]) -> SideView | None:
+def side_view(trial: OpenTrial, ends: NDArray[np.int64]) -> SideView | None:
     """The grasp from the side at the end of each image; None unless truth tells all, and the grasp is from the top."""
     recording, made, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
     if recording is None or scale is None or not recording.has("truth/table_gap_mm"):

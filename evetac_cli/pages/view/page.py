@@ -16,7 +16,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
 from evetac_cli.pages.shared import INK, NEUTRAL, UNKNOWN, shown_colour
 from evetac_cli.pages.view.gripper import outcome_badges
-from evetac_cli.pages.view.trial_files import Trial, inner
+from evetac_cli.pages.view.trial_files import OpenTrial, inner
 from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
 from evetac_cli.resources import PACKAGE
 
@@ -24,7 +24,7 @@ LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they a
 AXIS_PX = 24  # times below it
 
 
-def render_page(trial: Trial, view: ViewData) -> bytes:
+def render_page(trial: OpenTrial, view: ViewData) -> bytes:
     """The whole page; EvetacError where it would be larger than 20 MB."""
     script, library, charts = _charts(view)
     title = trial.files[0].path.name
@@ -94,7 +94,7 @@ def _data(view: ViewData) -> dict[str, Any]:
 # Text -----------------------------------------------------------------------------------------------------------------
 
 
-def _heading(trial: Trial, title: str, simulated: bool) -> str:
+def _heading(trial: OpenTrial, title: str, simulated: bool) -> str:
     made = trial.recording_parameters
     values = [
         ("scene", inner(made, "scene", "name")),
@@ -121,7 +121,7 @@ def _cameras(view: ViewData) -> str:
     )
 
 
-def _files(trial: Trial) -> str:
+def _files(trial: OpenTrial) -> str:
     rows = []
     for file in trial.files:
         made = file.header["parameters"]

@@ -33,7 +33,7 @@ from evetac_cli.pages.shared import (
     PINK,
     shown_colour,
 )
-from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import utf8_path
@@ -61,13 +61,13 @@ def load_rerun() -> Any:
     return rerun
 
 
-def write_rrd(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None:
+def write_rrd(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> None:
     """Write the file; InputError if the disk does not take all of it."""
     with utf8_path(path) as plain:
         _write(trial, view, plain, progress)
 
 
-def _write(trial: Trial, view: ViewData, path: Path, progress: Progress) -> None:
+def _write(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> None:
     rr = load_rerun()
     start, stop = view.span
     file = _File(rr, f"{trial.recording_id}-{start}-{stop}")
@@ -215,7 +215,7 @@ class _File:
         self._columns(path, t_us, self._rr.StateChange.columns(state=state))
 
 
-def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
+def _blueprint(rrb: Any, trial: OpenTrial, view: ViewData) -> Any:
     """The gel and its images on the left, series and slip in the middle, words on the right."""
     pictures = []
     if trial.recording is not None or trial.tracks is not None:
@@ -243,7 +243,7 @@ def _blueprint(rrb: Any, trial: Trial, view: ViewData) -> Any:
     )
 
 
-def _about(title: str, trial: Trial, view: ViewData, notes: list[str]) -> str:
+def _about(title: str, trial: OpenTrial, view: ViewData, notes: list[str]) -> str:
     """What this is, in Markdown."""
     start_s, stop_s = (at / SLICES_PER_S for at in view.span)
     onsets = [f"- {name}: {'none' if at is None else f'{at / SLICES_PER_S:.3f} s'}" for name, at in view.onsets.items()]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.pages.view.time_series import own_clock, timed
-from evetac_cli.pages.view.trial_files import Trial
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import CameraImages, Panel, ViewData
 from evetac_cli.store.recordings import streams
 from evetac_cli.store.recordings.read import Recording
@@ -23,7 +23,7 @@ LARGEST_IMAGE_PX = 320
 JPEG_QUALITY = 80
 
 
-def stream_panels(trial: Trial, span: tuple[int, int], notes: list[str]) -> list[Panel]:
+def stream_panels(trial: OpenTrial, span: tuple[int, int], notes: list[str]) -> list[Panel]:
     """Columns of each stream, those of one unit on one axis, at most five; a note where there are too many to draw."""
     recording = trial.recording
     if recording is None:
@@ -75,7 +75,7 @@ class _Columns:
         return np.stack(rows, axis=1)
 
 
-def draw_cameras(view: ViewData, trial: Trial) -> None:
+def draw_cameras(view: ViewData, trial: OpenTrial) -> None:
     """Of each camera the last image before the end of each event image, made smaller; not all where they are many."""
     recording = trial.recording
     if recording is None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, SLICES_PER_S
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.pages.shared import (
@@ -23,8 +23,8 @@ from evetac_cli.pages.shared import (
     PINK,
     UNKNOWN,
 )
-from evetac_cli.pages.view.trial_files import Trial, inner
-from evetac_cli.pages.view.view_data import Lane, Line, Panel
+from evetac_cli.pages.view.trial_files import OpenTrial, inner
+from evetac_cli.pages.view.view_data import Lane, Panel, Series
 from evetac_cli.stages.force.gel_model import MODULI
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, true_onset
@@ -108,7 +108,7 @@ def rows_of(file: StageFile, path: str, start: int) -> Read:
 
 def decimated(
     names: dict[str, str], start: int, length: int, read: Read, deviations: Mapping[str, Read] | None = None
-) -> list[Line]:
+) -> list[Series]:
     """A line for each column of read, without those that are NaN all over; names -> colours.
 
     deviations: name -> (rows, 1), the standard deviation of each value of that column.
@@ -118,7 +118,7 @@ def decimated(
         if not np.isfinite(value).any():
             continue
         sd = _rows_at(at, deviations[name]) if deviations and name in deviations else None
-        lines.append(Line(name, colour, (start + at) / SLICES_PER_S, value, sd))
+        lines.append(Series(name, colour, (start + at) / SLICES_PER_S, value, sd))
     return lines
 
 
@@ -129,15 +129,15 @@ def _rows_at(rows: NDArray[np.int64], read: Read) -> NDArray[np.float64]:
     return np.concatenate(parts).astype(np.float64)
 
 
-def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Line]:
+def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Series]:
     """Series of rows that have their own clock, whose times are t_s."""
     return [
-        Line(line.name, line.colour, t_s[np.rint(line.t_s * SLICES_PER_S).astype(np.int64)], line.value)
+        Series(line.name, line.colour, t_s[np.rint(line.t_s * SLICES_PER_S).astype(np.int64)], line.value)
         for line in decimated(names, 0, len(t_s), read)
     ]
 
 
-def series_panels(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
+def series_panels(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
     """Series of the slices of the span, from all files of the trial; `probability` is that of model_output."""
     start, stop = span
     panels = []
@@ -293,7 +293,7 @@ def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
 # Slip: truth, labels, model -------------------------------------------------------------------------------------------
 
 
-def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | None:
+def model_output(trial: OpenTrial, span: tuple[int, int]) -> NDArray[np.float32] | None:
     """Slip probability of each slice of the span, NaN before the first; None without a model or features."""
     if trial.model is None or trial.features is None:
         return None
@@ -313,7 +313,9 @@ def model_output(trial: Trial, span: tuple[int, int]) -> NDArray[np.float32] | N
     return probability
 
 
-def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> dict[str, int | None]:
+def slip_onsets(
+    trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None
+) -> dict[str, int | None]:
     """First slice of slip after the start of the span, by truth, label and model or detector, as far as known.
 
     By truth and label a trial begins where the gripper's current begins to fall; for a grasp's detector, after the
@@ -334,7 +336,7 @@ def slip_onsets(trial: Trial, span: tuple[int, int], probability: NDArray[np.flo
         onsets["model"] = _first(detected[examined - start :], examined)
     elif trial.recording is not None and trial.recording.has("control"):
         t_s, first, last = timed(trial.recording, "control/t_us", span)
-        gripped = trial.recording.read("control/phase", first, last) > Phase.CONTACT
+        gripped = trial.recording.read("control/phase", first, last) > GraspPhase.CONTACT
         slip = np.flatnonzero(gripped & (trial.recording.read("control/slip", first, last) > 0))
         onsets["detector"] = int(t_s[slip[0]] * SLICES_PER_S) if len(slip) else None
     return onsets
@@ -345,7 +347,7 @@ def _first(slip: NDArray[np.bool_], start: int) -> int | None:
     return start + int(slices[0]) if len(slices) else None
 
 
-def slip_lanes(trial: Trial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
+def slip_lanes(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
     """Stretches of slip in the span, by truth, label and model or detector, as far as known."""
     start, stop = span
     lanes = []

@@ -17,7 +17,7 @@ MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a fi
 
 
 @dataclass
-class Trial:
+class OpenTrial:
     """A recording and what was computed from it, all open, as far as it exists; and notes on what was left out."""
 
     recording_id: str
@@ -66,14 +66,14 @@ def inner(table: Any, *names: str) -> Any:
 
 
 @contextmanager
-def open_trial(paths: list[Path]) -> Iterator[Trial]:
+def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
     """Open the files named and those beside them; InputError if those named are not of one trial.
 
     A file beside them that is damaged or of another recording is left out, with a note.
     """
     with ExitStack() as stack:
         named = [stack.enter_context(_open(path)) for path in dict.fromkeys(paths)]
-        trial = Trial(_one_recording(named))
+        trial = OpenTrial(_one_recording(named))
         for file in named:
             if getattr(trial, file.kind) is not None:
                 raise InputError(
@@ -146,7 +146,7 @@ def _one_recording(named: list[StageFile]) -> str:
     return first
 
 
-def _check_model(trial: Trial) -> None:
+def _check_model(trial: OpenTrial) -> None:
     if trial.model is not None and (why := why_useless(trial.model)):
         trial.notes.append(f"{trial.model.path.name} is no slip detector: {why}.")
     if trial.model is None or trial.features is None:
@@ -170,7 +170,7 @@ def _beside(named: list[StageFile]) -> list[Path]:
     return [path for path in dict.fromkeys(paths) if path.is_file()]
 
 
-def _search_recording(trial: Trial, folder: Path, stack: ExitStack) -> None:
+def _search_recording(trial: OpenTrial, folder: Path, stack: ExitStack) -> None:
     """Find the recording under another name in the same folder."""
     for path in sorted(folder.glob("*.recording.h5"))[:MOST_NEIGHBOURS]:
         try:

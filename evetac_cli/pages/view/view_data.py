@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Line:
+class Series:
     """One series over time, of at most two values per bin, and the standard deviation of each where a file has it."""
 
     name: str
@@ -31,7 +31,7 @@ class Panel:
 
     title: str
     unit: str
-    lines: list[Line]
+    lines: list[Series]
     levels: dict[str, float] = field(default_factory=dict)
     simulated: bool = False
     logarithmic: bool = False

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.sim.camera.contact_edges import ContactEdges, LineMotion, Place, check_place
+from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMotion, check_place
 
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
@@ -43,8 +43,8 @@ class SliceMotion(NamedTuple):
     object_xy_px_end: ArrayLike
     texture_contrast: float
     dot_path_px: ArrayLike | None = None
-    contact_edges_start: Place | None = None
-    contact_edges_end: Place | None = None
+    contact_edges_start: EdgePlace | None = None
+    contact_edges_end: EdgePlace | None = None
 
 
 def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:

@@ -45,7 +45,7 @@ class Outline(NamedTuple):
     height: float
 
 
-class Place(NamedTuple):
+class EdgePlace(NamedTuple):
     """Where the lines are at one time.
 
     `corner_px` (x, y): where in the frame the outline's first pixel lies; `strength` 0 (not there) to 1;
@@ -57,7 +57,7 @@ class Place(NamedTuple):
     cut_x_px: Floats
 
 
-NOWHERE = Place(np.zeros(2), 0.0, np.zeros(0))
+NOWHERE = EdgePlace(np.zeros(2), 0.0, np.zeros(0))
 
 
 class LineMotion(NamedTuple):
@@ -66,8 +66,8 @@ class LineMotion(NamedTuple):
     `outline` to `cut_half_px` and `seen_corner` to `seen_cut_level` are those of `ContactEdges`.
     """
 
-    start: Place
-    end: Place
+    start: EdgePlace
+    end: EdgePlace
     outline: Outline
     cut_contrast: float
     cut_half_px: float
@@ -95,11 +95,11 @@ class ContactEdges:
     seen_cut_x: Floats
     seen_level: NDArray[np.float32]
     seen_cut_level: NDArray[np.float32]
-    rested: Place | None = None
-    placed: tuple[Place | None, Place] = (None, NOWHERE)
+    rested: EdgePlace | None = None
+    placed: tuple[EdgePlace | None, EdgePlace] = (None, NOWHERE)
     events: int = 0
 
-    def still(self, start: Place, end: Place, cut_px: float = 0.0) -> bool:
+    def still(self, start: EdgePlace, end: EdgePlace, cut_px: float = 0.0) -> bool:
         """Whether nothing moves from start to end or has since it was last seen; the cut may have by `cut_px`."""
         x, y, strength = self.seen_corner
         outline_still = start.strength == end.strength == strength and (
@@ -109,7 +109,7 @@ class ContactEdges:
             return False
         return all(bool(farthest(place.cut_x_px, self.seen_cut_x) <= cut_px) for place in (start, end))
 
-    def motion(self, start: Place, end: Place) -> LineMotion:
+    def motion(self, start: EdgePlace, end: EdgePlace) -> LineMotion:
         """The lines and what was seen of them, moving between two places."""
         return LineMotion(
             start,
@@ -131,7 +131,7 @@ class ContactEdges:
 
 def start(
     frame_px: tuple[int, int],
-    place: Place,
+    place: EdgePlace,
     outline: Outline | None = None,
     cut_contrast: float = 0.0,
     cut_width_px: float = 3.0,
@@ -174,7 +174,7 @@ def start(
     return contact_edges
 
 
-def check_place(name: str, contact_edges: ContactEdges, place: Place) -> Place:
+def check_place(name: str, contact_edges: ContactEdges, place: EdgePlace) -> EdgePlace:
     """The place as arrays of the right kind; ValueError on values that are not finite, or of another shape."""
     corner = np.ascontiguousarray(place.corner_px, np.float64)
     cut_x = np.ascontiguousarray(place.cut_x_px, np.float64)
@@ -185,7 +185,7 @@ def check_place(name: str, contact_edges: ContactEdges, place: Place) -> Place:
         raise ValueError(f"{name}: expected finite places within {FARTHEST_PX:g} px")
     if not 0.0 <= place.strength <= 1.0:
         raise ValueError(f"{name}: expected a strength of 0 to 1, found {place.strength}")
-    return Place(corner, float(place.strength), cut_x)
+    return EdgePlace(corner, float(place.strength), cut_x)
 
 
 @njit(cache=True)

@@ -255,7 +255,7 @@ class GelCamera:
         rest_m: Floats = (nodes_px - np.array([width, height]) / 2) * self.mm_per_px * 1e-3
         return np.linspace(ends_px[0], ends_px[1], height), rest_m
 
-    def _place_at(self, object_xy_px: Floats, cut_m: Floats, strength: float) -> contact_edges.Place:
+    def _place_at(self, object_xy_px: Floats, cut_m: Floats, strength: float) -> contact_edges.EdgePlace:
         """Where contact edges and cut edge are, for an object and a gel displaced by so much."""
         corner = np.zeros(2)
         if self._outline is not None:
@@ -265,7 +265,7 @@ class GelCamera:
             cut_x = _moved_cut(cut_x, self._cut_node_rows, cut_m, self.mm_per_px)
             if self._lens is not None:
                 cut_x = self._lens.seen_line(cut_x)
-        return contact_edges.Place(corner, strength, cut_x)
+        return contact_edges.EdgePlace(corner, strength, cut_x)
 
     @property
     def contact_edge_events(self) -> int:
@@ -342,7 +342,7 @@ class GelCamera:
 
     def _move_lines(
         self, object_xy_px: Floats, cut_m: Floats, strength: float
-    ) -> tuple[contact_edges.Place | None, contact_edges.Place | None]:
+    ) -> tuple[contact_edges.EdgePlace | None, contact_edges.EdgePlace | None]:
         """Where lines were at the end of the last slice, and are at that of this one; nothing where there are none."""
         if self._lines is None:
             return None, None

@@ -38,7 +38,7 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.checks import check_range
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
-from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, Layer, spring
+from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, PadConstants, spring
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
 
 MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
@@ -170,7 +170,7 @@ class GelState:
     friction_coefficient: Floats
     stuck: Flags
     _mean_m_s: Floats
-    _layer: Layer
+    _layer: PadConstants
     _creep_arms: Floats
     layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
     info: Floats
@@ -276,7 +276,7 @@ def start(
     if not (pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)):
         raise ValueError("node_xy_m must be a regular grid, x rising along columns and y along rows")
     in_plane = material.shear_modulus_pa * material.height_m / 3 * area if material.coupled else 0.0
-    layer = Layer(
+    layer = PadConstants(
         node_mass=4 * material.density_kg_m3 * material.height_m * area / math.pi**2 if material.with_mass else 0.0,
         shear=material.shear_modulus_pa * area / material.height_m,
         coupling_x=in_plane / pitch_x**2,

@@ -11,7 +11,7 @@ from evetac_cli.sim.gel.force_balance import Stencil, Work, links
 from evetac_cli.sim.gel.friction import coefficient_after
 
 
-class Layer(NamedTuple):
+class PadConstants(NamedTuple):
     """Constants of a pad, in SI units: a node's mass, its spring, its links to neighbours along x and y, its losses.
 
     pitch_x, pitch_y: distance of the nodes. viscous_time: of the dashpot. maxwell_share, maxwell_time: of the quick
@@ -62,10 +62,10 @@ def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, an
 @njit(cache=True)
 def begin(
     state: Fields, nodal: Floats, pose: Floats, friction: FrictionLaw, h: float, constants: LayerConstants
-) -> tuple[int, float, float, Layer, Stencil, Work, float]:
+) -> tuple[int, float, float, PadConstants, Stencil, Work, float]:
     """The equation of a pad's nodes over h: what `_set_up` returns, constants, and the factor of over-relaxation."""
     node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
-    layer = Layer(
+    layer = PadConstants(
         node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
     )
     arms = state[9]
@@ -117,7 +117,7 @@ def let_go(
     friction: FrictionLaw,
     dt: float,
     h: float,
-    layer: Layer,
+    layer: PadConstants,
 ) -> tuple[float, float, float, float]:
     """How the friction of a pad has fallen in a step: the largest change of a coefficient, and what follows from it.
 
@@ -150,7 +150,7 @@ def _set_up(
     pose: Floats,
     friction: FrictionLaw,
     factors: tuple[float, float, float, float],
-    layer: Layer,
+    layer: PadConstants,
     stencil: Stencil,
     work: Work,
 ) -> tuple[int, float, float]:
@@ -239,7 +239,7 @@ def advance(
     friction: FrictionLaw,
     dt: float,
     theta: float,
-    layer: Layer,
+    layer: PadConstants,
     work: Work,
     info: Floats,
 ) -> None:

@@ -133,7 +133,7 @@ class SampledTone:
         return json.dumps(asdict(self))
 
 
-class Motion(NamedTuple):
+class SpeakerMotion(NamedTuple):
     """What the speaker does at some times: press, indentation, motion along the surface, and what they are made of."""
 
     force_n: Floats
@@ -195,7 +195,7 @@ class Vibration:
             offset_mm=(float(offset_m[0]) * 1e3, float(offset_m[1]) * 1e3),
         )
         self._pieces = PIECES * math.ceil(PIECES_A_PERIOD * self._hz * 1e-3 / PIECES)
-        self._now = Motion(*(np.zeros(()) for _ in Motion._fields))
+        self._now = SpeakerMotion(*(np.zeros(()) for _ in SpeakerMotion._fields))
         self.slices = 0
         whole_s = self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s
         self.slices_in_all = round(SLICES_PER_S * whole_s)
@@ -216,7 +216,7 @@ class Vibration:
         end = first + self._pieces
         path_m = self._paths(slice(first, end + 1))
         events = self._render(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
-        self._now = Motion(*(column[end] for column in self._block))
+        self._now = SpeakerMotion(*(column[end] for column in self._block))
         self.slices += 1
         self.finished = self.slices >= self.slices_in_all
         return events
@@ -228,7 +228,7 @@ class Vibration:
         for column, now in zip(self._block, self._now, strict=True):
             column[0] = now
 
-    def _motion(self, time_s: Floats) -> Motion:
+    def _motion(self, time_s: Floats) -> SpeakerMotion:
         """What the speaker does at some times."""
         pressed = np.clip((time_s - self._time.rest_s) / self._press_s, 0.0, 1.0)
         force_n = self._press_n * (0.5 - 0.5 * np.cos(np.pi * pressed))
@@ -241,7 +241,7 @@ class Vibration:
         turns = np.exp(2j * np.pi * self._hz * ORDERS * since_s[:, None])
         moving = waves(h2, m, self.sampled.subharmonic_phase_rad) * turns * amplitude_m[:, None]
         depth_m = force_n * self._depth_m_n + moving.sum(axis=1).real
-        return Motion(force_n, depth_m, (moving @ self._along).real, amplitude_m, h2, m)
+        return SpeakerMotion(force_n, depth_m, (moving @ self._along).real, amplitude_m, h2, m)
 
     def _paths(self, at: slice) -> Floats:
         """Displacement (times, dots, 2) in m of the dots at some of the block's times."""

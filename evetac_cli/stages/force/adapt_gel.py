@@ -18,7 +18,7 @@ from evetac_cli.jobs import Job, Outcome, outcome
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.resources import model_file
 from evetac_cli.stages.force import gel_model, readings
-from evetac_cli.stages.force.gel_model import Gel, GelModel
+from evetac_cli.stages.force.gel_model import GelModel, GelWeights
 from evetac_cli.stages.force.readings import Readings
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -32,7 +32,7 @@ CONTACT_READING_N = 0.5  # a normal force that was measured tells contact better
 READING_LASTS_MS = 1000  # until the next one, at most
 
 
-class Known(NamedTuple):
+class ForceTerms(NamedTuple):
     """Terms of the forces and readings, of all contacts of some recordings."""
 
     shear: Floats
@@ -112,20 +112,20 @@ def _times(after: float, before: float) -> float:
     return after / before if before > 0 else 1.0
 
 
-def adapted(model: GelModel, gel: Gel, known: Known, noise_n: float) -> Gel:
+def adapted(model: GelModel, gel: GelWeights, known: ForceTerms, noise_n: float) -> GelWeights:
     """The weights and errors after known forces."""
     scale, errors = gel_forces.adapt(gel.scale, model.errors, *known, noise_n)
     return gel._replace(scale=scale, errors=errors)
 
 
 def known_forces(
-    model: GelModel, gel: Gel, paths: Sequence[Path], noise_n: float, rng: np.random.Generator
-) -> tuple[Known, list[Path]]:
+    model: GelModel, gel: GelWeights, paths: Sequence[Path], noise_n: float, rng: np.random.Generator
+) -> tuple[ForceTerms, list[Path]]:
     """Terms and readings of all contacts in tracks files, and the files without any; InputError where all are.
 
     noise_n: sd in N that is added to the truth of simulated recordings.
     """
-    parts: list[Known] = []
+    parts: list[ForceTerms] = []
     unused: list[Path] = []
     contacts = 0
     for path in paths:
@@ -138,7 +138,7 @@ def known_forces(
         if not used.any():
             unused.append(path)
         parts.append(
-            Known(
+            ForceTerms(
                 predicted.shear[at],
                 predicted.normal[at],
                 read.shear_n[used],
@@ -148,7 +148,7 @@ def known_forces(
             )
         )
         contacts += int(number.max(initial=-1)) + 1
-    whole = Known(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    whole = ForceTerms(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     if not len(whole.contact):
         raise InputError(
             "no reading is during a contact",

@@ -11,8 +11,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field
-from evetac_cli.kernels.force.gel_forces import Errors, Forces, GelNetwork, Scale, Stiffness
-from evetac_cli.kernels.force.models import Layer
+from evetac_cli.kernels.force.gel_forces import ForceErrorModel, Forces, GelNetwork, Scale, Stiffness
+from evetac_cli.kernels.force.models import DenseLayer
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
@@ -59,23 +59,23 @@ class Prior(NamedTuple):
     mm_log_sd: float
 
 
-class Gel(NamedTuple):
+class GelWeights(NamedTuple):
     """A model's weights for one sensor, and how far it is off."""
 
     scale: Scale
     mm_per_px: float
     creep_time_s: Floats
-    errors: Errors
+    errors: ForceErrorModel
 
 
 class GelModel(NamedTuple):
     """The contents of a force-model file of this method."""
 
     network: GelNetwork
-    errors: Errors
+    errors: ForceErrorModel
     contact: Floats  # (3,)
     prior: Prior
-    adapted: Gel | None  # to one sensor, by known forces
+    adapted: GelWeights | None  # to one sensor, by known forces
 
 
 class Predicted(NamedTuple):
@@ -113,7 +113,7 @@ def _padded(values: Sequence[float], size: int, by: float) -> list[float]:
     return [*map(float, values), *[by] * size][:size]
 
 
-def gel_of(model: GelModel, known: KnownGel, stiffness_error: float) -> Gel:
+def gel_of(model: GelModel, known: KnownGel, stiffness_error: float) -> GelWeights:
     """The weights for a sensor of which so much is known; an adapted model has its own.
 
     stiffness_error: sd of the logarithm of moduli that are known. A scale that is not known makes forces less sure.
@@ -139,7 +139,7 @@ def gel_of(model: GelModel, known: KnownGel, stiffness_error: float) -> Gel:
         *modulus(known.normal_modulus_pa, expected.normal_mpa, expected.normal_log_sd, LENGTHS_IN_NORMAL),
         *slow,
     )
-    return Gel(gel_forces.scale_of(stiffness), mm_per_px, slow[2], model.errors)
+    return GelWeights(gel_forces.scale_of(stiffness), mm_per_px, slow[2], model.errors)
 
 
 def known_of(sensor: str | None) -> KnownGel:
@@ -196,7 +196,7 @@ def over_modulus(model: GelModel, tracks: StageFile, mm_per_px: float) -> tuple[
     return result, signs
 
 
-def predict(model: GelModel, gel: Gel, tracks: StageFile) -> Predicted:
+def predict(model: GelModel, gel: GelWeights, tracks: StageFile) -> Predicted:
     """Forces and contact in every slice of a tracks file."""
     found_mm2, signs = over_modulus(model, tracks, gel.mm_per_px)
     shear = gel_forces.shear_terms(found_mm2[:, :2], gel.creep_time_s)
@@ -259,8 +259,8 @@ def read_gel_model(file: StageFile) -> GelModel:
                 found=str(size_of),
                 hint="train it again",
             )
-    layers = tuple(Layer(file.read(f"gel/{n}/weight"), file.read(f"gel/{n}/bias")) for n in range(LAYERS))
-    linear = Layer(file.read("gel/linear/weight"), file.read("gel/linear/bias"))
+    layers = tuple(DenseLayer(file.read(f"gel/{n}/weight"), file.read(f"gel/{n}/bias")) for n in range(LAYERS))
+    linear = DenseLayer(file.read("gel/linear/weight"), file.read("gel/linear/bias"))
     stiffness = Stiffness(
         float(file.read("gel/prior/shear_modulus_pa")) * 1e-6,
         float(file.read("gel/prior/shear_log_sd")),
@@ -271,9 +271,9 @@ def read_gel_model(file: StageFile) -> GelModel:
         file.read("gel/prior/creep_time_s"),
     )
     prior = Prior(stiffness, float(file.read("gel/prior/mm_per_px")), float(file.read("gel/prior/mm_log_sd")))
-    errors, adapted = Errors(*file.read("gel/errors").tolist()), None
+    errors, adapted = ForceErrorModel(*file.read("gel/errors").tolist()), None
     if file.has("adapted"):
         scale = Scale(*(file.read(f"adapted/{name}") for name in Scale._fields))
-        adapted = Gel(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"), errors)
+        adapted = GelWeights(scale, float(file.read("adapted/mm_per_px")), file.read("adapted/creep_time_s"), errors)
     network = GelNetwork(layers, linear, file.read("gel/scale_mm2"))
     return GelModel(network, errors, file.read("gel/contact"), prior, adapted)

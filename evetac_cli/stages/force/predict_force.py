@@ -12,7 +12,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.names import Prediction
+from evetac_cli.names import PredictionOption
 from evetac_cli.resources import model_file
 from evetac_cli.stages import per_file
 from evetac_cli.stages.force import gel_model
@@ -28,7 +28,7 @@ BLOCK_SLICES = 5000
 
 def jobs(files: list[Path], params: PredictForce, out: Path | None) -> list[Job]:
     """One forces file for every tracks file."""
-    has = () if params.sensor is None else (Prediction.SENSOR,)
+    has = () if params.sensor is None else (PredictionOption.SENSOR,)
     refuse_unused(params, has, "no --sensor")
     return [
         Job((*job.inputs, model_file(params.model, "force-model")), job.output) for job in per_file(files, OUTPUT, out)

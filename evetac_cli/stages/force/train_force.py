@@ -20,7 +20,7 @@ from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.names import Training
+from evetac_cli.names import TrainingOption
 from evetac_cli.stages.force import adapt_gel, train_gel
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
@@ -35,7 +35,7 @@ LAYERS = 3
 OF_THE_PAPER = ("samples", "noise_n", "epochs", "seed")  # parameters of its method
 
 
-class Samples(NamedTuple):
+class ForceSamples(NamedTuple):
     """Samples of one trajectory, to train a force model on or to evaluate it."""
 
     slice_: NDArray[np.int64]  # (samples,)
@@ -56,11 +56,11 @@ class ForceModel(NamedTuple):
 def _refuse_unused(params: TrainForce) -> None:
     """InputError for an option that has no effect in this training."""
     if params.adapt:
-        has, flags = {Training.ADAPTATION}, f"--adapt {params.adapt}"
+        has, flags = {TrainingOption.ADAPTATION}, f"--adapt {params.adapt}"
         if params.sensor is not None:
-            has.add(Training.SENSOR)
+            has.add(TrainingOption.SENSOR)
     else:
-        has = {Training.GEL if params.method == "gel" else Training.PAPER}
+        has = {TrainingOption.GEL if params.method == "gel" else TrainingOption.PAPER}
         flags = f"--method {params.method}, no --adapt"
     refuse_unused(params, has, flags)
 
@@ -163,7 +163,7 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     )
 
 
-def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.random.Generator) -> Samples:
+def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.random.Generator) -> ForceSamples:
     """Samples of a trajectory, with the force as a sensor with noise reads it; InputError where there are none."""
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         try:
@@ -172,7 +172,7 @@ def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.rando
         except ValueError as error:
             raise InputError(f"there are no forces to compare with: {error}", where=str(path)) from error
         force_n = recording.read("truth/shear_force_n")[chosen].astype(float)
-    return Samples(chosen, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
+    return ForceSamples(chosen, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
 
 
 def read_rest_px(tracks: StageFile) -> Floats:
@@ -204,7 +204,7 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
         rows, columns = file.read("dot_shape").tolist()
         regression = forces.Regression(file.read("regression/slope_n_px"), file.read("regression/offset_n"))
         layers = tuple(
-            forces.Layer(file.read(f"network/{number}/weight"), file.read(f"network/{number}/bias"))
+            forces.DenseLayer(file.read(f"network/{number}/weight"), file.read(f"network/{number}/bias"))
             for number in range(LAYERS)
         )
         network = forces.Network(layers, float(file.read("network/scale_px")), float(file.read("network/scale_n")))

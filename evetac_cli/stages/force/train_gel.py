@@ -15,7 +15,7 @@ from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.force.gel_forces import Errors
+from evetac_cli.kernels.force.gel_forces import ForceErrorModel
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.plan import read_sensor, sensor_ranges
 from evetac_cli.sim.setup.sensor import Sensor
@@ -57,7 +57,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress) -> Out
     contacts = static_contacts.sample(ranges, params.contacts, sampling, progress)
     trained = gel_training.train(contacts.field_mm, contacts.over_modulus_mm2, training, params.epochs, progress)
     prior = gel_model.prior_of(contacts.sensors)
-    unmeasured = GelModel(trained.network, Errors(0.0, 0.0, 0.0, 0.0), np.zeros(3), prior, None)
+    unmeasured = GelModel(trained.network, ForceErrorModel(0.0, 0.0, 0.0, 0.0), np.zeros(3), prior, None)
     model = measured(unmeasured, job.inputs)
     arrays: dict[str, Any] = {"sensor": "events", "sensor_name": RANGES, **gel_model.arrays_of(model)}
     write_stage(job.output, recipe, arrays)
@@ -101,5 +101,5 @@ def measured(model: GelModel, paths: tuple[Path, ...]) -> GelModel:
     def of(parts: list[tuple[Floats, Floats]]) -> tuple[float, float]:
         return gel_forces.fit_errors(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-    errors = Errors(*of(shear), *of(normal))
+    errors = ForceErrorModel(*of(shear), *of(normal))
     return model._replace(errors=errors, contact=gel_forces.fit_contact(np.concatenate(signs), contact))

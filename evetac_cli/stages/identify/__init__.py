@@ -20,7 +20,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.sim.setup import plan, sensor_file
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
-from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, Row, sensor_text
+from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, EstimateRow, sensor_text
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header, Recipe
@@ -79,7 +79,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events: a press has them
     more_rows, more = pressed.rows(best, like, why_none)
     rows, values = rows + more_rows, more | values
-    known = gripper_rows.Known(
+    known = gripper_rows.Priors(
         params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None
     )
     more_rows, more = gripper_rows.rows([one for one in grips if one is not None], known, like)
@@ -138,7 +138,7 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
     return tuple(header for _, header in headers.values())
 
 
-def _unused(paths: Sequence[Path], rows: Sequence[Row]) -> list[str]:
+def _unused(paths: Sequence[Path], rows: Sequence[EstimateRow]) -> list[str]:
     """Names of the recordings that no estimate comes from."""
     sources = "".join(f", {row.source}, " for row in rows if row.estimate is not None)
     return [path.name for path in paths if f", {path.name}, " not in sources]
@@ -150,7 +150,7 @@ def _printed(sensor: Sensor) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
-def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def table(rows: Sequence[EstimateRow]) -> list[dict[str, Any]]:
     """Flat rows for the table and --json."""
     return [
         {

@@ -8,7 +8,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify import rest
 from evetac_cli.kernels.identify.rest import RestNoise
-from evetac_cli.stages.identify.sensor_text import Entry, Row
+from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
 
 SHORTEST_REST = 500  # slices
@@ -44,7 +44,7 @@ def longest(recording: Recording, rng: np.random.Generator) -> Rest | None:
     return Rest(noise, f"{recording.path.name}, {first} to {stop} ms")
 
 
-def rows(resting: Rest | None) -> tuple[list[Row], dict[str, Entry]]:
+def rows(resting: Rest | None) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Rows and keys of the camera's noise."""
     units = {
         "noise_hz": "Hz a pixel",
@@ -56,7 +56,7 @@ def rows(resting: Rest | None) -> tuple[list[Row], dict[str, Entry]]:
         "timestamp_step_us": "us",
     }
     if resting is None:
-        return [Row(name, unit, None, MAKE_REST) for name, unit in units.items()], {}
+        return [EstimateRow(name, unit, None, MAKE_REST) for name, unit in units.items()], {}
     noise = resting.noise
     estimates = (
         noise.noise_hz,
@@ -68,7 +68,7 @@ def rows(resting: Rest | None) -> tuple[list[Row], dict[str, Entry]]:
         noise.timestamp_step_us,
     )
     listed_rows = [
-        Row(name, unit, estimate, MAKE_HOT if estimate is None else resting.source)
+        EstimateRow(name, unit, estimate, MAKE_HOT if estimate is None else resting.source)
         for (name, unit), estimate in zip(units.items(), estimates, strict=True)
     ]
     values = {"noise_hz": Entry(noise.noise_hz.value, noise.noise_hz, resting.source)}

@@ -19,7 +19,7 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify.drive import DriveFit
 from evetac_cli.stages.identify.gripped import Gripped, Weight, merged
-from evetac_cli.stages.identify.sensor_text import Entry, Row
+from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 
 MAKE_GRIP = "cannot be told from these recordings: make one as of the scene grip-steps (docs/identify.md)"
 MAKE_GRASP = "cannot be told from these recordings: make one with evetac grasp --controller fixed:6"
@@ -47,7 +47,7 @@ DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
 TWO_TICKS_N = 0.13
 
 
-class Known(NamedTuple):
+class Priors(NamedTuple):
     """What is known beside the recordings; None where it is not."""
 
     object_mass_g: float | None
@@ -56,13 +56,13 @@ class Known(NamedTuple):
     scale_given: bool
 
 
-def rows(grips: Sequence[Gripped], known: Known, like: Sensor) -> tuple[list[Row], dict[str, Entry]]:
+def rows(grips: Sequence[Gripped], known: Priors, like: Sensor) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Rows and keys of gripper, gel and friction; `like` is the sensor that has what is not told."""
     tells, known_parts = merged(grips)
     source = {part: one.source for part, one in tells.items()}
     usual = gripper.make_drive(like.gripper)
     scale_n_ma = known.force_per_current_n_ma or usual.force_per_current_n_ma
-    listed: list[Row] = []
+    listed: list[EstimateRow] = []
     keys: dict[str, Any] = {}
     if known_parts.drive is not None:
         keys |= _drive_keys(known_parts.drive, known_parts.gain_ma_tick, usual, scale_n_ma, source["drive"])
@@ -83,17 +83,19 @@ def rows(grips: Sequence[Gripped], known: Known, like: Sensor) -> tuple[list[Row
         if estimate is not None:
             keys[key] = Entry(estimate.value, estimate, source[part])
         why = no_drive if part == "encoder_ticks" else MAKE_GRIP
-        listed.append(Row(f"gripper.{key}", unit, estimate, why if estimate is None else source[part]))
+        listed.append(EstimateRow(f"gripper.{key}", unit, estimate, why if estimate is None else source[part]))
     gain = known_parts.gain_ma_tick
     gain_from = source.get("gain_ma_tick", misfits.get("gain", MAKE_GRASP))
-    listed.append(Row("gripper: servo gain", "mA/tick", gain, gain_from))
+    listed.append(EstimateRow("gripper: servo gain", "mA/tick", gain, gain_from))
     given = known.force_per_current_n_ma
     scale = None if given is None else Estimate(given, given, given)
-    listed.append(Row("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given"))
+    listed.append(
+        EstimateRow("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given")
+    )
     weights = [(one.source, one.weight) for one in grips if one.weight is not None]
     gel_rows, values = _gel(weights, misfits, known, scale_n_ma)
     listed += gel_rows
-    listed += [Row("normal_modulus_pa", "Pa", None, BENDS), Row("loss_tangent", "", None, QUIET)]
+    listed += [EstimateRow("normal_modulus_pa", "Pa", None, BENDS), EstimateRow("loss_tangent", "", None, QUIET)]
     if keys or given is not None:
         scale_from = "as given" if given is not None else "not estimated: that of the sensor which like names"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
@@ -101,7 +103,7 @@ def rows(grips: Sequence[Gripped], known: Known, like: Sensor) -> tuple[list[Row
     return listed, values
 
 
-def _drive_rows(fit: DriveFit | None, source: str) -> list[Row]:
+def _drive_rows(fit: DriveFit | None, source: str) -> list[EstimateRow]:
     """Rows of the drive, in current."""
     units = {
         ("gripper: gear friction", "friction_ma"): ("mA", 1.0),
@@ -112,9 +114,9 @@ def _drive_rows(fit: DriveFit | None, source: str) -> list[Row]:
     listed = []
     for (name, key), (unit, factor) in units.items():
         estimate = None if fit is None else _scaled(_of_drive(fit, key), factor)
-        listed.append(Row(name, unit, estimate, source))
+        listed.append(EstimateRow(name, unit, estimate, source))
     estimate = None if fit is None else _backlash(fit)
-    return [*listed, Row("gripper.backlash_ticks", "ticks", estimate, source)]
+    return [*listed, EstimateRow("gripper.backlash_ticks", "ticks", estimate, source)]
 
 
 def _of_drive(fit: DriveFit, key: str) -> Estimate:
@@ -165,8 +167,8 @@ def _drive_keys(
 
 
 def _gel(
-    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], known: Known, scale_n_ma: float
-) -> tuple[list[Row], dict[str, Entry]]:
+    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], known: Priors, scale_n_ma: float
+) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Rows and keys of the gel's shear modulus, creep and friction, from weights and the recordings that show them."""
     values: dict[str, Entry] = {}
     modulus = friction = factor = total = None
@@ -206,7 +208,7 @@ def _gel(
             values["static_friction_factor"] = Entry(as_factor.value, factor, needs)
     named = [("shear_modulus_pa", "Pa", modulus), ("creep.share, both arms", "", total)]
     named += [("static friction x force per current", "N/mA", friction), ("static_friction_factor", "", factor)]
-    return [Row(*one, why) for one, why in zip(named, whys, strict=True)], values
+    return [EstimateRow(*one, why) for one, why in zip(named, whys, strict=True)], values
 
 
 def _friction(per_ma: Sequence[Floats]) -> Estimate:

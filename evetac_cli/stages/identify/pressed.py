@@ -16,7 +16,7 @@ from evetac_cli.kernels.identify.thresholds import Polarity, StrokeEvents
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import calibrate, calibrated_gel
-from evetac_cli.stages.identify.sensor_text import Entry, Row
+from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
 
 MAKE_PRESS = "make one in which a blunt tip strokes the whole gel, as for evetac calibrate"
@@ -187,19 +187,19 @@ def _lens(
         return None
 
 
-def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Row], dict[str, Entry]]:
+def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Rows and keys of dots, optics, lens and thresholds; `like` is the sensor that has what is not told.
 
     The rims were read with its log_contrast. why_none: where there is no press, which recording shows none, and why.
     """
     never = [
-        Row("log_contrast", "log units", None, NOT_ALONE),
-        Row("bandwidth_hz", "Hz", None, ONLY_LATE),
-        Row("leak_hz", "Hz a pixel", None, MAKE_LONG_REST),
+        EstimateRow("log_contrast", "log units", None, NOT_ALONE),
+        EstimateRow("bandwidth_hz", "Hz", None, ONLY_LATE),
+        EstimateRow("leak_hz", "Hz a pixel", None, MAKE_LONG_REST),
     ]
     if press is None:
         why = f"cannot be told from {why_none or 'these recordings'}; {MAKE_PRESS}"
-        return [*(Row(name, unit, None, why) for name, unit in UNITS.items()), *never], {}
+        return [*(EstimateRow(name, unit, None, why) for name, unit in UNITS.items()), *never], {}
     half_px = 1.96 * press.jitter_px / np.sqrt(2.0)
     whole = press.dot_xy_px[..., 0].size - press.dots <= MOST_MISSING * press.dot_xy_px[..., 0].size
     optics, source = press.optics, press.source
@@ -216,7 +216,7 @@ def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Ro
         (press.mismatch, MAKE_LONGER),
     )
     listed = [
-        Row(name, unit, one, otherwise if one is None else source)
+        EstimateRow(name, unit, one, otherwise if one is None else source)
         for (name, unit), (one, otherwise) in zip(UNITS.items(), estimates, strict=True)
     ]
     entries = _entries(press, like.log_contrast, half_px if whole else None)

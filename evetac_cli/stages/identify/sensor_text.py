@@ -14,7 +14,7 @@ LINE = 110
 NOT_ESTIMATED = "bandwidth and leak are not estimated"
 
 
-class Row(NamedTuple):
+class EstimateRow(NamedTuple):
     """A row of the table: what was estimated and from what, or with what recording it could be."""
 
     parameter: str

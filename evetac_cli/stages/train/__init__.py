@@ -46,7 +46,7 @@ from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.slip.training import Training
+    from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
 METHOD = 6
@@ -257,7 +257,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             networks.train(job.number, progress)
             return Outcome([], simulated)
         for number, fold in enumerate(folds):
-            results: list[Training] = []
+            results: list[SlipTraining] = []
             for member in range(settings.networks):
                 result, resumed_at = networks.train(number * settings.networks + member, progress)
                 results.append(result)

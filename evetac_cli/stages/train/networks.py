@@ -19,7 +19,7 @@ from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
 from evetac_cli.kernels.slip.architectures import named_architecture
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.sampling import Samples
+from evetac_cli.kernels.slip.sampling import SlipSamples
 from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
 from evetac_cli.stages.splits import Fold
 from evetac_cli.stages.train.log import for_tensorboard
@@ -27,7 +27,7 @@ from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.slip.training import Training, TrainingState
+    from evetac_cli.kernels.slip.training import SlipTraining, TrainingState
 
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
@@ -43,14 +43,14 @@ class Networks:
     shape: tuple[int, int]  # rows and columns of dots
     start: Sequence[dict[str, NDArray[np.float32]]] | None  # weights to go on from, of each network of a fold
     log: Path | None = None  # folder of what TensorBoard shows
-    _gathered: dict[int, Samples] = field(default_factory=dict, init=False)  # of the fold that was asked for last
+    _gathered: dict[int, SlipSamples] = field(default_factory=dict, init=False)  # of the fold that was asked for last
 
     @property
     def count(self) -> int:
         """How many there are."""
         return len(self.folds) * int(self.recipe.parameters["networks"])
 
-    def train(self, number: int, progress: Progress) -> tuple["Training", int | None]:
+    def train(self, number: int, progress: Progress) -> tuple["SlipTraining", int | None]:
         """Train one, or go on from its saved state; the step of that is returned too, None without or at the end.
 
         Of several the state at the end is saved. The last one draws the same numbers whatever their count.
@@ -79,7 +79,7 @@ class Networks:
                 preset,
                 # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
                 np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
-                training.Limits(
+                training.TrainingLimits(
                     chosen["epochs"],
                     chosen["max_steps"],
                     self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
@@ -99,14 +99,14 @@ class Networks:
         for number in range(self.count):
             state_file(self.model, number, self.count).unlink(missing_ok=True)
 
-    def _samples_of(self, fold: int, progress: Progress) -> Samples:
+    def _samples_of(self, fold: int, progress: Progress) -> SlipSamples:
         """What the networks of a fold learn from."""
         if fold not in self._gathered:
             self._gathered.clear()
             self._gathered[fold] = self._samples(self.folds[fold].trained_on, progress)
         return self._gathered[fold]
 
-    def _samples(self, numbers: Sequence[int], progress: Progress) -> Samples:
+    def _samples(self, numbers: Sequence[int], progress: Progress) -> SlipSamples:
         """The samples of the inputs of these numbers."""
         chosen, join = self.recipe.parameters, partial(join_on_disk, existing_folder(self.model.parent))
         architecture = named_architecture(chosen["model"])

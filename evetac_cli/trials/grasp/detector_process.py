@@ -32,7 +32,7 @@ from evetac_cli.realtime.processes import (
     set_niceness,
 )
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
-from evetac_cli.trials.grasp.loop import SlipDetector
+from evetac_cli.trials.grasp.loop import SliceDetector
 from evetac_cli.trials.grasp.settings import DetectorModel
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class DetectorEnded(NamedTuple):
     error: Exception | None
 
 
-def open_detector(settings: DetectorSettings) -> SlipDetector | None:
+def open_detector(settings: DetectorSettings) -> SliceDetector | None:
     """The detector, and one run through it on noise with another of its kind, so that everything is compiled."""
     if settings.model is None:
         return None
@@ -181,7 +181,7 @@ def _raise_if_ended(ending: Sequence[int]) -> None:
 
 def detect(
     camera: EventCamera,
-    detector: SlipDetector | None,
+    detector: SliceDetector | None,
     status: SharedStatus,
     outbox: MessageWriter,
     most: int,

@@ -12,11 +12,11 @@ from evetac_cli.devices import GripperReading, Rig, gripper_row
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim.parts import Timer, untimed
 
 
-class SlipDetector(Protocol):
+class SliceDetector(Protocol):
     """A detector of slip: an `OnlineSlipDetector`, or what a measurement puts in its place."""
 
     def step(self, events: Events) -> float:
@@ -57,15 +57,15 @@ class Timing:
         """When a grasp that holds ends."""
         return self.touch_ms + self.lift_ms + self.balance_ms
 
-    def phase(self, slice_: int) -> Phase:
+    def phase(self, slice_: int) -> GraspPhase:
         """The phase of the grasp in which a slice lies."""
         if slice_ < self.touch_ms:
-            return Phase.CONTACT
-        return Phase.LIFT if slice_ < self.touch_ms + self.lift_ms else Phase.BALANCE
+            return GraspPhase.CONTACT
+        return GraspPhase.LIFT if slice_ < self.touch_ms + self.lift_ms else GraspPhase.BALANCE
 
 
 def control_row(
-    control: Control, phase: Phase, signal: SlipSignal, reading: GripperReading, goal: int, now_us: int
+    control: Control, phase: GraspPhase, signal: SlipSignal, reading: GripperReading, goal: int, now_us: int
 ) -> dict[str, Any]:
     """What is recorded of a step of the controller: the gripper's row, and the control's."""
     return {
@@ -81,7 +81,7 @@ def control_row(
 
 
 def grasp_slices(
-    devices: Rig, detector: SlipDetector | None, control: Control, timing: Timing, timer: Timer = untimed
+    devices: Rig, detector: SliceDetector | None, control: Control, timing: Timing, timer: Timer = untimed
 ) -> Iterator[tuple[Events, dict[str, Any]]]:
     """Read, detect, control, until the scene has ended; each slice with its rows. timer: measures the detector."""
     detect = None if detector is None else timer("slip detector", detector.step)
@@ -108,7 +108,7 @@ def grasp_slices(
 
 def run_grasp(
     devices: Rig,
-    detector: SlipDetector | None,
+    detector: SliceDetector | None,
     control: Control,
     timing: Timing,
     append: Callable[[Events, dict[str, Any]], None],

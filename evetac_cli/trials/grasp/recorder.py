@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.interrupts import signals_held
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader
@@ -253,7 +253,7 @@ class RecordedGrasp:
                 view.add_command(row)
             self.steps.append_rows({name: row[name] for name in grasp_outcome.NEEDED if name in row})
             self.step_late_us.append(row["control/late_us"])
-            if row["control/phase"] != Phase.CONTACT and not math.isnan(row["control/latency_us"]):
+            if row["control/phase"] != GraspPhase.CONTACT and not math.isnan(row["control/latency_us"]):
                 self.latency_us.append(row["control/latency_us"])  # in contact the law does not react to slip
 
     def take_slices(
@@ -331,7 +331,7 @@ class RecordedGrasp:
     def outcome(self, mm_per_px: float) -> dict[str, Any] | None:
         """Success of each phase and so on, as in simulation; None where there is no truth, or too little of it."""
         steps, truth = self.steps.row_arrays(), self.truth_arrays()
-        if not truth or not steps or not (steps["control/phase"] == Phase.CONTACT).any():
+        if not truth or not steps or not (steps["control/phase"] == GraspPhase.CONTACT).any():
             return None
         return grasp_outcome.outcome({**steps, **truth}, mm_per_px, self.end_ms)
 

@@ -22,7 +22,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.trials.grasp.loop import Timing
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector, dots_for, open_detector
-from evetac_cli.trials.trial import DeviceTrial, ReplayTrial, SimulatedTrial, Trial, View
+from evetac_cli.trials.trial import DeviceTrial, ReplayTrial, SimulatedTrial, Trial, ViewRequest
 
 if TYPE_CHECKING:
     from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
@@ -115,12 +115,12 @@ class GraspSettings:
         """The controller at the beginning of a grasp."""
         return Control(self.law, self.control_hz)
 
-    def view(self, params: Grasp) -> View | None:
+    def view(self, params: Grasp) -> ViewRequest | None:
         """How the trials are shown, if the flags say so: with the detector of the grasp, else the package's."""
         if params.shown_in is None:
             return None
         model = None if self.detector is None else self.detector.path
-        return View(params.shown_in, model, params.slip_threshold, params.tracker)
+        return ViewRequest(params.shown_in, model, params.slip_threshold, params.tracker)
 
     def parents(self) -> tuple[Header, ...]:
         """The header of the detector's model, if there is one, as parents of a recipe."""

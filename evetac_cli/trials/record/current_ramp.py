@@ -38,7 +38,7 @@ END_S = 5.0  # for the command that is under way, at the end
 OPENED_TICKS = 30  # an object is lost once the fingers are so far apart again: 4 mm
 
 
-class Phase(IntEnum):
+class RampPhase(IntEnum):
     """The three phases of a recording with a gripper, in their order."""
 
     CLOSING = 0
@@ -65,7 +65,7 @@ class HoldState:
     """The state between two commands."""
 
     closing: Closing
-    phase: Phase = Phase.CLOSING
+    phase: RampPhase = RampPhase.CLOSING
     target_ma: float = math.nan
     touch_ticks: int = 0
     held: int = 0
@@ -89,17 +89,17 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
         state.target_ma = hold.course.at(time_s)
         state.ended = "the gripper has followed its current to the end" if time_s >= hold.course.ends_s else ""
         return state.target_ma
-    if state.phase is Phase.CLOSING:
+    if state.phase is RampPhase.CLOSING:
         state.target_ma = hold.closing_ma
         if state.closing.step(reading.position_ticks):
-            state.phase = Phase.HOLDING
-    if state.phase is Phase.HOLDING:
+            state.phase = RampPhase.HOLDING
+    if state.phase is RampPhase.HOLDING:
         state.target_ma = hold.holding_ma
         state.touch_ticks = reading.position_ticks
         state.held += 1
         if state.held * COMMAND_MS > 1000 * hold.hold_s:
-            state.phase = Phase.FALLING
-    elif state.phase is Phase.FALLING:
+            state.phase = RampPhase.FALLING
+    elif state.phase is RampPhase.FALLING:
         state.target_ma += rng.uniform(*RAMP_MA)
         if state.target_ma <= hold.lowest_ma:
             state.ended = "the current reached its lower limit"

@@ -62,7 +62,7 @@ def _sql(place: Path, *commands: str) -> None:
 
 
 def _cell(place: Path, rng: Rng) -> str:
-    column, value = str(rng.choice(index.Row._fields)), VALUES[rng.integers(len(VALUES))]
+    column, value = str(rng.choice(index.IndexRow._fields)), VALUES[rng.integers(len(VALUES))]
     where = "" if rng.random() < 0.5 else " WHERE kind = 'recording'"
     _sql(place, f"UPDATE OR REPLACE files SET {column} = {value}{where}")
     return f"{column} = {value}{where}"
@@ -70,7 +70,7 @@ def _cell(place: Path, rng: Rng) -> str:
 
 def _view(place: Path, rng: Rng) -> str:
     first = str(rng.choice(["'a' || n", "zeroblob(500000000)", f"({ENDLESS} COUNT(*) FROM many)", "n"]))
-    columns = ", ".join(f"{first if name == 'path' else 1} AS {name}" for name in index.Row._fields)
+    columns = ", ".join(f"{first if name == 'path' else 1} AS {name}" for name in index.IndexRow._fields)
     place.unlink()
     _sql(place, f"CREATE VIEW files AS {ENDLESS} {columns} FROM many", f"PRAGMA user_version = {index.FORMAT}")
     return first
@@ -97,7 +97,7 @@ def _schema(place: Path, rng: Rng) -> str:
 
 def _rows(place: Path, rng: Rng) -> str:
     count = int(10 ** rng.uniform(0, 5.3))
-    filled = ", ".join("n" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.Row._fields[1:])
+    filled = ", ".join("n" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.IndexRow._fields[1:])
     _sql(place, f"INSERT OR IGNORE INTO files WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many"
                 f" LIMIT {count}) SELECT 'f' || n, {filled} FROM many")  # fmt: skip
     return f"{count} rows"

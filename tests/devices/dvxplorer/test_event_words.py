@@ -45,7 +45,7 @@ def decoded(words: Iterable[int], host_ms: int | None = None) -> tuple[list[tupl
     return rows(concatenate([events, event_words.flush(decoder)])), lost(decoder)
 
 
-def lost(decoder: event_words.Decoder) -> dict[str, int]:
+def lost(decoder: event_words.EventWordDecoder) -> dict[str, int]:
     return {name: count for name, count in decoder.counted.items() if count}
 
 
@@ -78,7 +78,7 @@ def frames(rng: np.random.Generator, count: int, period_us: int = 200, events: i
     )
 
 
-def whole(words: NDArray[np.uint32]) -> tuple[Events, event_words.Decoder]:
+def whole(words: NDArray[np.uint32]) -> tuple[Events, event_words.EventWordDecoder]:
     decoder = event_words.start()
     events = event_words.step(decoder, words.astype("<u4").tobytes())
     return concatenate([events, event_words.flush(decoder)]), decoder

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from evetac_cli.devices.virtual.dynamixel_frames import (
     BROADCAST_ID,
     HEADER,
-    Fault,
-    Frame,
+    DynamixelFrame,
     FrameReader,
     Instruction,
+    StatusError,
     crc16,
     fast_status,
     frame,
@@ -89,13 +89,13 @@ def test_known_bytes(name: str) -> None:
     id_, instruction, parameters, text = VECTORS[name]
     known = bytes.fromhex(text)
     assert frame(id_, instruction, parameters) == known
-    assert FrameReader().push(known) == [Frame(id_, instruction, parameters, True, len(known))]
+    assert FrameReader().push(known) == [DynamixelFrame(id_, instruction, parameters, True, len(known))]
 
 
 def test_status_is_a_frame() -> None:
     """Assert that an answer has the error first, with the alert in its highest bit."""
     assert status(1).hex(" ") == VECTORS["status ok"][3]
-    assert status(1, Fault.DATA_LIMIT, alert=True).hex(" ") == VECTORS["status data limit, alert"][3]
+    assert status(1, StatusError.DATA_LIMIT, alert=True).hex(" ") == VECTORS["status data limit, alert"][3]
     assert status(1, 0, le("i", 300)).hex(" ") == VECTORS["position 300"][3]
 
 
@@ -154,7 +154,7 @@ def test_noise_before_a_frame_is_skipped(noise: bytes, sent: tuple[int, Instruct
     """Assert that a frame is found behind noise that holds no header itself."""
     known = frame(*sent)
     assume((noise + known).find(HEADER) == len(noise))
-    assert FrameReader().push(noise + known) == [Frame(*sent, True, len(known))]
+    assert FrameReader().push(noise + known) == [DynamixelFrame(*sent, True, len(known))]
 
 
 def test_a_damaged_frame_does_not_take_the_next_one_along() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import dynamixel_sdk as sdk
 import pytest
 
-from evetac_cli.devices.virtual.dynamixel_frames import Fault
+from evetac_cli.devices.virtual.dynamixel_frames import StatusError
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.resources import PACKAGE
 
@@ -89,9 +89,9 @@ def test_sdk_is_told_errors(gripper: VirtualGripper, port: Port) -> None:
     packets = sdk.PacketHandler(2.0)
     ok = sdk.COMM_SUCCESS
     assert packets.write1ByteTxRx(port, 1, 512, 1) == (ok, 0)
-    assert packets.write1ByteTxRx(port, 1, 9, 0) == (ok, Fault.ACCESS)
-    assert packets.write2ByteTxRx(port, 1, 550, 700) == (ok, Fault.DATA_LIMIT)
-    assert packets.factoryReset(port, 1, 2) == (ok, Fault.RESULT)
+    assert packets.write1ByteTxRx(port, 1, 9, 0) == (ok, StatusError.ACCESS)
+    assert packets.write2ByteTxRx(port, 1, 550, 700) == (ok, StatusError.DATA_LIMIT)
+    assert packets.factoryReset(port, 1, 2) == (ok, StatusError.RESULT)
     assert gripper.read_register("Torque Enable") == 1
 
 

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from evetac_cli.devices.rh_p12_rn import control_table as table
 from evetac_cli.devices.virtual.dynamixel_frames import (
     BROADCAST_ID,
-    Fault,
-    Frame,
+    DynamixelFrame,
     FrameReader,
     Instruction,
+    StatusError,
     frame,
     status,
 )
 from evetac_cli.devices.virtual.servo import VirtualServo
-from evetac_cli.devices.virtual.servo_plant import Goals, Motion
+from evetac_cli.devices.virtual.servo_plant import Goals, ServoMotion
 
 REGISTERS = table.REGISTERS
 
@@ -26,10 +26,10 @@ class Still:
     """A plant that stands where it is put and remembers its goals."""
 
     def __init__(self) -> None:
-        self.motion = Motion(0.0, 300, 0.0)
+        self.motion = ServoMotion(0.0, 300, 0.0)
         self.goals = Goals()
 
-    def advance(self, goals: Goals, now_s: float) -> Motion:
+    def advance(self, goals: Goals, now_s: float) -> ServoMotion:
         self.goals = goals
         return self.motion
 
@@ -60,7 +60,7 @@ class Asked:
         register = REGISTERS[name]
         answer = self.ask(Instruction.READ, struct.pack("<HH", register.address, register.size))
         assert answer is not None
-        assert answer[0] & 0x7F == Fault.NONE
+        assert answer[0] & 0x7F == StatusError.NONE
         return register.decode(answer[1])
 
     def write(self, name: str, value: int, instruction: int = Instruction.WRITE) -> int | None:
@@ -81,22 +81,22 @@ def test_ping_alone_and_among_all() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "fault"),
     [
-        ("Position P Gain", 50, Fault.NONE),
-        ("Operating Mode", 0, Fault.NONE),
-        ("Operating Mode", 3, Fault.DATA_RANGE),
-        ("Position P Gain", 40000, Fault.DATA_RANGE),
-        ("Goal Current", -661, Fault.NONE),
-        ("Goal Current", 662, Fault.DATA_LIMIT),
-        ("Goal Current", -30000, Fault.DATA_RANGE),
-        ("Goal Position", 1100, Fault.DATA_LIMIT),
-        ("Goal Position", 20, Fault.DATA_LIMIT),
-        ("Goal Position", -5, Fault.DATA_RANGE),
-        ("Goal Velocity", 2900, Fault.DATA_LIMIT),
-        ("Present Current", 1, Fault.ACCESS),
-        ("Model Number", 1, Fault.ACCESS),
+        ("Position P Gain", 50, StatusError.NONE),
+        ("Operating Mode", 0, StatusError.NONE),
+        ("Operating Mode", 3, StatusError.DATA_RANGE),
+        ("Position P Gain", 40000, StatusError.DATA_RANGE),
+        ("Goal Current", -661, StatusError.NONE),
+        ("Goal Current", 662, StatusError.DATA_LIMIT),
+        ("Goal Current", -30000, StatusError.DATA_RANGE),
+        ("Goal Position", 1100, StatusError.DATA_LIMIT),
+        ("Goal Position", 20, StatusError.DATA_LIMIT),
+        ("Goal Position", -5, StatusError.DATA_RANGE),
+        ("Goal Velocity", 2900, StatusError.DATA_LIMIT),
+        ("Present Current", 1, StatusError.ACCESS),
+        ("Model Number", 1, StatusError.ACCESS),
     ],
 )
-def test_writes_are_judged(name: str, value: int, fault: Fault) -> None:
+def test_writes_are_judged(name: str, value: int, fault: StatusError) -> None:
     """Assert that a write is carried out, or refused with its reason and without effect."""
     asked = Asked(Max_Position_Limit=1000, Min_Position_Limit=30, Velocity_Limit=2800)
     before = asked.read(name)
@@ -107,15 +107,15 @@ def test_writes_are_judged(name: str, value: int, fault: Fault) -> None:
 def test_wrong_places_and_lengths_are_refused() -> None:
     """Assert the errors for a place between registers, half a register, a write of nothing, and the table's end."""
     asked = Asked()
-    assert asked.ask(Instruction.READ, struct.pack("<HH", 519, 2)) == (Fault.ACCESS, b"")
-    assert asked.ask(Instruction.READ, struct.pack("<HH", 761, 2)) == (Fault.ACCESS, b"")
-    assert asked.ask(Instruction.READ, b"\x44\x02\x04") == (Fault.DATA_LENGTH, b"")
-    assert asked.ask(Instruction.WRITE, struct.pack("<HB", 564, 1)) == (Fault.DATA_LENGTH, b"")
-    assert asked.ask(Instruction.WRITE, struct.pack("<HB", 565, 1)) == (Fault.ACCESS, b"")
-    assert asked.ask(Instruction.WRITE, struct.pack("<H", 564)) == (Fault.DATA_LENGTH, b"")
-    assert asked.ask(Instruction.WRITE, struct.pack("<HH", 761, 1)) == (Fault.ACCESS, b"")
-    assert asked.ask(Instruction.WRITE, b"\1") == (Fault.DATA_LENGTH, b"")
-    assert asked.ask(0x77) == (Fault.INSTRUCTION, b"")
+    assert asked.ask(Instruction.READ, struct.pack("<HH", 519, 2)) == (StatusError.ACCESS, b"")
+    assert asked.ask(Instruction.READ, struct.pack("<HH", 761, 2)) == (StatusError.ACCESS, b"")
+    assert asked.ask(Instruction.READ, b"\x44\x02\x04") == (StatusError.DATA_LENGTH, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<HB", 564, 1)) == (StatusError.DATA_LENGTH, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<HB", 565, 1)) == (StatusError.ACCESS, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<H", 564)) == (StatusError.DATA_LENGTH, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<HH", 761, 1)) == (StatusError.ACCESS, b"")
+    assert asked.ask(Instruction.WRITE, b"\1") == (StatusError.DATA_LENGTH, b"")
+    assert asked.ask(0x77) == (StatusError.INSTRUCTION, b"")
 
 
 def test_consecutive_registers_are_written_together_or_not_at_all() -> None:
@@ -123,7 +123,7 @@ def test_consecutive_registers_are_written_together_or_not_at_all() -> None:
     asked = Asked()
     assert asked.ask(Instruction.WRITE, struct.pack("<Hhi", 550, 100, 500)) == (0, b"")
     assert (asked.read("Goal Current"), asked.read("Goal Velocity")) == (100, 500)
-    assert asked.ask(Instruction.WRITE, struct.pack("<Hhi", 550, 200, 9999)) == (Fault.DATA_RANGE, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hhi", 550, 200, 9999)) == (StatusError.DATA_RANGE, b"")
     assert (asked.read("Goal Current"), asked.read("Goal Velocity")) == (100, 500)
 
 
@@ -131,7 +131,7 @@ def test_eeprom_is_locked_while_torque_is_on() -> None:
     """Assert that an EEPROM register cannot be written with torque on, that RAM can, and that it can be afterwards."""
     asked = Asked()
     assert asked.write("Torque Enable", 1) == 0
-    assert asked.write("Return Delay Time", 0) == Fault.ACCESS
+    assert asked.write("Return Delay Time", 0) == StatusError.ACCESS
     assert asked.write("Position P Gain", 60) == 0
     assert asked.write("Torque Enable", 0) == 0
     assert asked.write("Return Delay Time", 0) == 0
@@ -150,8 +150,8 @@ def test_watchdog_trips_and_refuses_goals() -> None:
     asked.servo.tick(asked.now_s)
     assert asked.plant.goals.command() == ("current", 0.0)
     assert asked.read("Bus Watchdog") == -1
-    assert asked.write("Goal Current", 10) == Fault.DATA_RANGE
-    assert asked.write("Goal Position", 300) == Fault.DATA_RANGE
+    assert asked.write("Goal Current", 10) == StatusError.DATA_RANGE
+    assert asked.write("Goal Position", 300) == StatusError.DATA_RANGE
     assert asked.read("Goal Current") == 40
     assert asked.read("Torque Enable") == 1  # stays, until somebody writes 0
     assert asked.write("Torque Enable", 0) == 0
@@ -196,13 +196,13 @@ def test_the_watchdog_counts_while_torque_is_on() -> None:
 def test_reg_write_waits_for_action() -> None:
     """Assert that a registered write shows, takes effect at the action, once, and is judged when it is registered."""
     asked = Asked()
-    assert asked.ask(Instruction.ACTION) == (Fault.INSTRUCTION, b"")
+    assert asked.ask(Instruction.ACTION) == (StatusError.INSTRUCTION, b"")
     assert asked.write("Goal Current", 20, Instruction.REG_WRITE) == 0
     assert (asked.read("Goal Current"), asked.read("Registered Instruction")) == (0, 1)
     assert asked.ask(Instruction.ACTION) == (0, b"")
     assert (asked.read("Goal Current"), asked.read("Registered Instruction")) == (20, 0)
-    assert asked.ask(Instruction.ACTION) == (Fault.INSTRUCTION, b"")
-    assert asked.write("Present Current", 1, Instruction.REG_WRITE) == Fault.ACCESS
+    assert asked.ask(Instruction.ACTION) == (StatusError.INSTRUCTION, b"")
+    assert asked.write("Present Current", 1, Instruction.REG_WRITE) == StatusError.ACCESS
 
 
 @pytest.mark.parametrize(("level", "answered"), [(0, (True, False, False)), (1, (True, True, False)), (2, (True,) * 3)])
@@ -243,8 +243,8 @@ def test_baud_rate_changes_after_the_answer() -> None:
 def test_a_wrong_checksum_is_answered_with_its_error() -> None:
     """Assert that a damaged frame changes nothing, is answered with error 3, and not at all if it was for everybody."""
     asked = Asked()
-    for id_, expected in ((1, [status(1, Fault.CRC)]), (BROADCAST_ID, []), (4, [])):
-        damaged = Frame(id_, Instruction.WRITE, struct.pack("<Hh", 550, 9), False, 14)
+    for id_, expected in ((1, [status(1, StatusError.CRC)]), (BROADCAST_ID, []), (4, [])):
+        damaged = DynamixelFrame(id_, Instruction.WRITE, struct.pack("<Hh", 550, 9), False, 14)
         assert [answer.data for answer in asked.servo.handle(damaged, 0.0)] == expected
     assert asked.read("Goal Current") == 0
 
@@ -258,7 +258,7 @@ def test_overload_drops_torque_until_reboot() -> None:
     assert asked.ask(Instruction.PING) == (0x80, struct.pack("<HB", 35074, 14))
     assert asked.read("Torque Enable") == 0
     assert asked.read("Hardware Error Status") == 0b100000
-    assert asked.write("Torque Enable", 1) == 0x80 | Fault.RESULT
+    assert asked.write("Torque Enable", 1) == 0x80 | StatusError.RESULT
     assert asked.ask(Instruction.REBOOT) == (0, b"")
     assert (asked.read("Hardware Error Status"), asked.read("Goal Current")) == (0, 0)
     assert asked.read("Operating Mode") == 0
@@ -296,7 +296,7 @@ def test_factory_reset_is_refused() -> None:
     """Assert that no kind of factory reset is carried out, for one or for all."""
     asked = Asked(Return_Delay_Time=3)
     for option in (0xFF, 1, 2):
-        assert asked.ask(Instruction.FACTORY_RESET, bytes([option])) == (Fault.RESULT, b"")
+        assert asked.ask(Instruction.FACTORY_RESET, bytes([option])) == (StatusError.RESULT, b"")
     assert asked.raw(Instruction.FACTORY_RESET, b"\xff", BROADCAST_ID) == []
     assert asked.read("Return Delay Time") == 3
 
@@ -305,7 +305,7 @@ def test_clear_wants_its_key() -> None:
     """Assert that clear is answered if its five bytes are right, and refused otherwise."""
     asked = Asked()
     assert asked.ask(Instruction.CLEAR, bytes.fromhex("01 44 58 4c 22")) == (0, b"")
-    assert asked.ask(Instruction.CLEAR, b"\1") == (Fault.DATA_RANGE, b"")
+    assert asked.ask(Instruction.CLEAR, b"\1") == (StatusError.DATA_RANGE, b"")
 
 
 def test_lists_of_devices() -> None:
@@ -349,8 +349,8 @@ def test_indirect_data_are_other_registers() -> None:
     assert answer == (0, struct.pack("<h", 300))
     assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 636, -77)) == (0, b"")
     assert asked.read("Goal Current") == -77
-    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 636, 700)) == (Fault.DATA_LIMIT, b"")
-    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 634, 1)) == (Fault.ACCESS, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 636, 700)) == (StatusError.DATA_LIMIT, b"")
+    assert asked.ask(Instruction.WRITE, struct.pack("<Hh", 634, 1)) == (StatusError.ACCESS, b"")
 
 
 def test_realtime_tick_wraps() -> None:
@@ -376,6 +376,6 @@ def test_no_frame_breaks_the_servo(id_: int, instruction: int, parameters: bytes
 def test_a_tripped_watchdog_accepts_nothing_but_0() -> None:
     """Assert that it cannot be armed again before it was cleared."""
     asked = Asked(Bus_Watchdog=-1)
-    assert asked.write("Bus Watchdog", 5) == Fault.DATA_RANGE
+    assert asked.write("Bus Watchdog", 5) == StatusError.DATA_RANGE
     assert asked.write("Bus Watchdog", 0) == 0
     assert asked.write("Bus Watchdog", 5) == 0

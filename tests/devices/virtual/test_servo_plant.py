@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from evetac_cli.devices.virtual.servo_plant import Goals, Motion, Obstacle, OwnDynamics, SharedPlant
+from evetac_cli.devices.virtual.servo_plant import Goals, Obstacle, OwnDynamics, ServoMotion, SharedPlant
 
 
-def moved(plant: OwnDynamics, goals: Goals, seconds: float, start_s: float) -> Motion:
+def moved(plant: OwnDynamics, goals: Goals, seconds: float, start_s: float) -> ServoMotion:
     motion = plant.advance(goals, start_s)
     for k in range(round(seconds / 0.002)):
         motion = plant.advance(goals, start_s + 0.002 * (k + 1))
@@ -73,10 +73,10 @@ def test_shared_plant_passes_goals_and_motion() -> None:
     world_end = SharedPlant(path)
     assert world_end.goals() == Goals()
     goals = Goals(True, 5, -20, 661, 437, 50)
-    assert servo_end.advance(goals, 0.0) == Motion()
+    assert servo_end.advance(goals, 0.0) == ServoMotion()
     assert world_end.goals() == goals
-    world_end.show(Motion(-12.25, 433, -1.5))
-    assert servo_end.advance(goals, 1.0) == Motion(-12.25, 433, -1.5)
+    world_end.show(ServoMotion(-12.25, 433, -1.5))
+    assert servo_end.advance(goals, 1.0) == ServoMotion(-12.25, 433, -1.5)
     world_end.close()
     servo_end.close()
     servo_end.close()
@@ -105,7 +105,7 @@ def test_rows_in_shared_memory_are_never_torn() -> None:
         k = 0
         while not done.is_set():
             k += 1
-            theirs.show(Motion(float(k), k, float(k)))
+            theirs.show(ServoMotion(float(k), k, float(k)))
 
     writing = threading.Thread(target=world)
     writing.start()
@@ -127,10 +127,10 @@ def test_rows_in_shared_memory_are_never_torn() -> None:
 def test_a_row_left_half_written_does_not_hang_the_reader() -> None:
     """Assert that a reader keeps to the last whole row when the writer died over the next."""
     plant = SharedPlant()
-    plant.show(Motion(1.0, 2, 3.0))
-    assert plant.advance(Goals(), 0.0) == Motion(1.0, 2, 3.0)
+    plant.show(ServoMotion(1.0, 2, 3.0))
+    assert plant.advance(Goals(), 0.0) == ServoMotion(1.0, 2, 3.0)
     with plant.path.open("r+b") as memory:
         memory.seek(128 + 9)
         memory.write(b"\x55")
-    assert plant.advance(Goals(), 0.0) == Motion(1.0, 2, 3.0)
+    assert plant.advance(Goals(), 0.0) == ServoMotion(1.0, 2, 3.0)
     plant.close()

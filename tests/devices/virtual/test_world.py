@@ -17,7 +17,7 @@ from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.devices.virtual import world as virtual
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
-from evetac_cli.devices.virtual.servo_plant import Goals, Motion
+from evetac_cli.devices.virtual.servo_plant import Goals, ServoMotion
 from evetac_cli.devices.virtual.world import FIRST_MS, VirtualWorld
 from evetac_cli.errors import DeviceError, SceneError
 from evetac_cli.events import SLICE_US, Events
@@ -167,7 +167,7 @@ def goals(**registers: int) -> Goals:
     return Goals(True, **(usual | registers))
 
 
-def until(world: VirtualWorld, wanted: Goals, holds: Callable[[Motion], bool]) -> Motion:
+def until(world: VirtualWorld, wanted: Goals, holds: Callable[[ServoMotion], bool]) -> ServoMotion:
     """Pass these registers to the world until what the servo measures is as expected, or the world has had its time."""
     began = time.monotonic()
     while not holds(motion := world.plant.advance(wanted, 0.0)) and time.monotonic() < began + LONGEST_S:

@@ -25,7 +25,7 @@ from evetac_cli.evaluate.cost.gel import (
     time_step_text,
 )
 from evetac_cli.evaluate.cost.gel_reference import layer_stiffness, simulate_explicit, simulate_modes
-from evetac_cli.evaluate.cost.gel_trial import Motion, draw_trial, simulate
+from evetac_cli.evaluate.cost.gel_trial import GelMotion, draw_trial, simulate
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.sim.gel import gel
 
@@ -269,8 +269,8 @@ def test_full_has_all_that_is_usual():
 
 def test_errors_by_hand():
     """Assert that errors are root mean square distances in the plane, in um, over all samples."""
-    still = Motion(np.zeros((2, 3)), np.zeros((2, 2, 2)), np.array([500.0, 1500.0]))
-    moved = Motion(np.array([[3e-6, 4e-6, 9.0], [0, 0, 0]]), np.full((2, 2, 2), 1e-6), still.block_us)
+    still = GelMotion(np.zeros((2, 3)), np.zeros((2, 2, 2)), np.array([500.0, 1500.0]))
+    moved = GelMotion(np.array([[3e-6, 4e-6, 9.0], [0, 0, 0]]), np.full((2, 2, 2), 1e-6), still.block_us)
     assert errors_um(moved, still) == pytest.approx((5 / math.sqrt(2), math.sqrt(2)))
     shown = row("x", moved, still)
     assert (shown["time_us_median"], shown["times_real_time"]) == (1000.0, 1.0)

@@ -17,20 +17,20 @@ from evetac_cli.evaluate.cost.chain import (
     BALANCE_S,
     LIFT_S,
     Chain,
+    ChainTrial,
     Lifted,
-    Trial,
     run_chain,
     slip_errors,
 )
 from evetac_cli.evaluate.cost.pipeline import DEFAULTS, ERRORS, Measured, tables, trials
 from evetac_cli.evaluate.labels import true_onsets
-from evetac_cli.evaluate.rows import Extent, Setting, line
+from evetac_cli.evaluate.rows import Extent, SolverSetting, line
 from evetac_cli.kernels.force.models import Regression, apply_regression, fit_regression
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings.read import open_recording
 from tests.make import answer_of
 
-HALF = Setting("fixed step", "0.5 ms", {"step_ms": 0.5})
+HALF = SolverSetting("fixed step", "0.5 ms", {"step_ms": 0.5})
 
 
 def chain(onset: int | None, label: int | None, detection: int | None, off_px: float = 0.0) -> Chain:
@@ -58,12 +58,12 @@ def test_errors_by_hand() -> None:
     assert all(np.isnan(list(slip_errors(chain(1, 1, 1), chain(None, None, None), twice).values())))
 
 
-def measured(setting: Setting, slow: float, off: float, held: bool = True) -> Measured:
+def measured(setting: SolverSetting, slow: float, off: float, held: bool = True) -> Measured:
     entry = Measured(setting)
     for trial in range(4):
         errors = dict.fromkeys(pipeline.SLIP_ERRORS, off + 0.01 * trial)
         one = chain(50, 50, 50)._replace(chain_us=slow + trial, record_us=0.5 * slow)
-        entry.add(Trial(8, 10_000 + trial, 11), one, Lifted(held, 1.0 + off, slow), errors, Lifted(True, 1.0, 1.0))
+        entry.add(ChainTrial(8, 10_000 + trial, 11), one, Lifted(held, 1.0 + off, slow), errors, Lifted(True, 1.0, 1.0))
     return entry
 
 
@@ -72,7 +72,7 @@ def test_tables() -> None:
     fine, coarse = line("fixed step", "step_ms", (0.25, 1.0), "ms")
     rows = tables(
         [
-            measured(Setting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
+            measured(SolverSetting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
             measured(DEFAULTS, 300.0, 20.0),
             measured(fine, 600.0, 10.0),
             measured(coarse, 310.0, 21.0, held=False),
@@ -121,9 +121,9 @@ def test_trials_have_seeds_of_their_own() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", [DEFAULTS, pytest.param(HALF, marks=pytest.mark.slow)], ids=["defaults", "half"])
-def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setting: Setting) -> None:
+def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setting: SolverSetting) -> None:
     """Assert that `evetac record` with the flags of a row makes the trial of the chain: the same recipe and onset."""
-    chained = run_chain(Trial(8, 10_000, 11), setting, tmp_path / "chain", str(short_scene))
+    chained = run_chain(ChainTrial(8, 10_000, 11), setting, tmp_path / "chain", str(short_scene))
     flags = ["--object", "8", "--seed", "10000", *setting.flags.split(), "-o", str(tmp_path / "a.recording.h5")]
     shown = CliRunner().invoke(main.app, ["record", "--scene", str(short_scene), *flags])
     assert shown.exit_code == 0, shown.output
@@ -141,9 +141,9 @@ def test_a_trial_is_that_of_the_command(short_scene: Path, tmp_path: Path, setti
 def test_a_report(short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert the report of two trials with the defaults alone: the same errors as the reference, and no difference."""
     monkeypatch.setattr(pipeline, "CHOICES", Extent((), ()))
-    monkeypatch.setattr(pipeline, "REFERENCE", Setting("reference"))
+    monkeypatch.setattr(pipeline, "REFERENCE", SolverSetting("reference"))
     monkeypatch.setattr(pipeline, "OBJECTS", (8,))
-    monkeypatch.setattr(pipeline, "CALIBRATION", (Trial(8, 9000, 11),))
+    monkeypatch.setattr(pipeline, "CALIBRATION", (ChainTrial(8, 9000, 11),))
     real = run_chain
     monkeypatch.setattr(pipeline, "run_chain", lambda *given: real(*given, str(short_scene)))
     monkeypatch.setattr(pipeline, "run_grasp", lambda *_: Lifted(True, 2.0, 400.0))
@@ -167,7 +167,7 @@ def test_a_report(short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.slow
 def test_a_grasp(tmp_path: Path) -> None:
     """Assert that a grasp is made as the command makes it, and held."""
-    lifted = pipeline_chain.run_grasp(Trial(8, 10_000, 11), DEFAULTS, tmp_path)
+    lifted = pipeline_chain.run_grasp(ChainTrial(8, 10_000, 11), DEFAULTS, tmp_path)
     assert lifted.held
     assert 0 < lifted.moved_mm < 25
     assert lifted.grasp_us > 0
@@ -201,7 +201,7 @@ def test_copied_flags_reproduce_the_errors(tmp_path: Path, monkeypatch: pytest.M
     """Assert that the flags of three rows, given to the commands, make the same errors in ms, px, N, and mm."""
     chosen = (*line("fixed step", "step_ms", (1.0,), "ms"), *line("scans", "scans_per_ms", (2,), "a ms"))
     monkeypatch.setattr(pipeline, "CHOICES", Extent(chosen, chosen))
-    monkeypatch.setattr(pipeline, "REFERENCE", Setting("reference", solver={"step_ms": 0.25}))
+    monkeypatch.setattr(pipeline, "REFERENCE", SolverSetting("reference", solver={"step_ms": 0.25}))
     report = tmp_path / "p.report.h5"
     rows = answer_of("evaluate", "cost", "pipeline", "--trials", 1, "-o", report)["rows"]
     reference, *others = (row for row in rows if "trial_flags" in row)
@@ -247,7 +247,7 @@ def test_the_picture() -> None:
     figure_module = pytest.importorskip("matplotlib.figure")
     rows = tables(
         [
-            measured(Setting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
+            measured(SolverSetting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
             measured(DEFAULTS, 300.0, 20.0),
             *(
                 measured(one, 600.0 / one.solver["step_ms"], 10.0)

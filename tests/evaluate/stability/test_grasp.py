@@ -14,7 +14,7 @@ from evetac_cli.evaluate.cost.short_grasps import GraspResult
 from evetac_cli.evaluate.stability import bounds, command
 from evetac_cli.evaluate.stability import grasp as stability
 from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, merge
-from evetac_cli.evaluate.stability.grasp import Case, DyingDetector, UnevenSlices, extreme_cases, grasp_rows
+from evetac_cli.evaluate.stability.grasp import DyingDetector, GraspCase, UnevenSlices, extreme_cases, grasp_rows
 from evetac_cli.jobs import Job, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim.gripper import Drive
@@ -69,15 +69,15 @@ def test_the_limit_is_that_of_the_servo() -> None:
 @pytest.mark.parametrize("controller", stability.QUICK_CONTROLLERS)
 def test_a_fault_in_the_controller_is_seen(controller: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that goals of a real short grasp are in range, and not once the controller gives goals beyond it."""
-    assert bounds.GOAL.quantity not in not_ok(grasp_rows(Case("as usual", timing=SHORT), controller, 0))
+    assert bounds.GOAL.quantity not in not_ok(grasp_rows(GraspCase("as usual", timing=SHORT), controller, 0))
     real = Control.step
     monkeypatch.setattr(Control, "step", lambda *given: real(*given) + 2000)
-    assert bounds.GOAL.quantity in not_ok(grasp_rows(Case("as usual", timing=SHORT), controller, 0))
+    assert bounds.GOAL.quantity in not_ok(grasp_rows(GraspCase("as usual", timing=SHORT), controller, 0))
 
 
 def test_a_grasp_that_breaks_off_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a detector that dies ends the grasp without current, in words, and that one left pressing is seen."""
-    case = Case("dies", wrap_detector=lambda detector, rng: DyingDetector(detector, 50), timing=SHORT)
+    case = GraspCase("dies", wrap_detector=lambda detector, rng: DyingDetector(detector, 50), timing=SHORT)
     (row,) = grasp_rows(case, "paper", 0)
     assert (row["quantity"], row["value"], row["ok"]) == (bounds.LET_GO.quantity, 0.0, True)
     assert row["outcome"] == "let go: the detector died"
@@ -131,14 +131,14 @@ def test_refusals_are_ok() -> None:
         assert usual.touched is not None
         return replace(usual, touched=replace(usual.touched, mass_g=-1.0))
 
-    (row,) = grasp_rows(Case("object of -1 g", without_mass, timing=SHORT), "paper", 0)
+    (row,) = grasp_rows(GraspCase("object of -1 g", without_mass, timing=SHORT), "paper", 0)
     assert row["ok"]
     assert row["outcome"].startswith("refused: ")
 
 
 def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert rows of real grasps, what is not ok first, counted by controller in the summary."""
-    monkeypatch.setattr(stability, "extreme_cases", lambda full: [Case("as usual", timing=SHORT)])
+    monkeypatch.setattr(stability, "extreme_cases", lambda full: [GraspCase("as usual", timing=SHORT)])
     chosen = EvaluateStability(part="grasp")
     outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
     assert {(row["controller"], row["case"]) for row in outcome.rows} == {

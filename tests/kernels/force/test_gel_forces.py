@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import LATTICE_MM
-from evetac_cli.kernels.force.gel_forces import Errors, GelNetwork, Stiffness
-from evetac_cli.kernels.force.models import Layer
+from evetac_cli.kernels.force.gel_forces import ForceErrorModel, GelNetwork, Stiffness
+from evetac_cli.kernels.force.models import DenseLayer
 
 NONE = np.zeros(2)
 TIMES_S = np.array([0.3, 5.0])
-ERRORS = Errors(0.3, 0.05, 0.5, 0.08)
+ERRORS = ForceErrorModel(0.3, 0.05, 0.5, 0.08)
 
 
 def gel(log_sd: float = 0.1, creep: tuple[float, float] = (0.0, 0.0), creep_sd: float = 0.0) -> Stiffness:
@@ -25,9 +25,9 @@ def network() -> GelNetwork:
     sums = np.zeros((3, size), np.float32)
     sums[0, 0::2], sums[1, 1::2] = 1.0, 1.0
     sums[2] = sums[0] - sums[1]
-    hidden = (Layer(np.zeros((4, size), np.float32), np.zeros(4, np.float32)),)
-    last = Layer(np.zeros((3, 4), np.float32), np.zeros(3, np.float32))
-    return GelNetwork((*hidden, last), Layer(sums, np.zeros(3, np.float32)), np.array([1.0, 2.0, 1.0]))
+    hidden = (DenseLayer(np.zeros((4, size), np.float32), np.zeros(4, np.float32)),)
+    last = DenseLayer(np.zeros((3, 4), np.float32), np.zeros(3, np.float32))
+    return GelNetwork((*hidden, last), DenseLayer(sums, np.zeros(3, np.float32)), np.array([1.0, 2.0, 1.0]))
 
 
 def test_twice_the_field_is_twice_the_force() -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force import models
-from evetac_cli.kernels.force.models import Layer, Network, Regression
+from evetac_cli.kernels.force.models import DenseLayer, Network, Regression
 
 slopes = st.lists(st.floats(-5, 5), min_size=4, max_size=4)
 
@@ -62,9 +62,9 @@ def test_network_by_hand() -> None:
     last = np.concatenate([total, -total], axis=1).astype(np.float32)
     bias = np.array([1.0, -2.0], np.float32)
     layers = (
-        Layer(split, np.zeros(4 * dots, np.float32)),
-        Layer(same, np.zeros(4 * dots, np.float32)),
-        Layer(last, bias),
+        DenseLayer(split, np.zeros(4 * dots, np.float32)),
+        DenseLayer(same, np.zeros(4 * dots, np.float32)),
+        DenseLayer(last, bias),
     )
     given_px = moved(10, dots)
     reported = models.apply_network(Network(layers, scale_px=2.0, scale_n=6.0), given_px)

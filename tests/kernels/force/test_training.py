@@ -18,7 +18,7 @@ def gel(samples: int, seed: int) -> tuple[Floats, Floats]:
     return force_n[:, None] * share * 2.5 + rng.normal(0, 0.05, (samples, DOTS, 2)), force_n
 
 
-def train(seed: int = 0, epochs: int = 8) -> training.Training:
+def train(seed: int = 0, epochs: int = 8) -> training.ForceTraining:
     """A short run."""
     return training.train(*gel(300, 1), *gel(100, 2), np.random.default_rng(seed), epochs)
 

@@ -7,9 +7,9 @@ import pytest
 from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.control import LAWS, Control, FixedGrip, SlipSignal, make_law, uses_detector
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 
-CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
+CONTACT, LIFT, BALANCE = GraspPhase.CONTACT, GraspPhase.LIFT, GraspPhase.BALANCE
 
 
 def test_names() -> None:

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.kernels.grip.load_proportional import LoadLaw, LoadState, start, step
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 
-CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
+CONTACT, LIFT, BALANCE = GraspPhase.CONTACT, GraspPhase.LIFT, GraspPhase.BALANCE
 DT_S = 0.002
 LAW = LoadLaw()
 
@@ -26,7 +26,7 @@ class Fingers:
     def position(self) -> int:
         return math.floor(self.at_ticks)
 
-    def follow(self, phase: Phase, load_px: float, slip: bool = False, seconds: float = DT_S) -> None:
+    def follow(self, phase: GraspPhase, load_px: float, slip: bool = False, seconds: float = DT_S) -> None:
         for _ in range(round(seconds / DT_S)):
             goal = step(self.state, phase, slip, (load_px, 0.0), self.position, DT_S, LAW)
             push = goal - self.position

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip.paper import PAPER, PAPER_RESET, GripLaw, GripState, Phase, start, step
+from evetac_cli.kernels.grip.paper import PAPER, PAPER_RESET, GraspPhase, GripLaw, GripState, start, step
 
-CONTACT, LIFT, BALANCE = Phase.CONTACT, Phase.LIFT, Phase.BALANCE
+CONTACT, LIFT, BALANCE = GraspPhase.CONTACT, GraspPhase.LIFT, GraspPhase.BALANCE
 
 
 def lifting(position: int = 100) -> GripState:
@@ -27,7 +27,7 @@ def balancing(position: int = 100, u_ff: float = 0.0, x_ref: float = math.nan) -
     return state
 
 
-def feed(state: GripState, phase: Phase, slips: str, position: int = 100) -> list[float]:
+def feed(state: GripState, phase: GraspPhase, slips: str, position: int = 100) -> list[float]:
     """u_ff after each step; slips as in "..ss." with s for slip."""
     trace = []
     for slip in slips:
@@ -179,7 +179,7 @@ def test_goal_is_in_whole_ticks() -> None:
     assert step(start(), CONTACT, False, 739) == 740
     state = balancing(0, u_ff=2.0)
     assert step(state, BALANCE, False, 1) == 0
-    assert all(type(step(start(), phase, False, 5)) is int for phase in Phase)
+    assert all(type(step(start(), phase, False, 5)) is int for phase in GraspPhase)
 
 
 def test_other_constants() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.identify import dots
-from evetac_cli.kernels.identify.dots import Dots
+from evetac_cli.kernels.identify.dots import DotOptics
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.lens import Lens
 
@@ -82,13 +82,13 @@ def test_dots_that_do_not_show() -> None:
     assert np.isnan(fitted.radius_px).all() and np.isnan(fitted.inside_on).all()
 
 
-def seen(count: int, radius_spread: float, contrast_spread: float, seed: int, ratio: float = 8.0) -> Dots:
+def seen(count: int, radius_spread: float, contrast_spread: float, seed: int, ratio: float = 8.0) -> DotOptics:
     """Fitted dots as a camera would show them that is as the corrections say."""
     rng = np.random.default_rng(seed)
     chance = 1.0 + np.array([[dots.RADIUS_CHANCE], [dots.CONTRAST_CHANCE]]) * rng.standard_normal((2, count))
     radius_px = 15.0 * (1.0 + radius_spread * rng.standard_normal(count)) * chance[0]
     contrast = ratio * (1.0 + contrast_spread * rng.standard_normal(count)) * chance[1]
-    return Dots(
+    return DotOptics(
         rng.uniform(0, 400, (count, 2)),
         radius_px + dots.RADIUS_ADDED_PX + dots.RADIUS_BY_EVENTS_PX / ratio**2,
         np.full(count, 1.2 / dots.blur_over_seen(EXCESS, ratio / 1.2, NOISE_HZ)),

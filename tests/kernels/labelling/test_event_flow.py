@@ -59,13 +59,13 @@ def slide(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, angle
     return np.repeat(along[:, None, None] * direction, len(DOTS), axis=1), object_px
 
 
-def followed(between: flow.Between, slices: int) -> event_flow.Motion:
+def followed(between: flow.Between, slices: int) -> event_flow.ImageMotion:
     """The motion of all slices, in one."""
     part = event_flow.pixel_parts(between, slices, WINDOW, GEL, DOTS)
     given = between, slices, part, DOTS, RADIUS_PX, CONSTANTS.edge_events
     blocks = [motion for _, motion in event_flow.follow(*given)]
     first = [blocks[0].dot_px[:1], blocks[0].window_events[:1]]
-    return event_flow.Motion(
+    return event_flow.ImageMotion(
         np.concatenate([first[0], *(block.dot_px[1:] for block in blocks)]),
         np.concatenate([first[1], *(block.window_events[1:] for block in blocks)]),
     )

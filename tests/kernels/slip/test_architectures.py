@@ -13,9 +13,9 @@ from evetac_cli.kernels.slip.architectures import (
     EVENTS_A_RIM,
     SHEAR_MODULUS_PA,
     Architecture,
+    ChannelView,
     DotArchitecture,
     ImageArchitecture,
-    View,
     prefixes,
 )
 
@@ -77,27 +77,27 @@ def test_features_are_scaled_to_one_sensor() -> None:
 
 def test_columns_of_a_channel() -> None:
     """Assert that the inputs of a dot are its views one after the other."""
-    row = DotArchitecture("", (View("events", 3), View("x", 1, 5, 2), View("y", 1, 5, 2)), 1, 1)
+    row = DotArchitecture("", (ChannelView("events", 3), ChannelView("x", 1, 5, 2), ChannelView("y", 1, 5, 2)), 1, 1)
     assert [row.channel_columns(channel) for channel in ("events", "x", "y")] == [slice(0, 3), slice(3, 6), slice(6, 9)]
     assert row.channel_columns("distance") == slice(0, 0)
     assert (row.history, row.inputs_per_dot) == (10, 9)
 
 
-HIST10 = DotArchitecture("hist10", (View("distance", 10), View("events", 10)), 12, 4)
+HIST10 = DotArchitecture("hist10", (ChannelView("distance", 10), ChannelView("events", 10)), 12, 4)
 
 
 @pytest.mark.parametrize(
     "change",
     [
         {"views": ()},
-        {"views": (View("events", 1), View("events", 2))},
-        {"views": (View("colour", 1),)},
-        {"views": (View("events", -1, 1, 3),)},
-        {"views": (View("events", 0),)},
-        {"views": (View("events", 1, 0, 1),)},
-        {"views": (View("events", 0, 2, 2, change=True),)},
-        {"views": (View("x", 1),)},
-        {"views": (View("x", 1), View("y", 2))},
+        {"views": (ChannelView("events", 1), ChannelView("events", 2))},
+        {"views": (ChannelView("colour", 1),)},
+        {"views": (ChannelView("events", -1, 1, 3),)},
+        {"views": (ChannelView("events", 0),)},
+        {"views": (ChannelView("events", 1, 0, 1),)},
+        {"views": (ChannelView("events", 0, 2, 2, change=True),)},
+        {"views": (ChannelView("x", 1),)},
+        {"views": (ChannelView("x", 1), ChannelView("y", 2))},
         {"fc1": 0},
         {"every": 0},
     ],

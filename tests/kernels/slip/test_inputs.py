@@ -5,7 +5,13 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features, inputs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture, View
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    Architecture,
+    ChannelView,
+    DotArchitecture,
+    ImageArchitecture,
+)
 from evetac_cli.kernels.slip.features import EventImages
 
 DOTS = {name: row for name, row in ARCHITECTURES.items() if isinstance(row, DotArchitecture)}
@@ -73,7 +79,7 @@ def test_inputs_are_the_papers(name: str) -> None:
 
 def test_changes_by_hand() -> None:
     """Assert that a view of changes gives the newest value, then newest minus value and newest minus block mean."""
-    view = View("events", 2, 2, 2, change=True)
+    view = ChannelView("events", 2, 2, 2, change=True)
     series = np.zeros((4, 1, 4), np.float32)
     series[:, 0, 1] = [1, 2, 4, 10]
     result = inputs.at(DotArchitecture("", (view,), 1, 1), series, np.array([3]))
@@ -153,7 +159,7 @@ def test_directions_turn_with_the_grid(turns: int) -> None:
 
 def test_right_turns_up() -> None:
     """Assert that after a quarter turn counter-clockwise, what pointed right points up (-y), and up points left."""
-    row = DotArchitecture("", (View("x", 1), View("y", 1)), 1, 1)
+    row = DotArchitecture("", (ChannelView("x", 1), ChannelView("y", 1)), 1, 1)
     still = np.zeros((1, 56, 2), np.float32)
     still[0, 27] = (1, 0)  # row 3, column 3: left of the middle of the square, which is columns 1 to 7
     still[0, 28] = (0, -1)  # the middle itself

@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import features, inputs, sampling
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, View
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ChannelView, DotArchitecture
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
-from evetac_cli.kernels.slip.sampling import Batch, Samples
+from evetac_cli.kernels.slip.sampling import Batch, SlipSamples
 
 HIST10 = ARCHITECTURES["hist10"]
 
@@ -25,11 +25,11 @@ def trajectory(slices: int, onset: int, busy: NDArray[np.bool_] | None = None, m
     return Trajectory(np.full((slices, 56, 4), mark, np.float32), outside, label, onset)
 
 
-def pools(slip: int, busy: int, quiet: int) -> Samples:
+def pools(slip: int, busy: int, quiet: int) -> SlipSamples:
     """Give samples of which only the pools matter, with a different slice for each."""
     ends = np.arange(slip + busy + quiet)
     series = np.zeros((0, 56, 4), np.float32)
-    return Samples(
+    return SlipSamples(
         HIST10, 7, 8, series, ends[:slip], ends[slip : slip + busy], ends[slip + busy :], np.zeros(0, np.float32)
     )
 
@@ -47,7 +47,7 @@ def test_pools_of_a_small_trajectory() -> None:
 @pytest.mark.parametrize(("history", "first", "slipping"), [(1, 0, 15), (10, 9, 15), (20, 19, 20), (50, 49, 50)])
 def test_history_sets_the_first_sample_and_the_cut(history: int, first: int, slipping: int) -> None:
     """Assert that no sample lies before a full history, and that longer histories keep more slices of slip."""
-    architecture = DotArchitecture("", (View("events", history),), 1, 1)
+    architecture = DotArchitecture("", (ChannelView("events", history),), 1, 1)
     samples = sampling.gather([trajectory(200, 60)], architecture)
     assert samples.busy[0] == first
     np.testing.assert_array_equal(samples.slip, np.arange(60, 60 + slipping))
@@ -144,7 +144,7 @@ def test_trajectories_that_do_not_fit_are_refused() -> None:
             sampling.gather([good, one], HIST10)
 
 
-def drawn(samples: Samples, count: int, seed: int = 0) -> list[Batch]:
+def drawn(samples: SlipSamples, count: int, seed: int = 0) -> list[Batch]:
     """Draw some batches."""
     return list(islice(sampling.batches(samples, np.random.default_rng(seed)), count))
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from evetac_cli.kernels.grip.control import LawState, OtherLaw, SlipSignal
-from evetac_cli.kernels.grip.paper import Phase
+from evetac_cli.kernels.grip.paper import GraspPhase
 
 
 @dataclass
@@ -24,10 +24,10 @@ class FirmLaw(OtherLaw):
         """Before the first step."""
         return FirmState(u_ff=-float(self.approach_ticks))
 
-    def step(self, state: LawState, phase: Phase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+    def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
         """The goal position: ahead of the fingers in contact, then ahead of where contact ended."""
         assert isinstance(state, FirmState)
-        if phase is Phase.CONTACT:
+        if phase is GraspPhase.CONTACT:
             state.x_ref = float(position_ticks)
             return position_ticks + self.approach_ticks
         state.closed_ticks += self.step_ticks * slip

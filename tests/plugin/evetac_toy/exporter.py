@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from evetac_cli.formats.exports import Format
+from evetac_cli.formats.exports import ExportFormat
 from evetac_cli.formats.write.pieces import pieces
 from evetac_cli.jobs import Progress
 from evetac_cli.store.recordings.read import Recording
@@ -16,4 +16,4 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
             file.writelines(f"{t},{x},{y},{p}\n" for t, x, y, p in zip(*events, strict=True))
 
 
-TOY = Format((".toy",), write)
+TOY = ExportFormat((".toy",), write)

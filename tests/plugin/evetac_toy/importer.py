@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.imports import Format
-from evetac_cli.formats.read.event_validation import Columns, Foreign, choose_frame
+from evetac_cli.formats.imports import ImportFormat
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, choose_frame
 
 MARK = b"toy events "
 
@@ -22,14 +22,14 @@ def read(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     return Foreign("toy", frame, batches(path), may_be_empty=True)
 
 
-def batches(path: Path) -> Iterator[Columns]:
+def batches(path: Path) -> Iterator[EventColumns]:
     """All events; a large file comes in several batches."""
     try:
         table = np.loadtxt(path, np.int64, delimiter=",", skiprows=1, ndmin=2)
     except ValueError as error:
         raise InputError("not a line of an event", where=str(path), found=str(error)) from None
     if table.size:
-        yield Columns(*table.T, place=lambda row: f"in line {row + 2}")
+        yield EventColumns(*table.T, place=lambda row: f"in line {row + 2}")
 
 
-TOY = Format((MARK,), read)
+TOY = ImportFormat((MARK,), read)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from evetac_cli.kernels.slip.architectures import OtherArchitecture, View
+from evetac_cli.kernels.slip.architectures import ChannelView, OtherArchitecture
 
 WIDTH = 8
 
@@ -35,4 +35,4 @@ class MeanOfDots(OtherArchitecture):
         return modules["code"](inputs).relu().mean(1)
 
 
-MEAN_OF_DOTS = MeanOfDots("mean-of-dots", (View("distance", 10), View("events", 10)))
+MEAN_OF_DOTS = MeanOfDots("mean-of-dots", (ChannelView("distance", 10), ChannelView("events", 10)))

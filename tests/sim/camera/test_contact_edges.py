@@ -14,7 +14,7 @@ from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match
 from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.contact_edges import ContactEdges, Place
+from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
@@ -31,22 +31,22 @@ CUT = (0.3, 3.0)
 DOTS = np.array([[40.3, 40.6], [62.2, 47.7]])
 STILL = (0.0, 0.0)
 
-Motion = Callable[[float], tuple[NDArray[np.float64], NDArray[np.float64], Place]]
+Motion = Callable[[float], tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]]
 
 
-def place(x: float, y: float, strength: float = 1.0, cut: Any = NO_CUT) -> Place:
+def place(x: float, y: float, strength: float = 1.0, cut: Any = NO_CUT) -> EdgePlace:
     """An outline's middle at (x, y)."""
     rows, columns = FINGER.picture.shape
-    return Place(np.array([x - (columns - 1) / 2, y - (rows - 1) / 2]), strength, np.asarray(cut, np.float64))
+    return EdgePlace(np.array([x - (columns - 1) / 2, y - (rows - 1) / 2]), strength, np.asarray(cut, np.float64))
 
 
-def slide(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+def slide(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
     """Dots, texture, and a finger that crosses both the dots and the window, while the cut edge swings."""
     cut = 80.0 + 3.0 * math.sin(0.4 * t_ms) * np.linspace(-1, 1, FRAME[1])
     return DOTS + [0.4 * t_ms, 0.1 * t_ms], np.array([1.1 * t_ms, -0.4 * t_ms]), place(20 + 2.5 * t_ms, 45.0, 1.0, cut)
 
 
-def touch(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+def touch(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
     """A finger that comes, stays and goes, over a dot that moves and one that does not."""
     strength = float(np.clip(min(t_ms, 26.0 - t_ms) / 8.0, 0.0, 1.0))
     return DOTS + [[0.1 * t_ms, 0.0], [0.0, 0.0]], np.zeros(2), place(48.0 + 0.2 * t_ms, 42.0, strength)
@@ -76,17 +76,17 @@ def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
     return concatenate(parts)
 
 
-def between(motion: Motion, k: int, part: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+def between(motion: Motion, k: int, part: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
     """What a camera is told within a slice: all moves evenly."""
     (dots, object_xy_px, begin), (dots_end, object_end_xy_px, end) = motion(k), motion(k + 1)
     mixed = [
         a + part * (b - a)
         for a, b in zip((dots, object_xy_px, *begin), (dots_end, object_end_xy_px, *end), strict=True)
     ]
-    return mixed[0], mixed[1], Place(*mixed[2:])
+    return mixed[0], mixed[1], EdgePlace(*mixed[2:])
 
 
-def lines_level(where: Place) -> NDArray[np.float64]:
+def lines_level(where: EdgePlace) -> NDArray[np.float64]:
     """What the lines add to every pixel, from the tables' closed meaning."""
     y, x = np.mgrid[: FRAME[1], : FRAME[0]]
     picture = FINGER.picture.astype(float)
@@ -188,7 +188,7 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
     grid = np.stack(np.meshgrid([22.3, 98.2], [20.1, 68.7]), axis=-1).reshape(-1, 2)
     away = np.random.default_rng(2).normal(0.0, 1.0, grid.shape)
 
-    def turning(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    def turning(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         middle = 60.0 + 25.0 * math.sin(0.2 * t_ms), 45.0 + 12.0 * math.cos(0.2 * t_ms)
         cut = 85.0 + 0.1 * t_ms * np.linspace(-1, 1, FRAME[1])
         return grid + speed * t_ms * away, np.zeros(2), place(*middle, min(0.2 * t_ms, 1.0, 0.2 * (40 - t_ms)), cut)
@@ -228,7 +228,7 @@ def test_ideal_against_fine_steps(name: str, window: bool) -> None:
 def test_time_error_falls_with_the_square_of_substeps() -> None:
     """Assert a slope of 2 of log time error over log sub-step for edges that move evenly."""
 
-    def fast(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    def fast(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         return DOTS, np.zeros(2), place(20 + 6.0 * t_ms, 45.0 + 1.0 * t_ms)
 
     state = start(fast, window=False)
@@ -247,7 +247,7 @@ def test_time_error_falls_with_the_square_of_substeps() -> None:
 def test_still_lines_are_silent(step: Any) -> None:
     """Assert that lines that rest make no event, not even when a dot moves far from them or the camera is new."""
 
-    def motion(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    def motion(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         return DOTS[:1], np.zeros(2), place(60.0, 45.0, 1.0, np.full(FRAME[1], 80.0))
 
     state = start(motion)
@@ -261,7 +261,7 @@ def test_still_lines_are_silent(step: Any) -> None:
 def test_dots_under_a_still_line(step: Any) -> None:
     """Assert that dots under a line that rests make the very events they make without it."""
 
-    def under(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    def under(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         return DOTS + [0.6 * t_ms, 0.2 * t_ms], np.zeros(2), place(50.0, 45.0)
 
     with_lines, without = start(under, window=False), start(under, window=False)
@@ -285,7 +285,7 @@ def test_dots_under_a_still_line(step: Any) -> None:
 def test_cut_edge_shows_on_both_sides(step: Any) -> None:
     """Assert that an edge that swings over the window's border makes events in gel and window, and all are its own."""
 
-    def swing(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    def swing(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         cut = np.full(FRAME[1], 80.0 + 6.0 * math.sin(0.3 * t_ms))
         return DOTS[:1], np.zeros(2), place(0.0, 0.0, 0.0, cut)
 
@@ -309,7 +309,7 @@ def test_count_of_a_passing_rim() -> None:
     rows, columns = FINGER.picture.shape
     top = float(FINGER.height)
 
-    def rise(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], Place]:
+    def rise(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         return np.empty((0, 2)), np.zeros(2), place(60.0, 45.0, min(t_ms / 40.0, 1.0))
 
     result = play(camera.step, start(rise, model, window=False), rise, 41)
@@ -402,7 +402,7 @@ def test_ellipse_refuses(size: Any, level: float, width: float, thick: float | N
     ],
 )
 @pytest.mark.parametrize("step", [camera.step, ideal.step])
-def test_step_refuses(step: Any, where: Place | None) -> None:
+def test_step_refuses(step: Any, where: EdgePlace | None) -> None:
     """Assert that a place that is not finite, out of range or missing is refused, and the camera is as it was."""
     state = start(touch)
     used = state if step is camera.step else ideal.from_references(state)

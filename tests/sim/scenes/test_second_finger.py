@@ -81,7 +81,7 @@ def test_a_lift_with_different_fingers() -> None:
     carried_n = []
     for k in range(2600):
         if k % 2 == 0:
-            phase = grip.Phase(int(k >= 1500))
+            phase = grip.GraspPhase(int(k >= 1500))
             one.command = ("position", grip.step(law, phase, one._slip._slips, one.finger.position_ticks))
         one.step()
         carried_n.append(both_n(one))

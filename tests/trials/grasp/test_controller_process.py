@@ -18,7 +18,7 @@ from evetac_cli.devices.grippers import Serial
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.trials.grasp.controller_process import (
@@ -244,7 +244,7 @@ def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
     assert ended.steps / ended.seconds == pytest.approx(500.0, rel=0.01)
     phases = [row["control/phase"] for row in rows]
     assert sorted(phases) == phases
-    assert set(phases) == set(Phase)
+    assert set(phases) == set(GraspPhase)
     law, position = Control(PAPER), 400
     slips = [sum(150 <= k < 160 or 320 <= k < 330 for k in range(row["control/slices_processed"])) for row in rows]
     for row, count, goal in zip(rows, slips, at.hand.goals, strict=False):

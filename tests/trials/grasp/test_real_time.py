@@ -19,7 +19,7 @@ from evetac_cli.devices import GripperReading
 from evetac_cli.errors import DeviceError, InputError, attached_outcome
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
@@ -197,7 +197,7 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     batch = SliceBatch(joined([noise(np.random.default_rng(0), 0)]), [3000], [0.5], [1.0], [600.0])
     recorded.take_slices(batch, writer)
     control = Control(PAPER)
-    row = control_row(control, Phase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
+    row = control_row(control, GraspPhase.LIFT, SlipSignal(), GripperReading(5.0, 400), 402, 1000)
     late = {"control/late_us": 5.0, "control/missed": 1, "control/latency_us": 2500.0, "control/slices_processed": 1}
     recorded.take_steps([{**row, **late}] * steps, writer)
     cycle_us = array("d", [700.0] * steps)
@@ -333,7 +333,7 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
         assert len(file) == row["slices"] == 2700
         assert len(file.read("truth/slip")) == 2700
         phase = file.read("control/phase")
-        assert set(phase) == set(Phase)
+        assert set(phase) == set(GraspPhase)
         assert (np.diff(file.read("control/t_us")) > 0).all()
         assert int(file.read("capture/command_misses")) >= int(file.read("control/missed").sum())
         latency, slip = file.read("control/latency_us"), file.read("control/slip")

@@ -12,7 +12,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.grip.paper import PAPER, Phase
+from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
@@ -74,7 +74,7 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
         np.testing.assert_array_equal(now.read("control/probability"), probability)
         position, phase = now.read("gripper/position_ticks"), now.read("control/phase")
         for step, goal in enumerate(now.read("control/goal_ticks")):
-            assert law.step(Phase(phase[step]), SlipSignal(int(slips[2 * step])), int(position[step])) == goal
+            assert law.step(GraspPhase(phase[step]), SlipSignal(int(slips[2 * step])), int(position[step])) == goal
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from evetac_cli.trials.record.current_ramp import (
     RAMP_MA,
     GripperLoop,
     Hold,
-    Phase,
+    RampPhase,
     start,
     step,
 )
@@ -34,7 +34,7 @@ STILL = ClosingSettings().still_cycles
 def after_contact(hold: Hold = HOLD, position: int = 400) -> tuple[object, np.random.Generator]:
     """A state in which the current is about to fall."""
     state, rng = start(hold), np.random.default_rng(0)
-    while state.phase is not Phase.FALLING:
+    while state.phase is not RampPhase.FALLING:
         step(state, hold, GripperReading(0.0, position), rng)
     return state, rng
 
@@ -44,9 +44,9 @@ def test_phases() -> None:
     state, rng = start(HOLD), np.random.default_rng(0)
     closing = [step(state, HOLD, GripperReading(10.0, 300 + k // 20), rng) for k in range(2000)]
     assert set(closing) == {10.0}
-    assert state.phase is Phase.CLOSING
+    assert state.phase is RampPhase.CLOSING
     targets = []
-    while state.phase is not Phase.FALLING:
+    while state.phase is not RampPhase.FALLING:
         targets.append(step(state, HOLD, GripperReading(10.0, 400), rng))
     assert targets.count(40.0) == 1000 * HOLD.hold_s / COMMAND_MS + 1
     assert STILL - 1 <= targets.count(10.0) <= STILL + 1

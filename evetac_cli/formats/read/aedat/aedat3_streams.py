@@ -28,7 +28,7 @@ EDGES = {2: (0, 1), 3: (0, 2), 4: (0, 3), 6: (1, 1), 7: (1, 2), 8: (1, 3), 9: (2
 TRIGGERS = "triggers; source: a signal from outside 1 rises, 2 falls, 3 is a pulse; input: which"
 
 
-class Samples(NamedTuple):
+class SampleStream(NamedTuple):
     """A stream, what its samples are called where they are counted, and how many of them are none."""
 
     stream: Stream
@@ -36,19 +36,19 @@ class Samples(NamedTuple):
     left_out: int
 
 
-def read_samples(path: Path, folder: Path | None) -> Iterator[Samples]:
+def read_samples(path: Path, folder: Path | None) -> Iterator[SampleStream]:
     """Triggers and IMU samples of the camera whose events are read, on the file's clock, as far as there are some."""
     for kind, name in ((SPECIAL, "triggers"), (IMU6, "imu"), (IMU9, "imu9")):
-        reader = _Reader(path, kind)
+        reader = _SampleReader(path, kind)
         t_us, *values = joined_on_disk(folder, reader.parts()) or (np.empty(0, np.int64),)
         if len(t_us):
             names = VALUES[kind] or ["input", "source"]
             units = {one: unit for one in names for part, unit in UNITS.items() if one.startswith(part)}
             stream = Stream(name, t_us, dict(zip(names, values, strict=True)), units=units, source=path.name)
-            yield Samples(stream, NAMES[kind], reader.count - len(t_us))
+            yield SampleStream(stream, NAMES[kind], reader.count - len(t_us))
 
 
-class _Reader:
+class _SampleReader:
     """The samples of one kind; `count` says how many events of the kind there were."""
 
     def __init__(self, path: Path, kind: int) -> None:

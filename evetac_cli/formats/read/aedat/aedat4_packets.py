@@ -28,7 +28,7 @@ KINDS = {"EVTS": "events", "FRME": "frames", "IMUS": "IMU samples", "TRIG": "tri
 
 
 @dataclass(frozen=True)
-class Stream:
+class PacketStream:
     """One stream as the header describes it."""
 
     number: int
@@ -46,7 +46,7 @@ class Header:
     size: int
     compression: int
     table: int
-    streams: list[Stream]
+    streams: list[PacketStream]
 
 
 class Span(NamedTuple):
@@ -100,7 +100,7 @@ def _unpack(code: str, body: bytes, at: int) -> int:
     return int(struct.unpack_from(code, body, at)[0])
 
 
-def _streams(xml: str) -> Iterator[Stream]:
+def _streams(xml: str) -> Iterator[PacketStream]:
     """Streams from the tree of settings that the recorder left in the header."""
     for node in ElementTree.fromstring(xml).iter("node"):
         settings = {attr.get("key", ""): attr.text or "" for attr in node.findall("attr")}
@@ -110,7 +110,7 @@ def _streams(xml: str) -> Iterator[Stream]:
         frame = (int(info["sizeX"]), int(info["sizeY"])) if "sizeX" in info and "sizeY" in info else None
         name = settings.get("originalOutputName", "events")
         number, note = int(node.get("name", "")), info.get(NAME, "")
-        yield Stream(number, settings["typeIdentifier"], name, info.get("source", ""), frame, note)
+        yield PacketStream(number, settings["typeIdentifier"], name, info.get("source", ""), frame, note)
 
 
 def walk(handle: BinaryIO, header: Header, number: int) -> Packets:

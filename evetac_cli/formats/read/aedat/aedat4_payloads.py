@@ -43,7 +43,7 @@ FORMATS = {0: ("L", 1), 16: ("RGB", 3), 24: ("RGBA", 4)}  # of images: their nam
 FRAME_T, FRAME_FORMAT, FRAME_WIDTH, FRAME_HEIGHT, FRAME_PIXELS = 0, 5, 6, 7, 10
 
 
-class Frame(NamedTuple):
+class ImageFrame(NamedTuple):
     """An image: its time in us, L, RGB or RGBA, and pixels of shape (rows, columns) or (rows, columns, channels)."""
 
     t: int
@@ -175,7 +175,7 @@ def _rows(tables: _Tables, start: int, count: int, fields: Sequence[tuple[str, s
     return rows
 
 
-def _frame(tables: _Tables, root: int) -> Frame:
+def _frame(tables: _Tables, root: int) -> ImageFrame:
     t, format_, width, height = (
         tables.number(code, at) if (at := tables.place(root, slot)) else 0
         for code, slot in (("q", FRAME_T), ("b", FRAME_FORMAT), ("h", FRAME_WIDTH), ("h", FRAME_HEIGHT))
@@ -188,6 +188,6 @@ def _frame(tables: _Tables, root: int) -> Frame:
         raise ValueError(f"{count} bytes of pixels for {width} x {height} px of {channels}")
     pixels = np.frombuffer(tables.body, np.uint8, count, start) if count else np.empty(0, np.uint8)
     if channels == 1:
-        return Frame(t, name, pixels.reshape(height, width))
+        return ImageFrame(t, name, pixels.reshape(height, width))
     shown = [2, 1, 0, 3][:channels]  # they lie as blue, green, red
-    return Frame(t, name, np.ascontiguousarray(pixels.reshape(height, width, channels)[:, :, shown]))
+    return ImageFrame(t, name, np.ascontiguousarray(pixels.reshape(height, width, channels)[:, :, shown]))

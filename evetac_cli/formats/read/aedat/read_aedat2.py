@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, checked_frame, choose_frame
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, at_index, checked_frame, choose_frame
 
 SIGN = b"#!AER-DAT2"
 WORD = np.dtype([("address", ">u4"), ("t", ">u4")])
@@ -140,7 +140,7 @@ def _field(address: NDArray[Any], place: tuple[int, int]) -> NDArray[np.int32]:
     return ((address >> shift) & mask).astype(np.int32)
 
 
-def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -> Iterator[Columns]:
+def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -> Iterator[EventColumns]:
     """The events in blocks; at the end `foreign` says what was left out."""
     width, height = foreign.frame_px
     clock, done = Clock((BITS_32,), edges=(BITS_31,)), 0
@@ -160,7 +160,7 @@ def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -
         y = height - 1 - _field(address[pixel], chip.y)
         p = (_field(address[pixel], (chip.polarity[0], 1)) == chip.polarity[1]).astype(np.uint8)
         rows = np.flatnonzero(pixel) + done
-        yield Columns(t, x, y, p, partial(_place, rows))
+        yield EventColumns(t, x, y, p, partial(_place, rows))
         done += len(words)
     foreign.left_out |= {name: number for name, number in left_out.items() if number}
     foreign.notes += clock.notes

@@ -18,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, at_index, choose_frame
 
 SIGN = b"#!AER-DAT3"
 END = b"#!END-HEADER"
@@ -42,7 +42,7 @@ FRAMES_PX = (
 )
 
 
-class Packet(NamedTuple):
+class PacketHead(NamedTuple):
     """The head of a packet, and where its events begin in the file."""
 
     kind: int
@@ -85,7 +85,7 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     return foreign
 
 
-def packets_beside(handle: BinaryIO, where: str) -> Iterator[Packet]:
+def packets_beside(handle: BinaryIO, where: str) -> Iterator[PacketHead]:
     """The packets of the source whose events are read that hold something else."""
     _, start = _head(handle, where)
     of_source = list(_packets(handle, start))
@@ -114,7 +114,7 @@ def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
     raise InputError("the head of the file does not end", where=where, expected=f"a line {END.decode()}")
 
 
-def _packets(handle: BinaryIO, start: int) -> Iterator[Packet]:
+def _packets(handle: BinaryIO, start: int) -> Iterator[PacketHead]:
     """Go from packet to packet until one is not complete or makes no sense."""
     size = handle.seek(0, 2)
     at = start
@@ -131,11 +131,11 @@ def _packets(handle: BinaryIO, start: int) -> Iterator[Packet]:
             return
         if kind == POLARITY and (event_bytes, t_at) != (EVENT.itemsize, 4):
             return
-        yield Packet(kind, source, event_bytes, overflows, count, begin, end)
+        yield PacketHead(kind, source, event_bytes, overflows, count, begin, end)
         at = end
 
 
-def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[Columns]:
+def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[EventColumns]:
     """The events of each packet; at the end `foreign` says how many were marked as not valid."""
     done = invalid = 0
     with path.open("rb") as handle:
@@ -151,7 +151,7 @@ def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[
                 t = (packet.overflows << OVERFLOW_BITS) + rows["t"].astype(np.int64)
                 x, y, p = data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1
                 t, x, y, p = (column[valid] for column in (t, x, y, p))
-                yield Columns(t, x, y, p, partial(at_index, done))
+                yield EventColumns(t, x, y, p, partial(at_index, done))
                 done += len(t)
     if invalid:
         foreign.left_out["events marked as not valid"] = invalid

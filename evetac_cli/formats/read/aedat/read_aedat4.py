@@ -14,8 +14,8 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     KINDS,
     Header,
     Packets,
+    PacketStream,
     Span,
-    Stream,
     decoded,
     listed_spans,
     packet_table,
@@ -23,7 +23,7 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     walk,
 )
 from evetac_cli.formats.read.aedat.aedat4_payloads import check_libraries
-from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, at_index, choose_frame
 
 BATCH_EVENTS = 1 << 18  # packets hold some thousand each
 
@@ -68,7 +68,9 @@ def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[s
     return {name: count for name, count in counts.items() if count > 0}
 
 
-def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) -> tuple[str, Stream, dict[str, int]]:
+def _choose(
+    handle: BinaryIO, header: Header, wanted: str | None, where: str
+) -> tuple[str, PacketStream, dict[str, int]]:
     """Label of the stream, the stream, and the numbers of the other event streams by their labels.
 
     A label is the stream's name, with the camera before it (`camera/name`) where the file has several cameras.
@@ -91,7 +93,7 @@ def _choose(handle: BinaryIO, header: Header, wanted: str | None, where: str) ->
     return label, labels[label], {other: labels[other].number for other in sorted(set(labels) - {label})}
 
 
-def _batches(path: Path, header: Header, number: int, packets: Packets, foreign: Foreign) -> Iterator[Columns]:
+def _batches(path: Path, header: Header, number: int, packets: Packets, foreign: Foreign) -> Iterator[EventColumns]:
     """Decode as many packets of a stream as can be; at the end `foreign` says what is missing.
 
     InputError if no packet can be decoded.
@@ -127,10 +129,10 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
     foreign.cut_short = intact < len(spans) or (not packets.whole and not led_past) or header.table < 0
 
 
-def _columns(packets: list[Any], first: int) -> Columns:
+def _columns(packets: list[Any], first: int) -> EventColumns:
     """The events of some packets; `first` is the place of the first in the file."""
     t, x, y, on = (np.concatenate([events[name] for events in packets]) for name in ("t", "x", "y", "on"))
-    return Columns(t, x.view(np.uint16), y.view(np.uint16), on != 0, partial(at_index, first))
+    return EventColumns(t, x.view(np.uint16), y.view(np.uint16), on != 0, partial(at_index, first))
 
 
 def _damage(

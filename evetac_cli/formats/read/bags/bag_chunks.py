@@ -45,7 +45,7 @@ class Connection(NamedTuple):
         return self.encoding == "cdr"
 
 
-class Chunk(NamedTuple):
+class BagChunk(NamedTuple):
     """Where the content of a chunk is in the file, how it is packed, and which messages it holds.
 
     counts: messages by the number of their connection; None where the file does not say it.
@@ -65,7 +65,7 @@ class Table:
     """What a file holds, and what is known to be missing: in notes, and whether its end is."""
 
     connections: dict[int, Connection] = field(default_factory=dict)
-    chunks: list[Chunk] = field(default_factory=list)
+    chunks: list[BagChunk] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     cut_short: bool = False
 
@@ -81,7 +81,7 @@ class ChunkedFile:
         self.path, self.where = path, where
         self.table = Table()
         self.stated: int | None = None  # messages, as the file says
-        self._run: Chunk | None = None  # of messages outside of chunks
+        self._run: BagChunk | None = None  # of messages outside of chunks
         self._listed: list[int] | None = None  # where chunks begin, by the index of the file
         self._damages: list[tuple[int, int]] = []  # from which byte on, and how many
         with path.open("rb") as file:
@@ -147,7 +147,7 @@ class ChunkedFile:
         run = self._run
         if run is None or run.at + run.size != at or run.size + size > RUN_BYTES:
             self._end_run()
-            run = Chunk(at, 0, "", 0, 0, time_ns, {})
+            run = BagChunk(at, 0, "", 0, 0, time_ns, {})
         counts = run.counts or {}
         counts[number] = counts.get(number, 0) + 1
         length = run.size + size
@@ -158,7 +158,7 @@ class ChunkedFile:
             self.table.chunks.append(self._run)
             self._run = None
 
-    def _take_chunk(self, chunk: Chunk) -> None:
+    def _take_chunk(self, chunk: BagChunk) -> None:
         self._end_run()
         self.table.chunks.append(chunk)
 
@@ -189,7 +189,7 @@ class ChunkedFile:
         self._damages.append((at, self._listed[following] - at))
         return self._listed[following]
 
-    def _content(self, file: BinaryIO, chunk: Chunk) -> bytes:
+    def _content(self, file: BinaryIO, chunk: BagChunk) -> bytes:
         file.seek(chunk.at)
         packed = file.read(chunk.size)
         if len(packed) < chunk.size:
@@ -202,7 +202,7 @@ class ChunkedFile:
     def _count(self, file: BinaryIO) -> Counter[str]:
         """Look into chunks of which the file does not say what they hold; what is broken is left out and counted."""
         broken: Counter[str] = Counter()
-        whole: list[Chunk] = []
+        whole: list[BagChunk] = []
         for chunk in self.table.chunks:
             if chunk.counts is not None and chunk.counts.keys() <= self.table.connections.keys():
                 whole.append(chunk)

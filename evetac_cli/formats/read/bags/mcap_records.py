@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 from zlib import crc32
 
-from evetac_cli.formats.read.bags.bag_chunks import MOST_RECORD_BYTES, Chunk, ChunkedFile, Connection, Record
+from evetac_cli.formats.read.bags.bag_chunks import MOST_RECORD_BYTES, BagChunk, ChunkedFile, Connection, Record
 from evetac_cli.formats.read.bags.message_definitions import full_name
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -95,7 +95,7 @@ class McapFile(ChunkedFile):
         (packed,) = struct.unpack_from("<Q", head, begin - 8)
         if begin + packed > length:
             return False
-        self._take_chunk(Chunk(at + begin, packed, packing, unpacked, crc, start_ns, None))
+        self._take_chunk(BagChunk(at + begin, packed, packing, unpacked, crc, start_ns, None))
         return True
 
     def _records(self, content: bytes) -> Iterator[Connection | Record]:

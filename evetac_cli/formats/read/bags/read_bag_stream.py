@@ -128,7 +128,7 @@ def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str
         yield received_ns, content
 
 
-class _Reader:
+class _MessageReader:
     """Turns messages into parts of arrays; `stamped` says whether their own stamps are the times."""
 
     def __init__(self, where: str) -> None:
@@ -151,7 +151,7 @@ class _Reader:
         raise InputError(message, where=where, expected=expected[:300], found=what[:300])
 
 
-class _Numbers(_Reader):
+class _Numbers(_MessageReader):
     """All numbers of messages as columns."""
 
     def __init__(self, where: str) -> None:
@@ -214,7 +214,7 @@ def _numbers(value: Any, name: str, unit: str, numbers: dict[str, tuple[float, s
             _numbers(one, f"{name}.{at}", unit, numbers)
 
 
-class _Images(_Reader):
+class _Images(_MessageReader):
     """Images of one size."""
 
     def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:

@@ -25,14 +25,14 @@ from evetac_cli.formats.read.bags.message_definitions import checksum
 from evetac_cli.formats.read.bags.open_bag import Bag, open_bag
 from evetac_cli.formats.read.bags.ros_messages import (
     Fields,
+    MessageEvents,
     Packet,
-    Part,
     decoder,
     event_array,
     event_packet,
     evetac_image,
 )
-from evetac_cli.formats.read.event_validation import NOT_RECORDED, Columns, Foreign, choose_frame
+from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, choose_frame
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS
 from evetac_cli.formats.read.prophesee.read_prophesee import decoded
 
@@ -179,7 +179,7 @@ def _left_out(connections: list[Connection], topic: str) -> dict[str, int]:
     return dict(counts)
 
 
-def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
+def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[EventColumns]:
     """The events of each message of a topic as one batch; at the end `foreign` says what is missing."""
     decode = decoder(encoding)
     stamps = []
@@ -188,12 +188,12 @@ def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str)
             if isinstance(content, Packet):
                 assert decode is not None
                 with _layout_in_words(where):
-                    part: Part = decode(content)
+                    part: MessageEvents = decode(content)
             else:
                 part = content
             if kind == IMAGE and len(part.t):
                 stamps.append(int(part.t[0]))
-            yield Columns(*part, partial(_place, number))
+            yield EventColumns(*part, partial(_place, number))
     if kind == IMAGE:
         apart = f"every {(stamps[-1] - stamps[0]) / (len(stamps) - 1) / 1000:.3g} ms" if len(stamps) > 1 else "once"
         foreign.notes.append(
@@ -206,7 +206,7 @@ def _place(number: int, row: int) -> str:
     return f"in message {number}, event {row}"
 
 
-def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[Columns]:
+def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[EventColumns]:
     """The words of all messages as those of one RAW file."""
     yield from decoded(encoding, _blocks(path, topic, kind, foreign, encoding), foreign, f"{path}: {topic}")
 

@@ -40,7 +40,7 @@ GREY = 127  # no event in an EvetacMsg
 STEP = 15  # what an event adds to a pixel, or takes from it
 
 
-class Part(NamedTuple):
+class MessageEvents(NamedTuple):
     """Events of one message: t in us, x and y in px, p 0 or 1."""
 
     t: NDArray[Any]
@@ -114,7 +114,7 @@ class Fields:
         return self._bytes[self.at - size : self.at]
 
 
-def event_array(fields: Fields) -> tuple[tuple[int, int], Part]:
+def event_array(fields: Fields) -> tuple[tuple[int, int], MessageEvents]:
     """dvs_msgs/EventArray: frame and events."""
     fields.header()
     frame = fields.frame()
@@ -124,7 +124,7 @@ def event_array(fields: Fields) -> tuple[tuple[int, int], Part]:
         if len(content) != count * EVENT_BYTES_ROS1:
             raise ValueError(f"{len(content)} bytes for {count} events of {EVENT_BYTES_ROS1}")
         rows = np.frombuffer(content, EVENT_ROS1)
-        return frame, Part(_us(rows), rows["x"], rows["y"], rows["p"])
+        return frame, MessageEvents(_us(rows), rows["x"], rows["y"], rows["p"])
     needed = max(0, count * EVENT_STRIDE_CDR - 3)  # the last one ends with its polarity
     if not needed <= len(content) < needed + 8:  # a few bytes may follow to a round length
         raise ValueError(f"{len(content)} bytes for {count} events, not {needed}")
@@ -133,7 +133,7 @@ def event_array(fields: Fields) -> tuple[tuple[int, int], Part]:
     if count:
         x[1:] = rows["next_x"][:-1]
         y[0] = rows["second"][0]
-    return frame, Part(_us(rows), x, y, rows["p"])
+    return frame, MessageEvents(_us(rows), x, y, rows["p"])
 
 
 def _us(rows: NDArray[Any]) -> NDArray[np.int64]:
@@ -141,7 +141,7 @@ def _us(rows: NDArray[Any]) -> NDArray[np.int64]:
     return us
 
 
-def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
+def evetac_image(fields: Fields) -> tuple[tuple[int, int], MessageEvents]:
     """evetac_software/EvetacMsg: as many events a pixel as its grey value says, all at the time of the message.
 
     The image lies on its side: its rows are the columns of the camera.
@@ -161,7 +161,7 @@ def evetac_image(fields: Fields) -> tuple[tuple[int, int], Part]:
     x, y = np.nonzero(image)
     times = np.abs(image[x, y]) // STEP
     x, y = np.repeat(x, times), np.repeat(y, times)
-    return (width, height), Part(np.full(len(x), stamp_us), x, y, (image[x, y] > 0).astype(np.uint8))
+    return (width, height), MessageEvents(np.full(len(x), stamp_us), x, y, (image[x, y] > 0).astype(np.uint8))
 
 
 def event_packet(fields: Fields) -> Packet:
@@ -177,20 +177,20 @@ def event_packet(fields: Fields) -> Packet:
     return Packet(frame, sequence, time_base_ns, encoding, fields.bytes_())
 
 
-def mono(packet: Packet) -> Part:
+def mono(packet: Packet) -> MessageEvents:
     """Decode a packet in the encoding `mono`: 8 bytes an event, times in ns from the packet's time base."""
     words = _words(packet, "<u8")
     t_ns = np.uint64(packet.time_base_ns) + (words & np.uint64(0xFFFFFFFF))
     x, y = (words >> np.uint64(32)) & np.uint64(0xFFFF), (words >> np.uint64(48)) & np.uint64(0x7FFF)
-    return Part(t_ns // np.uint64(NS), x, y, words >> np.uint64(63))
+    return MessageEvents(t_ns // np.uint64(NS), x, y, words >> np.uint64(63))
 
 
-def libcaer(packet: Packet) -> Part:
+def libcaer(packet: Packet) -> MessageEvents:
     """Decode a packet in the encoding `libcaer`: 8 bytes an event, on a clock of 31 bits in us."""
     words = _words(packet, "<u4", 8).reshape(-1, 2)
     us = Clock((BITS_31,)).continuous(words[:, 1].view(np.int32).astype(np.int64), str)
     data = words[:, 0]
-    return Part(packet.time_base_ns // NS + us, data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1)
+    return MessageEvents(packet.time_base_ns // NS + us, data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1)
 
 
 class LibcaerCompressed:
@@ -201,7 +201,7 @@ class LibcaerCompressed:
     def __init__(self) -> None:
         self._x = self._base = 0
 
-    def __call__(self, packet: Packet) -> Part:
+    def __call__(self, packet: Packet) -> MessageEvents:
         """Events of the next packet, in the order of the recording."""
         words = np.concatenate(
             [np.array([self.X << 12 | self._x, self.BASE_Y << 12 | self._base], np.uint16), _words(packet, "<u2")]
@@ -222,7 +222,7 @@ class LibcaerCompressed:
         word = np.nonzero(events)[0]
         p = np.where(single[word], value[word] >> 11, base[word] >> 11)
         t = packet.time_base_ns // NS + (high[word] << 12 | low[word])
-        return Part(t, x[word] & 0x7FF, y, p)
+        return MessageEvents(t, x[word] & 0x7FF, y, p)
 
     @staticmethod
     def _latest(here: NDArray[np.bool_], value: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -238,7 +238,7 @@ def _words(packet: Packet, dtype: str, size: int | None = None) -> NDArray[Any]:
     return np.frombuffer(packet.content, dtype)
 
 
-def decoder(encoding: str) -> Callable[[Packet], Part] | None:
+def decoder(encoding: str) -> Callable[[Packet], MessageEvents] | None:
     """What decodes the packets of one stream, in order; None for an encoding that is not decoded here."""
-    plain: dict[str, Callable[[Packet], Part]] = {"mono": mono, "libcaer": libcaer}
+    plain: dict[str, Callable[[Packet], MessageEvents]] = {"mono": mono, "libcaer": libcaer}
     return LibcaerCompressed() if encoding == "libcaer_cmp" else plain.get(encoding)

@@ -14,7 +14,7 @@ from functools import partial
 from typing import BinaryIO
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.bags.bag_chunks import MOST_RECORD_BYTES, Chunk, ChunkedFile, Connection, Record
+from evetac_cli.formats.read.bags.bag_chunks import MOST_RECORD_BYTES, BagChunk, ChunkedFile, Connection, Record
 from evetac_cli.formats.read.bags.message_definitions import full_name
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -57,7 +57,7 @@ class Rosbag1File(ChunkedFile):
             elif kind == CHUNK:
                 packing, unpacked = _text(header, b"compression"), _number(header, b"size")
                 if end > begin:
-                    self._take_chunk(Chunk(begin, end - begin, packing, unpacked, 0, 0, None))
+                    self._take_chunk(BagChunk(begin, end - begin, packing, unpacked, 0, 0, None))
             elif kind == MESSAGE:
                 self._take_message(at, end - at, _number(header, b"conn"), _time_ns(header[b"time"]))
             elif kind == CHUNK_PLACE:

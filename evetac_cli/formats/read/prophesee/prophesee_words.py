@@ -30,7 +30,7 @@ MOST_UNDEFINED = 0.1  # share of words of undefined types, above which a file is
 STATE = np.dtype([(name, np.int64) for name in ("high", "low", "y", "x", "p")])
 
 
-class Part(NamedTuple):
+class EventBlock(NamedTuple):
     """Events of a block: t in us, x, y, p; and triggers: time in us, input, 1 for a rising and 0 for a falling edge."""
 
     t: NDArray[np.int64]
@@ -65,7 +65,7 @@ ENCODINGS = {
 }
 
 
-class Decoder:
+class PropheseeDecoder:
     """Decodes the words of one stream, block by block."""
 
     def __init__(self, kind: str) -> None:
@@ -83,7 +83,7 @@ class Decoder:
         self._timed = False
         self._state = np.zeros(1, STATE)
 
-    def part(self, words: NDArray[Any], place: Callable[[int], str]) -> Part:
+    def part(self, words: NDArray[Any], place: Callable[[int], str]) -> EventBlock:
         """The events and triggers of the next whole words; place: where the user finds word i."""
         encoding = self.encoding
         shift = 8 * words.dtype.itemsize - 4
@@ -109,4 +109,4 @@ class Decoder:
         columns: list[Any] = [np.empty(most, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)]
         edges: list[Any] = [np.empty(triggers, kind) for kind in (np.int64, np.uint8, np.uint8)]
         events = self._loop(words, highs, self._state, tuple(columns), tuple(edges))
-        return Part(*(column[:events] for column in columns), *edges)
+        return EventBlock(*(column[:events] for column in columns), *edges)

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.clock import BITS_32, Clock
-from evetac_cli.formats.read.event_validation import Columns, Foreign, at_index, choose_frame
-from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, MOST_UNDEFINED, Decoder
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, MOST_UNDEFINED, PropheseeDecoder
 from evetac_cli.store.recordings.streams import Stream
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
@@ -172,9 +172,9 @@ def _byte(start: int, size: int, word: int) -> str:
 
 def decoded(
     kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign, where: str
-) -> Iterator[Columns]:
+) -> Iterator[EventColumns]:
     """The events of blocks of words of RAW; at the end `foreign` has the triggers and says what was left out."""
-    decoder = Decoder(kind)
+    decoder = PropheseeDecoder(kind)
     triggers: list[tuple[NDArray[Any], ...]] = []
     kept = done = 0
     for words, place in blocks:
@@ -187,7 +187,7 @@ def decoded(
                 beyond = f"triggers beyond the first {MOST_TRIGGERS:,}"
                 foreign.left_out[beyond] = foreign.left_out.get(beyond, 0) + count
         if len(part.t):
-            yield Columns(*part[:4], partial(at_index, done))
+            yield EventColumns(*part[:4], partial(at_index, done))
         done += len(part.t)
     undefined = decoder.undefined.total()
     if undefined > MOST_UNDEFINED * decoder.words:  # of all: the first block may be a message of a few words
@@ -213,7 +213,9 @@ def decoded(
         )
 
 
-def _dat(kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign) -> Iterator[Columns]:
+def _dat(
+    kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign
+) -> Iterator[EventColumns]:
     """The events of blocks of DAT; at the end `foreign` says whether the clock wrapped."""
     clock = Clock((BITS_32,))
     done = 0
@@ -225,6 +227,6 @@ def _dat(kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]],
             (payload >> np.uint32(shift) & np.uint32(mask)).astype(dtype)
             for (shift, mask), dtype in zip(DAT_FIELDS[kind], (np.uint16, np.uint16, np.uint8), strict=True)
         )
-        yield Columns(t, x, y, p, place)
+        yield EventColumns(t, x, y, p, place)
         done += len(words)
     foreign.notes += clock.notes

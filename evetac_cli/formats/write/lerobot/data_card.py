@@ -9,7 +9,7 @@ from typing import Any
 
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text, inline, table
-from evetac_cli.formats.write.lerobot.episodes import Outline, Vectors
+from evetac_cli.formats.write.lerobot.episodes import EpisodeOutline, Vectors
 from evetac_cli.store.layout.provenance import made
 
 RULES = {
@@ -21,7 +21,7 @@ LONGEST_CELL = 80  # of what stands in a file
 
 
 def data_card(
-    outlines: Sequence[Outline],
+    outlines: Sequence[EpisodeOutline],
     vectors: Vectors,
     info: Mapping[str, Any],
     per_frame: str,
@@ -83,7 +83,7 @@ def _origin(simulated: int, episodes: int) -> str:
     )
 
 
-def _episodes(outlines: Sequence[Outline], splits: Mapping[str, str]) -> list[dict[str, str]]:
+def _episodes(outlines: Sequence[EpisodeOutline], splits: Mapping[str, str]) -> list[dict[str, str]]:
     """A row for every object, sensor, outcome and split, with how many episodes it has."""
     counted: Counter[tuple[str, ...]] = Counter()
     facts = ("object", "sensor", "outcome")

@@ -13,7 +13,7 @@ CODEC = "libx264"
 CODEC_OPTIONS = {"crf": "18", "g": "2", "bf": "0"}  # every other picture stands alone, so that any is soon found
 
 
-class Place(NamedTuple):
+class EpisodePlace(NamedTuple):
     """Where an episode lies: the file by its numbers, and from which time on, in s."""
 
     chunk: int
@@ -40,9 +40,9 @@ class Numbered:
         return self._most_mb is not None and self._path.stat().st_size >= self._most_mb << 20
 
     @property
-    def place(self) -> Place:
+    def place(self) -> EpisodePlace:
         """The numbers of the present file."""
-        return Place(*divmod(self._number, self._chunk_files))
+        return EpisodePlace(*divmod(self._number, self._chunk_files))
 
     def next(self) -> str:
         """The path of the next file, whose folder is there."""
@@ -69,7 +69,7 @@ class Tables(AbstractContextManager["Tables"]):
         if self._writer is not None:
             self._writer.close()
 
-    def append(self, table: Any) -> Place:
+    def append(self, table: Any) -> EpisodePlace:
         """Write the rows of an episode; returns where."""
         if self._files.is_over:
             self.close()
@@ -105,7 +105,7 @@ class Videos(AbstractContextManager["Videos"]):
         """Where the next picture will stand in the present file."""
         return self._frames / self._fps
 
-    def begin(self) -> Place:
+    def begin(self) -> EpisodePlace:
         """Begin an episode; returns where."""
         if self._files.is_over:
             self.close()

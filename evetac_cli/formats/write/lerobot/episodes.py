@@ -40,7 +40,7 @@ LARGEST_PX = 4096  # side of a picture, which H.264 takes everywhere
 GREYS = np.array([0, 128, 255], np.uint8)  # darker, nothing, brighter, as in the paper's pictures
 
 
-class Outline(NamedTuple):
+class EpisodeOutline(NamedTuple):
     """What a trial could give to an episode: its columns, how long it is, its frame and its names."""
 
     path: Path
@@ -60,17 +60,17 @@ class Vectors(NamedTuple):
     action: tuple[str, ...]
 
 
-def outline(files: TrialFiles, task: str | None) -> Outline:
+def outline(files: TrialFiles, task: str | None) -> EpisodeOutline:
     """What a trial could give; `task` in words, by default what its scene is about."""
     recording = files.recording
     names = tuple(name for columns in columns_of(files) for name in columns.names)
     words = task or scene_words(recording.header["parameters"], "summary") or "touch and hold an object"
-    return Outline(
+    return EpisodeOutline(
         recording.path, files.facts(), words, recording.header["id"], names, len(recording), recording.frame_px
     )
 
 
-def choose_vectors(outlines: Sequence[Outline]) -> tuple[Vectors, list[str]]:
+def choose_vectors(outlines: Sequence[EpisodeOutline]) -> tuple[Vectors, list[str]]:
     """The columns that all trials have, and those that only some have, which are left out.
 
     InputError if a trial has no gripper or no displacements, or the trials have other frames, dots or actions.
@@ -114,7 +114,7 @@ def choose_vectors(outlines: Sequence[Outline]) -> tuple[Vectors, list[str]]:
     return Vectors(STATE, tactile, actions.pop()), left_out
 
 
-def _size(one: Outline) -> str:
+def _size(one: EpisodeOutline) -> str:
     return f"{one.frame_px[0]} x {one.frame_px[1]}"
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.lerobot.data_card import data_card
-from evetac_cli.formats.write.lerobot.episode_files import Numbered, Place, Tables, Videos
+from evetac_cli.formats.write.lerobot.episode_files import EpisodePlace, Numbered, Tables, Videos
 from evetac_cli.formats.write.lerobot.episodes import (
     GREYS,
     Episode,
@@ -111,7 +111,7 @@ def write(
                 "dataset_from_index": data.rows,
                 "dataset_to_index": data.rows + len(made.state),
                 **_place("data", data.append(_data_table(arrow, rows, features))),
-                **_place("meta/episodes", Place(0, 0)),
+                **_place("meta/episodes", EpisodePlace(0, 0)),
                 **_place(f"videos/{VIDEO}", place),
                 f"videos/{VIDEO}/from_timestamp": place.start_s,
                 f"videos/{VIDEO}/to_timestamp": videos.now_s,
@@ -217,7 +217,7 @@ def _data_table(arrow: Any, rows: Mapping[str, NDArray[Any]], features: Mapping[
     return arrow.table(made)
 
 
-def _place(what: str, place: Place) -> dict[str, int]:
+def _place(what: str, place: EpisodePlace) -> dict[str, int]:
     return {f"{what}/chunk_index": place.chunk, f"{what}/file_index": place.file}
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
-from evetac_cli.sim.camera.contact_edges import LineMotion, Outline, Place, sample_cut, sample_row
+from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline, sample_cut, sample_row
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import IdealWindowPixels, SliceTimes
 
@@ -22,8 +22,8 @@ from evetac_cli.sim.camera.ideal.pixels import IdealWindowPixels, SliceTimes
 MOST_TEXELS = 256
 # The lines of `solve_window` where none moves.
 NO_LINES = LineMotion(
-    Place(np.zeros(2), 0.0, np.zeros(0)),
-    Place(np.zeros(2), 0.0, np.zeros(0)),
+    EdgePlace(np.zeros(2), 0.0, np.zeros(0)),
+    EdgePlace(np.zeros(2), 0.0, np.zeros(0)),
     Outline(np.zeros((0, 0), np.float32), np.empty((0, 4), np.int64), 0.0, 0.0),
     0.0,
     1.0,

@@ -19,7 +19,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.contact_edges import (
-    Place,
+    EdgePlace,
     cut_moved,
     cut_run,
     outline_moved,
@@ -228,7 +228,9 @@ Reach = tuple[float, float, float, float]
 
 
 @njit(cache=True)
-def _reach_of_outline(start: Place, end: Place, rows: int, columns: int, seen_corner: NDArray[np.float64]) -> Reach:
+def _reach_of_outline(
+    start: EdgePlace, end: EdgePlace, rows: int, columns: int, seen_corner: NDArray[np.float64]
+) -> Reach:
     """The pixels whose level an outline of so many rows and columns can change in a slice; none without rows."""
     left = np.inf
     top = np.inf
@@ -248,7 +250,7 @@ def _reach_of_outline(start: Place, end: Place, rows: int, columns: int, seen_co
 
 
 @njit(cache=True)
-def _reach_of_cut(start: Place, end: Place, cut_half: float, seen_cut_x: NDArray[np.float64]) -> Reach:
+def _reach_of_cut(start: EdgePlace, end: EdgePlace, cut_half: float, seen_cut_x: NDArray[np.float64]) -> Reach:
     """The pixels whose level the cut edge can change in a slice: columns, of all rows."""
     left = np.inf
     right = -np.inf

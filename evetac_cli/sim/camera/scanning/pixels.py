@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.contact_edges import LineMotion, Outline, Place
+from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline
 from evetac_cli.sim.camera.dot_shapes import DotShapes
 
 MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do without
@@ -163,8 +163,8 @@ def line_motion(lines: tuple[Any, ...]) -> LineMotion:
     """Moving lines with their names, from a plain tuple in the order of LineMotion, plain inside as well."""
     start, end, outline = lines[:3]
     return LineMotion(
-        Place(start[0], start[1], start[2]),
-        Place(end[0], end[1], end[2]),
+        EdgePlace(start[0], start[1], start[2]),
+        EdgePlace(end[0], end[1], end[2]),
         Outline(outline[0], outline[1], outline[2], outline[3]),
         lines[3],
         lines[4],

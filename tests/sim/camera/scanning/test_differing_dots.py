@@ -100,8 +100,8 @@ def test_equal_factors_are_dots_alike() -> None:
     assert alike.shapes.inner_px.size == 0
 
 
-def place(x_px: float) -> contact_edges.Place:
-    return contact_edges.Place(np.zeros(2), 0.0, np.full(FRAME[1], x_px))
+def place(x_px: float) -> contact_edges.EdgePlace:
+    return contact_edges.EdgePlace(np.zeros(2), 0.0, np.full(FRAME[1], x_px))
 
 
 def test_lines_leak_and_light_see_each_dot_as_it_is() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.contact_edges import Place
+from evetac_cli.sim.camera.contact_edges import EdgePlace
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from evetac_cli.sim.camera.scanning.light import LightChange
@@ -96,9 +96,9 @@ def test_light_against_every_pixel(change: LightChange, refractory_us: float) ->
     assert listed(result) == sorted(expected)
 
 
-def cut_place(t_ms: float) -> Place:
+def cut_place(t_ms: float) -> EdgePlace:
     """A cut edge that moves to and fro beside the window."""
-    return Place(np.zeros(2), 0.0, np.full(FRAME[1], 68.0 + 0.5 * math.sin(t_ms / 15)))
+    return EdgePlace(np.zeros(2), 0.0, np.full(FRAME[1], 68.0 + 0.5 * math.sin(t_ms / 15)))
 
 
 @pytest.mark.slow
