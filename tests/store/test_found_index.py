@@ -117,7 +117,7 @@ OURS: dict[str, Callable[[Path], None]] = {
     "no size": changed("UPDATE files SET size_bytes = NULL"),
     "rows without end, nearly": changed(
         f"INSERT INTO files WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many LIMIT 120000)"
-        f" SELECT n || '.h5', {', '.join('NULL' for _ in index.Row._fields[1:])} FROM many"
+        f" SELECT n || '.h5', {', '.join('NULL' for _ in index.IndexRow._fields[1:])} FROM many"
     ),
     "another format": changed("PRAGMA user_version = 3"),
     "an index of before": instead(

@@ -230,6 +230,6 @@ def test_each_sample_is_turned_as_drawn() -> None:
 
 def test_shifted_trajectories_are_checked() -> None:
     """Assert that a shift into the past is refused with the trajectory's place."""
-    with pytest.raises(ValueError, match="trajectory 0: horizon_ms: expected at least 0"):
+    with pytest.raises(ValueError, match="trajectory 0: horizon_ms: expected 0 or more"):
         sampling.gather([trajectory(50, 30)], HIST10, horizon_ms=-1)
     assert shift_labels(trajectory(50, 30).label, 5).sum() == 25
