@@ -12,6 +12,7 @@ Why so: the name of a folder in /tmp can be guessed, and whoever makes it first 
 import atexit
 import hashlib
 import os
+import pickle
 import shutil
 import stat
 import tempfile
@@ -113,6 +114,44 @@ def _is_the_installers(path: Path) -> bool:
 def numba_name(folder: Path) -> str:
     """The name that numba gives, in a folder for all kernels, to those whose source lies in this folder."""
     return f"{folder.name}_{hashlib.sha1(str(folder).encode()).hexdigest()}"
+
+
+def drop_unreadable() -> None:
+    """Remove compiled kernels that numba could not read, because a class that they name has gone; once per source.
+
+    Why so: numba reads what it kept of a kernel before it looks whether the source is still the same, and an error ends
+    the program.
+    """
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or PACKAGE)
+    stamp, sources = folder / "__pycache__" / "evetac-sources", _digest_of_sources()
+    with suppress(OSError):
+        if stamp.is_file() and stamp.read_text() == sources:
+            return
+        for index in folder.rglob("*.nbi"):
+            if not _is_readable(index):
+                index.unlink(missing_ok=True)
+        stamp.parent.mkdir(exist_ok=True)
+        unfinished = stamp.with_name(f"{stamp.name}.{os.getpid()}")
+        unfinished.write_text(sources)
+        unfinished.replace(stamp)
+
+
+def _digest_of_sources() -> str:
+    digest = hashlib.sha1()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(f"{path.relative_to(PACKAGE)} {path.stat().st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+def _is_readable(index: Path) -> bool:
+    """Whether numba could read an index of its cache, as it will."""
+    try:
+        with index.open("rb") as file:
+            pickle.load(file)  # the version of numba
+            pickle.loads(file.read())
+    except Exception:  # whatever a class that is gone leads to
+        return False
+    return True
 
 
 def is_beside_source() -> bool:

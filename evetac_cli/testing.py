@@ -22,6 +22,7 @@ from evetac_cli import plugins
 from evetac_cli.devices import EventCamera, Gripper, GripperReading, cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.grippers import Mode
+from evetac_cli.devices.opening import require_arm
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, slice_starts
@@ -118,14 +119,21 @@ def check_clock(camera: EventCamera, *, ends: bool = False) -> None:
 # Grippers
 
 
-def check_gripper(text: str) -> None:
-    """A gripper by its name, as `--gripper` takes it; it is opened in both modes and commanded. A real one moves."""
+def check_gripper(text: str, *, armed: bool = False) -> None:
+    """A gripper by its name, as `--gripper` takes it; it is opened in both modes and commanded.
+
+    armed: whether real fingers may be moved, as by --arm; InputError where they would be without it.
+    """
     named = grippers.parse(text)
+    require_arm(named, armed=armed, plan="is closed with 10 mA for five commands", hint="armed=True")
     assert text.partition(":")[0] == named.name, f"it is called {named.name}, and {text} asks for it"
     assert grippers.parse(str(named)) == named, f"{named}, which stands for it in errors, does not name it"
     assert pickle.loads(pickle.dumps(named)) == named, "it is not the same in another process"
     assert named.capabilities <= set(Capability)
     assert named.has(Capability.MOVED), "a gripper is moved: it has Capability.MOVED"
+    if named.has(Capability.HARDWARE):
+        own = type(named).release is not grippers.NamedGripper.release
+        assert own, "`release` switches torque off where the process that commanded a real gripper died"
     ways: tuple[tuple[Mode, RhP12RnSettings | None], ...] = (
         ("current", None),
         ("position", named.settings(max_current_ma=60, watchdog_ms=60)),

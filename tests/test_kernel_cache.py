@@ -1,6 +1,7 @@
 """Where compiled code and modules are loaded from: nothing that another user, or the working folder, could have put."""
 
 import os
+import pickle
 import stat
 import subprocess
 import sys
@@ -335,3 +336,20 @@ def test_the_virtual_gripper_loads_nothing_from_it(trapped: Path) -> None:
     with VirtualGripper() as gripper:
         assert mode(Path(gripper.port)) == 0o600
     assert ran(trapped) == []
+
+
+def test_kernels_of_a_class_that_is_gone_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that an index that numba could not read is removed, once for each state of the source, and no other."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    gone = pickle.dumps(1) + b"\x80\x04\x8c\x0aevetac_cli\x8c\x04Gone\x93."
+    kept = pickle.dumps(1) + pickle.dumps(Path)
+    for name, data in (("gone", gone), ("kept", kept)):
+        (tmp_path / f"{name}.nbi").write_bytes(data)
+    kernel_cache.drop_unreadable()
+    assert [path.name for path in tmp_path.glob("*.nbi")] == ["kept.nbi"]
+    (tmp_path / "gone.nbi").write_bytes(gone)
+    kernel_cache.drop_unreadable()
+    assert (tmp_path / "gone.nbi").exists()
+    monkeypatch.setattr(kernel_cache, "_digest_of_sources", lambda: "of other sources")
+    kernel_cache.drop_unreadable()
+    assert not (tmp_path / "gone.nbi").exists()

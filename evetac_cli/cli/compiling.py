@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from evetac_cli import console
+from evetac_cli import console, kernel_cache
 
 PATIENCE_S = 2.0  # nothing is said of what takes less
 AGAIN_S = 5.0
@@ -30,6 +30,8 @@ def announced(
     function is compiled, which saves a seventh of the time.
     """
     from numba.core import event  # `evetac --help` loads none of it
+
+    kernel_cache.drop_unreadable()
 
     class Announcer(event.Listener):  # type: ignore[misc]
         """Counts functions; those that one needs are compiled while it waits."""

@@ -41,7 +41,8 @@ class NamedGripper:
     """
 
     name: ClassVar[str]
-    capabilities: ClassVar[frozenset[Capability]] = frozenset({Capability.MOVED})  # what commands may expect of it
+    # What commands may expect of it. Without HARDWARE it may be moved without --arm: so a kind has to say that itself.
+    capabilities: ClassVar[frozenset[Capability]] = frozenset({Capability.MOVED, Capability.HARDWARE})
     watchdog_ms: int | None = field(default=None, kw_only=True)  # asked for; None: the driver's
 
     @classmethod
@@ -100,7 +101,7 @@ class NamedGripper:
 
 
 class RhP12RnGripper(NamedGripper):
-    """A ROBOTIS RH-P12-RN(A), real or virtual, by our driver."""
+    """A ROBOTIS RH-P12-RN(A) by our driver; a real one, unless its kind says otherwise."""
 
     def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
         """Start the driver at a port."""
@@ -142,6 +143,7 @@ class Virtual(RhP12RnGripper):
     """`virtual[:FAULT+FAULT...]`: the real driver before a virtual servo, in real time."""
 
     name = "virtual"
+    capabilities = frozenset({Capability.MOVED})
     faults: tuple[str, ...] = ()
 
     @classmethod
@@ -171,7 +173,6 @@ class Serial(RhP12RnGripper):
     """`PORT[:ID][@BAUD]`: a ROBOTIS RH-P12-RN(A) at a serial port."""
 
     name = "port"
-    capabilities = frozenset({Capability.MOVED, Capability.HARDWARE})
     port: str = ""
     baud: int = BAUD
     id: int = ID

@@ -8,6 +8,7 @@ that `evetac calibrate` writes list them for other programs, and nothing here re
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,17 @@ class Calibration:
             arrays["sensor/window_px"] = np.array(self.window_px, np.int32)
         known = self.sensitivity.known()
         return arrays | {f"sensor/{name}": np.float64(value) for name, value in known.items()}
+
+    def require_frame(self, frame_px: Sequence[int], where: str) -> None:
+        """InputError unless it is of this frame (width, height), that of the camera or file named by `where`."""
+        width, height = map(int, frame_px)
+        if (width, height) != self.frame_px:
+            raise InputError(
+                "the calibration is for another frame",
+                where=where,
+                expected=f"{width} x {height} px",
+                found=f"{self.frame_px[0]} x {self.frame_px[1]} px",
+            )
 
     def digest(self) -> str:
         """What stands for this calibration in a recipe."""
@@ -118,20 +130,16 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
     fault = grid.impossible(arranged, float(radius))
     if fault:
         raise InputError("dots that no gel can have", where=where, expected=fault[0], found=fault[1])
-    if frame_px is not None and frame_px != (width, height):
-        raise InputError(
-            "the calibration is for another frame",
-            where=where,
-            expected=f"{frame_px[0]} x {frame_px[1]} px",
-            found=f"{width} x {height} px",
-        )
-    return Calibration(
+    calibration = Calibration(
         (width, height),
         arranged,
         float(radius),
         (x0, y0, x1, y1) if window else None,
         Sensitivity(**{name: float(value) for name, value in sensor.known().items()}),
     )
+    if frame_px is not None:
+        calibration.require_frame(frame_px, where)
+    return calibration
 
 
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
-from evetac_cli.devices.opening import open_rig
+from evetac_cli.devices.opening import open_rig, require_arm
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import EvetacError, InputError
@@ -233,3 +233,19 @@ def test_prepared_words_hold_the_rate() -> None:
     t = np.concatenate([events.t, more.t]) - 1000
     assert np.bincount(t // 1_000_000).tolist() == [20_000] * cameras.PREPARED_S
     assert not any(decoder.counted.values())
+
+
+def test_a_gripper_is_a_real_one_unless_it_says_otherwise() -> None:
+    """Assert that a kind of gripper that says nothing is moved with --arm alone; and which kinds say otherwise."""
+
+    class Unsaid(NamedGripper):
+        name = "unsaid"
+
+    class OurDriver(grippers.RhP12RnGripper):
+        name = "our-driver"
+
+    for kind in (Unsaid, OurDriver):
+        with pytest.raises(InputError, match="this would move a real gripper"):
+            require_arm(kind(), armed=False)
+    unarmed = [text for text, gripper in GRIPPERS.items() if not gripper.has(Capability.HARDWARE)]
+    assert unarmed == ["sim", "none", "virtual:lost-answer@1+overload@2"]

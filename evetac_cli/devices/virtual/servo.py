@@ -353,7 +353,7 @@ class VirtualServo:
 
 
 def _target(parameters: bytes) -> tuple[int, bytes]:
-    """Address and data in the parameters of a write; Refused if they are too short."""
+    """Address and data in the parameters of a write; ServoRefused if they are too short."""
     if len(parameters) < 2:
         raise ServoRefused(StatusError.DATA_LENGTH)
     return struct.unpack_from("<H", parameters)[0], parameters[2:]

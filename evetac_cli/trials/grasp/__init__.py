@@ -28,7 +28,9 @@ from evetac_cli.trials.trial import simulated_trials
 
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "tracker")
-NEVER = frozenset({Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED})  # words of `record`
+NOT_OF_GRASP = frozenset(
+    {Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED}
+)  # words of `record`
 
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
@@ -60,7 +62,7 @@ def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
     if params.live:
         has.add(Capability.SHOWN)
     flags = f"--camera {params.camera}{params.gripper_flag()}{', --live' * params.live}"
-    refuse_unused(params, has, flags, never=NEVER)
+    refuse_unused(params, has, flags, never=NOT_OF_GRASP)
 
 
 def _refuse_detector_options(params: Grasp) -> None:

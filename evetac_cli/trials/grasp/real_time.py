@@ -154,7 +154,7 @@ def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False)
     else:
         camera = first.cameras[0]
         moves = [("gripper", str(first.gripper), f"{steps}, at most {first.driver.max_current_ma} mA")]
-        watched = [("watchdog", f"{first.watchdog_ms} ms", "of silence, and torque is off")]
+        watched = [("watchdog", f"{first.driver.watchdog_ms} ms", "of silence, and torque is off")]
     detector = "no slip detector"
     if settings.detector is not None:
         detector = f"slip detected 1000 times per second by {settings.detector.path}"

@@ -112,6 +112,7 @@ def _begin(
     output = trial.outputs[place]
     sensor = {**rig.known_sensor(), "t_offset": np.int64(0)}
     if trial.calibration is not None:
+        trial.calibration.require_frame(sensor["sensor/frame_px"], str(trial.cameras[place]))
         sensor |= trial.calibration.arrays()
     if view is not None:
         view.begin(sensor)

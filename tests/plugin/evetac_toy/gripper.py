@@ -44,7 +44,7 @@ class StillGripper:
 
 @dataclass(frozen=True)
 class Still(NamedGripper):
-    """`still`: as it is named on the command line. One that moves real fingers has Capability.HARDWARE, too."""
+    """`still`: as it is named on the command line. It says that it is no real one, which asks for --arm."""
 
     name = "still"
     capabilities = frozenset({Capability.MOVED})
