@@ -224,7 +224,7 @@ class VirtualServo:
         return fast_status([(fault | alert, own_id, data)]) if alone else None
 
     def _carry_out(self, frame: DynamixelFrame, now_s: float) -> bytes:
-        """Data of the answer; Refused with the reason."""
+        """Data of the answer; ServoRefused with the reason."""
         steps: dict[int, Callable[[bytes], bytes | None]] = {
             Instruction.PING: self._ping,
             Instruction.READ: self._read_one,
