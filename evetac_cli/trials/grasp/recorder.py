@@ -309,6 +309,7 @@ class RecordedGrasp:
         if controller is None:
             exit_ = processes.exit_words(processes.controller)
             died = f"the controller died ({exit_})" if exit_ else "the controller does not end"
+            self.torque = self.torque or processes.switch_off()
             self.error = DeviceError(f"{self.controller_hung or died}; {self.torque}")
         elif (
             detector is None
