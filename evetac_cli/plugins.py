@@ -214,6 +214,10 @@ def lacking(wanted: Iterable[Part]) -> str:
             return f"has no package {part.package}, of which is the plug-in {part.what}"
         if here.version != part.version:
             return f"has {part.package} {here.version}, and this is {part.package} {part.version}"
+        try:
+            here.load(object)
+        except InputError as error:
+            return f"cannot use the plug-in {part.what} of {part.package}: {error.found}"
     return ""
 
 

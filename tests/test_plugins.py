@@ -471,4 +471,6 @@ def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
 
     assert answer(part) == ""
     assert answer(part._replace(version="1.9")) == "has lab 2.0, and this is lab 1.9"
+    del sys.modules["lab_parts"].one  # type: ignore[attr-defined]
+    assert "cannot use the plug-in camera one of lab: AttributeError" in answer(part)
     assert answer(part._replace(name="two")) == "has no package lab, of which is the plug-in camera two"

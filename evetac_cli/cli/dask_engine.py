@@ -336,8 +336,12 @@ class _Run:
                 return WorkerRefused("has no evetac")
             for part in plugins.parts():
                 if part.module.partition(".")[0] == lacks:
-                    raise _without_package(part, error) from None
+                    return WorkerRefused(f"has no {part.package}")
             raise
+        except RuntimeError as error:
+            if not plugins.parts() or "deserialization of the task graph" not in str(error):
+                raise
+            raise _unread_by_scheduler(error) from None
         return results
 
     def _look_at_workers(self) -> None:
@@ -397,7 +401,12 @@ class _Run:
                 self.client.run(workers.remove_unfinished, files, on_error="ignore")
 
 
-def _without_package(part: plugins.Part, error: ModuleNotFoundError) -> EvetacError:
-    """That a worker, found fit before, cannot load the package of a plug-in any more."""
-    message = f"a worker of the cluster cannot load {part.package}, of which is the plug-in {part.what}"
-    return EvetacError(message, where="--engine", found=str(error), hint="install it for all workers")
+def _unread_by_scheduler(error: RuntimeError) -> EvetacError:
+    """That the scheduler, which reads every task, cannot load the package of a plug-in."""
+    packages = ", ".join(plugins.used())
+    return EvetacError(
+        f"the Dask scheduler cannot read the jobs, which need {packages}",
+        where="--engine",
+        found=str(error.__cause__ or "an error of Dask's"),
+        hint=f"install {packages} where the scheduler runs, too",
+    )
