@@ -10,6 +10,7 @@ evetac's own cameras, grippers, formats, controllers, networks and files pass th
 
 import dataclasses
 import json
+import math
 import pickle
 import tempfile
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from evetac_cli.devices.cameras import CameraSettings
 from evetac_cli.devices.grippers import Mode
 from evetac_cli.devices.opening import require_arm
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
-from evetac_cli.errors import InputError
+from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import Imported, read_events
@@ -231,6 +232,13 @@ def check_controller(name: str) -> None:
 
 def goals(law: OtherLaw) -> list[int]:
     """The goals of a grasp of half a second, whose fingers follow: whole, and within the gripper's range."""
+    try:
+        return _goals(law)
+    except EvetacError as error:  # what a grasp would end with
+        raise AssertionError(str(error)) from error
+
+
+def _goals(law: OtherLaw) -> list[int]:
     control, position, slips, answers = Control(law), 300, 0, []
     for step in range(250):
         phase = GraspPhase(min(step // 80, 2))
@@ -238,8 +246,8 @@ def goals(law: OtherLaw) -> list[int]:
         goal = control.step(phase, SlipSignal(slips, 0.5, 0.1 * step, 0.0), position)
         assert type(goal) is int
         assert PAPER.first_tick <= goal <= PAPER.last_tick
-        assert isinstance(control.u_ff_ticks, float)
-        assert isinstance(control.x_ref_ticks, float)
+        assert math.isfinite(control.u_ff_ticks), "u_ff is finite: recordings are not valid otherwise"
+        assert not math.isinf(control.x_ref_ticks), "x_ref is finite, or NaN where there is none"
         position += int(np.sign(goal - position))
         answers.append(goal)
     return answers

@@ -1,25 +1,34 @@
 """Plug-ins: a package from outside is used from the command line, and broken ones are refused in words."""
 
 import json
+import pickle
 import shutil
 import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from evetac_cli import plugins
-from evetac_cli.cli import main
-from evetac_cli.devices import cameras
+from evetac_cli.cli import dask_worker, exit_codes, main
+from evetac_cli.devices import cameras, grippers
+from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.errors import InputError
-from evetac_cli.formats.imports import read_events
+from evetac_cli.formats import exports, imports
+from evetac_cli.formats.imports import ImportFormat, read_events
+from evetac_cli.inspect.doctor import plugin_check
+from evetac_cli.kernels.grip.control import OtherLaw
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import made as made_with
+from evetac_cli.trials.grasp import settings
 from tests.conftest import Made
 from tests.patience import PATIENCE_S
 
@@ -136,6 +145,10 @@ def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) ->
     (out,) = rows(toy, "export", made["output"], "--format", "toy")
     (back,) = rows(toy, "record", "--from", out["output"], "-o", tmp_path / "b.recording.h5")
     assert made["events"] == out["events"] == back["events"]
+    apart = rows(toy, "record", "--scene", "short-slip", "--count", "2", "--jobs", "2", "-o", tmp_path / "apart")
+    for row in (made, *apart):
+        with StageFile(Path(row["output"]), "recording") as file:
+            assert file.header["made"]["evetac-toy"] == "1.0"
     with StageFile(tmp_path / "b.recording.h5", "recording") as file:
         assert file.header["parameters"]["format"] == "toy"
     assert "toy" in refusal(toy, "export", made["output"], "--format", "toi")
@@ -164,7 +177,7 @@ def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path)
         assert np.isfinite(file.read("control/probability")).any()
     assert (recipe["object"], recipe["object_row"]["mass_g"]) == ("can", 350.0)
     assert (recipe["sensor"], recipe["sensor_row"]["noise_hz"]) == ("noisy", 0.3)
-    assert recipe["law"] == {"approach_ticks": 2, "step_ticks": 1.0}
+    assert (recipe["law"], recipe["law_method"]) == ({"approach_ticks": 2, "step_ticks": 1.0}, 1)
     with pytest.raises(InputError, match="of a plug-in that is not installed"):
         StageFile(model, "model")
 
@@ -277,3 +290,187 @@ def test_a_name_of_ours_is_never_replaced(asked: list[str]) -> None:
     """Assert that no plug-in is asked for under a name of ours, in any group."""
     assert [name for group, ours in plugins.OURS.items() for name in ours if plugins.named(group, name)] == []
     assert asked == []
+
+
+# --- plug-ins of a package that is not installed ----------------------------------------------------------------------
+
+
+class OneCamera(NamedCamera):
+    """A camera that cannot be understood."""
+
+    name = "one"
+
+    @classmethod
+    def parse(cls, text: str) -> Any:
+        """Fail, as code of anybody's may."""
+        return 1 // len(text)
+
+
+@dataclass(frozen=True)
+class Unnumbered(OtherLaw):
+    """A law that does not say its method."""
+
+
+@dataclass(frozen=True)
+class Numbered(OtherLaw):
+    """A law that does."""
+
+    method = 3
+
+
+Add = Callable[..., None]
+
+
+@pytest.fixture
+def add(monkeypatch: pytest.MonkeyPatch) -> Iterator[Add]:
+    """Add plug-ins to a group, by name, as of a package `lab` (or another) whose module they are in."""
+    entries: list[metadata.EntryPoint] = []
+    module = ModuleType("lab_parts")
+
+    def to(group: str, package: str = "lab", **parts: Any) -> None:
+        vars(module).update(parts)
+        about = SimpleNamespace(name=package, version="2.0")
+        for name in parts:
+            entry = metadata.EntryPoint(name, f"lab_parts:{name}", group)
+            entries.append(entry._for(about))  # type: ignore[attr-defined]
+        plugins.installed.cache_clear()
+
+    plugins.installed.cache_clear()
+    monkeypatch.setitem(sys.modules, "lab_parts", module)
+    monkeypatch.setattr(plugins, "_used", {})
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [entry for entry in entries if entry.group == group])
+    yield to
+    plugins.installed.cache_clear()
+
+
+def test_a_class_for_devices_and_an_instance_for_all_else(add: Add) -> None:
+    """Assert that the one in the place of the other is refused in words."""
+    add(plugins.CAMERAS, one=OneCamera, two=OneCamera())
+    add(plugins.GRIPPERS, three=grippers.NoGripper())
+    add(plugins.CONTROLLERS, four=Numbered)
+    add(plugins.EXPORTERS, five=exports.ExportFormat)
+    assert plugins.find(plugins.CAMERAS, "one", NamedCamera) is OneCamera
+    with pytest.raises(InputError, match="is an instance, and a class below"):
+        cameras.parse("two")
+    with pytest.raises(InputError, match="is an instance, and a class below"):
+        grippers.parse("three")
+    with pytest.raises(InputError, match="is a class, and an instance of"):
+        plugins.find(plugins.CONTROLLERS, "four", OtherLaw)
+    with pytest.raises(InputError, match="is a class, and an instance of"):
+        exports.named_format("five")
+
+
+def test_an_importer_that_cannot_be_used_stops_no_other(add: Add, tmp_path: Path) -> None:
+    """Assert that it is left out, with its reason where no other knows the file, and that a match counts as use."""
+    other = imports.FORMATS["text"]
+    add(plugins.IMPORTERS, "odd", a=ImportFormat("lab events", other.read), b=ImportFormat, c=ImportFormat((1,), len))  # type: ignore[arg-type]
+    add(plugins.IMPORTERS, "short", d=ImportFormat((b"lab",), other.read), e=other._replace(begins=(b"lab events",)))
+    add(plugins.IMPORTERS, "fine", f=ImportFormat((b"\x01lab events",), other.read))
+    (path := tmp_path / "a.lab").write_bytes(b"\x02none\n")
+    with pytest.raises(InputError) as refused:
+        read_events(path)
+    assert "importer a: its `begins` is 'lab events', and a tuple of bytes is wanted" in str(refused.value)
+    assert "importer d: " in str(refused.value) and "at least 4 bytes" in str(refused.value)
+    assert plugins.used() == {}
+    path.write_bytes(b"\x01lab events\n")
+    assert imports._format(path).begins == (b"\x01lab events",)
+    assert plugins.used() == {"fine": "2.0"}
+
+
+def test_a_law_says_its_method(add: Add) -> None:
+    """Assert that a law without one is refused, and that one has it in its recipe, and no gain."""
+    add(plugins.CONTROLLERS, bare=Unnumbered(), full=Numbered())
+    with pytest.raises(InputError, match="has no `method`"):
+        settings._law("bare", 1.0)
+    law = settings._law("full", 1.0)
+    trial: Any = SimpleNamespace(plan=None, number=0)
+    of_law = settings.GraspSettings("full", 1.0, law, 500.0, 0, 1.0, 1.0, None)
+    assert of_law.parameters(trial)["law_method"] == 3
+    ours = settings.GraspSettings("none", 1.0, settings._law("none", 1.0), 500.0, 0, 1.0, 1.0, None)
+    assert "law_method" not in ours.parameters(trial)
+    with pytest.raises(InputError, match="a gain is for paper and paper-reset") as refused:
+        settings._law("full", 2.0)
+    assert "full with gain 2" in str(refused.value)
+
+
+def test_a_package_counts_as_used_where_it_has_a_part(add: Add) -> None:
+    """Assert that asking, loading and doctor do not count, and that no package takes the place of what is ours."""
+    add(plugins.CAMERAS, "numpy", one=OneCamera)
+    add(plugins.CONTROLLERS, "evetac", full=Numbered())
+    add(plugins.GRIPPERS, "lab", none_such=grippers.NoGripper)
+    assert [row["ok"] for row in plugin_check.rows()] == [True, False, True]
+    assert plugins.named(plugins.CAMERAS, "one") is not None
+    assert plugins.used() == {}
+    before = made_with()
+    plugins.find(plugins.CAMERAS, "one", NamedCamera)
+    plugins.find(plugins.CONTROLLERS, "full", OtherLaw)
+    assert plugins.used() == {"numpy": "2.0", "evetac": "2.0"}
+    assert {**made_with(), "at": ""} == {**before, "at": ""}
+
+
+@pytest.mark.parametrize("missing", [{}, {"__file__": None}, {"__path__": None, "__file__": None}])
+def test_a_module_without_a_folder(add: Add, missing: dict[str, Any]) -> None:
+    """Assert that a module which lies nowhere has no files, in words."""
+    vars(module := ModuleType("nowhere")).update(missing)
+    add(plugins.SCENES, lost=module)
+    with pytest.raises(InputError, match="has no folder"):
+        plugins.find_file(plugins.SCENES, "lost")
+
+
+def test_doctor_survives_any_plug_in(add: Add, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that doctor says what an entry point raised, and looks at the others."""
+    add(plugins.CONTROLLERS, odd=Numbered(), well=Numbered())
+    load = plugins.Plugin.load
+
+    def odd(self: plugins.Plugin, wanted: Any) -> Any:
+        return load(self, wanted) if self.name == "well" else {}["key"]
+
+    monkeypatch.setattr(plugins.Plugin, "load", odd)
+    assert [(row["check"], row["found"]) for row in plugin_check.rows()] == [
+        ("controller odd", "KeyError: 'key'"),
+        ("controller well", "loads"),
+    ]
+
+
+def test_an_error_in_a_plug_in_is_its_own(
+    add: Add, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that what a plug-in's code raises is told with its name and package, also from another process."""
+    add(plugins.CAMERAS, one=OneCamera)
+    namespace: dict[str, Any] = {"__name__": "lab_parts"}
+    exec("def fail():\n    return 1 // 0\n", namespace)
+    monkeypatch.setattr(OneCamera, "parse", classmethod(lambda cls, text: namespace["fail"]()))
+    with pytest.raises(ZeroDivisionError) as raised:
+        cameras.parse("one:")
+    plugins.note_culprits(raised.value)
+    travelled = pickle.loads(pickle.dumps(raised.value))
+    for error in (raised.value, travelled):
+        exit_codes._say_internal_error(error, verbose=True)
+        said = capsys.readouterr().err
+        assert "the plug-in camera one of lab failed" in said
+        assert "ZeroDivisionError" in said and "report it to the authors of lab" in said
+        assert "this is a defect of evetac" not in said
+    try:
+        raise ZeroDivisionError("ours")
+    except ZeroDivisionError as ours:
+        exit_codes._say_internal_error(ours, verbose=True)
+    assert "this is a defect of evetac" in capsys.readouterr().err
+
+
+def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
+    """Assert that a worker of a cluster is refused in words where a plug-in is missing or of another version."""
+    (tmp_path / "sign").touch()
+    add(plugins.CAMERAS, one=OneCamera)
+    plugins.find(plugins.CAMERAS, "one", NamedCamera)
+    (part,) = plugins.parts()
+
+    def answer(part: plugins.Part) -> str:
+        version = dask_worker.__version__
+        command = dask_worker.ClusterCommand("record", None, False, version, tmp_path, tmp_path / "sign", (part,))
+        return dask_worker.check_worker(pickle.loads(pickle.dumps(command)))
+
+    assert answer(part) == ""
+    assert answer(part._replace(version="1.9")) == "has lab 2.0, and this is lab 1.9"
+    del sys.modules["lab_parts"].one  # type: ignore[attr-defined]
+    assert "cannot use the plug-in camera one of lab: AttributeError" in answer(part)
+    assert answer(part._replace(name="two")) == "has no package lab, of which is the plug-in camera two"

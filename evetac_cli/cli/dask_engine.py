@@ -24,10 +24,11 @@ import uuid
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from evetac_cli import __version__, console
+from evetac_cli import __version__, console, plugins
 from evetac_cli.cli import workers
 from evetac_cli.cli.dask_worker import LOOK_S, ClusterCommand, WorkerRefused, check_worker, run_task
 from evetac_cli.cli.engines import Engine
@@ -67,7 +68,7 @@ def run_on_dask(
         try:
             progress(0, 0, "waiting for the cluster")
             with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
-                command = ClusterCommand(module, chosen, force, __version__, Path.cwd(), sign)
+                command = ClusterCommand(module, chosen, force, __version__, Path.cwd(), sign, plugins.parts())
                 _Run(client, command, jobs, progress, results, engine).run()
         finally:
             workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
@@ -330,9 +331,17 @@ class _Run:
                 hint="run the command again: finished files are kept",
             ) from None
         except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] != "evetac_cli":
+            lacks = (error.name or "").partition(".")[0]  # it could not even read the task
+            if lacks == "evetac_cli":
+                return WorkerRefused("has no evetac")
+            for part in plugins.parts():
+                if part.module.partition(".")[0] == lacks:
+                    return WorkerRefused(f"has no {part.package}")
+            raise
+        except RuntimeError as error:
+            if not plugins.parts() or "deserialization of the task graph" not in str(error):
                 raise
-            return WorkerRefused("has no evetac")  # it could not even read the task
+            raise _unread_by_scheduler(error) from None
         return results
 
     def _look_at_workers(self) -> None:
@@ -345,7 +354,8 @@ class _Run:
         }
         others = [address for address in versions if address not in reasons]
         if others:
-            answers = self.client.run(check_worker, self.command, workers=others, on_error="return")
+            command = replace(self.command, chosen=None)  # which may hold what a worker cannot read
+            answers = self.client.run(check_worker, command, workers=others, on_error="return")
             reasons |= {
                 address: f"fails: {reason}" if isinstance(reason, BaseException) else reason
                 for address, reason in answers.items()
@@ -362,7 +372,7 @@ class _Run:
                 "no worker of the cluster can be used",
                 where="--engine",
                 found="; ".join(words),
-                hint="the same evetac on all computers, and files on storage that they share",
+                hint="the same evetac and plug-ins on all computers, and files on storage that they share",
             )
         for line in words:
             if line not in self.said:
@@ -389,3 +399,14 @@ class _Run:
                 outputs = [job.output for jobs in self.running.values() for job in jobs] + list(self.results)
                 files = [self.command.folder / output for output in outputs]
                 self.client.run(workers.remove_unfinished, files, on_error="ignore")
+
+
+def _unread_by_scheduler(error: RuntimeError) -> EvetacError:
+    """That the scheduler, which reads every task, cannot load the package of a plug-in."""
+    packages = ", ".join(plugins.used())
+    return EvetacError(
+        f"the Dask scheduler cannot read the jobs, which need {packages}",
+        where="--engine",
+        found=str(error.__cause__ or "an error of Dask's"),
+        hint=f"install {packages} where the scheduler runs, too",
+    )

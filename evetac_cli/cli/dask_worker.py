@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evetac_cli import __version__, kernel_cache
+from evetac_cli import __version__, kernel_cache, plugins
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, Outcome, Progress
@@ -27,6 +27,7 @@ class ClusterCommand:
     version: str
     folder: Path  # in which it was started
     sign: Path  # the file that is there while it runs
+    parts: tuple[plugins.Part, ...] = ()  # plug-ins that it uses
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ def check_worker(command: ClusterCommand) -> str:
     """Why this process cannot work for a command, in words; empty if it can."""
     if command.version != __version__:
         return f"has evetac {__version__}, and this is evetac {command.version}"
+    if reason := plugins.lacking(command.parts):
+        return reason
     for path in (command.folder, command.sign.parent):
         if not path.is_dir():
             return f"does not see the folder {path}: no shared storage"
@@ -56,6 +59,7 @@ def run_task(
     with _one_job_at_a_time:
         if reason := check_worker(command):
             return WorkerRefused(reason)
+        plugins.take_part(command.parts)
         kernel_cache.settle_for_this_process()
         before = Path.cwd()
         os.chdir(command.folder)
@@ -66,6 +70,9 @@ def run_task(
                 results.append(_run_job(command, job, paths, stopping))
         except KeyboardInterrupt:
             pass
+        except Exception as error:
+            plugins.note_culprits(error)
+            raise
         finally:
             os.chdir(before)
         return results

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from evetac_cli import __version__, console, interrupts, kernel_cache
+from evetac_cli import __version__, console, interrupts, kernel_cache, plugins
 from evetac_cli.cli.flags import Group, Running
 from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
 from evetac_cli.errors import (
@@ -105,7 +105,8 @@ class CommandExit:
             known = any(error is other for other in errors)
             more = attached_outcome(error) if not known else None
             outcomes = self.outcomes() + ([more] if more is not None else [])
-            console.show_failure(self.title, errors if known else [error, *errors], outcomes)
+            shown = _failure_of_plugin(error) or error
+            console.show_failure(self.title, errors if known else [shown, *errors], outcomes)
         if isinstance(error, KeyboardInterrupt):
             console.say(str(error) or INTERRUPTED)
             raise typer.Exit(INTERRUPTED_CODE) from None
@@ -160,12 +161,29 @@ def _exit_code(program: Callable[[], Any]) -> int:
     return 0
 
 
+def _failure_of_plugin(error: BaseException) -> EvetacError | None:
+    """What nobody foresaw, in words, if it came out of a plug-in's own code; None for any other error."""
+    if isinstance(error, (EvetacError, OSError, MemoryError, RecursionError, KeyboardInterrupt)):
+        return None
+    parts = plugins.culprits(error)
+    if not parts:
+        return None
+    package, several = parts[0].package, len(parts) > 1
+    message = f"the plug-in{'s' if several else ''} {', '.join(part.what for part in parts)} of {package} failed"
+    hint = f"report it to the authors of {package}, with the command and the traceback: it is no defect of evetac"
+    found = f"{type(error).__name__}: {error}"
+    return EvetacError(message, where=f"{package} {parts[0].version}", found=found, hint=hint)
+
+
 def _say_internal_error(error: Exception, *, verbose: bool) -> None:
     """What nobody foresaw, in words, with its traceback in a file or, if asked for, on stderr."""
     trace = "".join(traceback.format_exception(error))
-    console.say(INTERNAL_ERROR)
-    console.say(f"  {type(error).__name__}: {shortened(str(error))}")
-    console.say(f"  this is a defect of evetac {__version__}: please report it, with the command and what follows")
+    if failure := _failure_of_plugin(error):
+        console.say(f"error: {failure}")
+    else:
+        console.say(INTERNAL_ERROR)
+        console.say(f"  {type(error).__name__}: {shortened(str(error))}")
+        console.say(f"  this is a defect of evetac {__version__}: please report it, with the command and what follows")
     if verbose:
         console.say(trace.rstrip())
         return

@@ -18,7 +18,7 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evetac_cli import console
+from evetac_cli import console, plugins
 from evetac_cli.cli import compiling
 from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome, exit_code_words
 from evetac_cli.interrupts import SignalsLetThrough, catch_interrupts, interrupt_came, signals_blocked
@@ -78,11 +78,15 @@ def _in_worker(
         return finished
 
 
-def _work(pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool) -> None:
+def _work(
+    pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool, parts: tuple[plugins.Part, ...]
+) -> None:
     """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies.
 
     Through the pipe come back, of each job, the part that is done and what came of it; in between what is to be said.
+    parts: plug-ins that headers are to name.
     """
+    plugins.take_part(parts)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     with compiling.announced(quiet=quiet, interrupted=interrupt_came, say=lambda text: _send_whole(pipe, text)):
@@ -119,6 +123,7 @@ def _work_off(pipe: "Connection", module: str, chosen: Any, force: bool) -> None
             pipe.send(_in_worker(module, job, chosen, force, _sending(pipe)))
         except Exception as error:  # a defect: shown by the parent, as it would be without workers
             error.add_note(traceback.format_exc())
+            plugins.note_culprits(error)
             pipe.send(error)
 
 
@@ -141,7 +146,7 @@ class _Worker:
 
     def __init__(self, context: "SpawnContext", module: str, chosen: Any, force: bool, quiet: bool) -> None:
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, module, chosen, force, quiet))
+        self.process = context.Process(target=_work, args=(theirs, module, chosen, force, quiet, plugins.parts()))
         self.process.start()
         theirs.close()
         self.job: Job | None = None

@@ -300,16 +300,22 @@ def parse(text: str) -> NamedCamera:
 
 def parse_several(text: str) -> tuple[NamedCamera, ...]:
     """Understand cameras with commas between them; a comma behind which no camera begins is part of a file's name."""
-    named = [""]
-    for part in text.split(","):
-        begins = part.startswith(tuple(KINDS)) or plugins.named(plugins.CAMERAS, part.partition(":")[0])
-        if named[-1] and not begins:
-            named[-1] += f",{part}"
-        elif named[-1]:
+    first, *parts = text.split(",")
+    named = [first]
+    for part in parts:
+        if _begins_camera(part):
             named.append(part)
         else:
-            named[-1] = part
+            named[-1] += f",{part}"
     return tuple(map(parse, named))
+
+
+def _begins_camera(part: str) -> bool:
+    """Whether a camera begins so: what stands before a colon, or all of it, is a kind; a replay has a file."""
+    name, colon, _ = part.partition(":")
+    if name == Replay.name:
+        return bool(colon)
+    return name in KINDS or plugins.named(plugins.CAMERAS, name) is not None
 
 
 def _no_such_camera(text: str) -> InputError:

@@ -420,7 +420,7 @@ def _format(path: Path) -> ImportFormat:
             found=f"a file that begins with {head[:16]!r}",
             hint=FIVE_BYTES
             if path.suffix.lower() == ".bin" and not path.stat().st_size % 5
-            else f"evetac doctor says why {', '.join(unusable)} cannot be used"
+            else f"evetac doctor lists all plug-ins; left out: {'; '.join(unusable)}"
             if unusable
             else "",
         )
@@ -428,16 +428,32 @@ def _format(path: Path) -> ImportFormat:
 
 
 def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
-    """The row of a plug-in whose files begin so; those that cannot be used are added to `unusable`."""
+    """The row of a plug-in whose files begin so; those that cannot be used are added to `unusable`, with the reason."""
     for plugin in plugins.installed(plugins.IMPORTERS):
         try:
-            format_ = plugin.load(ImportFormat)
-        except InputError:
-            unusable.append(plugin.what)
+            format_ = format_of_plugin(plugin)
+        except InputError as error:
+            unusable.append(f"{plugin.what}: {error.found}")
             continue
         if head.startswith(tuple(mark for mark in format_.begins if len(mark) >= LEAST_MARK)):
+            plugin.use()
             return format_
     return None
+
+
+def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
+    """The row of a plug-in; InputError if it cannot be used."""
+    format_ = plugin.load(ImportFormat)
+    begins, said = format_.begins, format_.said
+    if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) for mark in begins):
+        raise plugin.error(f"its `begins` is {begins!r}, and a tuple of bytes is wanted")
+    if not any(len(mark) >= LEAST_MARK for mark in begins):
+        raise plugin.error(f"its `begins` is {begins!r}, and a mark of at least {LEAST_MARK} bytes is wanted")
+    if not callable(format_.read):
+        raise plugin.error(f"its `read` is {format_.read!r}, and a function is wanted")
+    if not isinstance(said, tuple) or not all(name in SAID for name in said):
+        raise plugin.error(f"its `said` is {said!r}, and a tuple of {', '.join(SAID)} is wanted")
+    return format_
 
 
 def _head(path: Path) -> bytes:

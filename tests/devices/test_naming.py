@@ -66,6 +66,28 @@ def test_no_such_camera(text: str) -> None:
     assert "expected" in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("sim,virtual:busy", ["sim", "virtual:busy"]),
+        ("replay:a,replayed.h5", ["replay:a,replayed.h5"]),
+        ("replay:a,replay", ["replay:a,replay"]),
+        ("replay:a,simple.h5,dvxplorer", ["replay:a,simple.h5", "dvxplorer"]),
+        ("replay:a,b:c,replay:d", ["replay:a,b:c", "replay:d"]),
+    ],
+)
+def test_several_cameras(text: str, named: list[str]) -> None:
+    """Assert that a comma is part of a file's name unless a whole kind of camera stands behind it."""
+    assert cameras.parse_several(text) == tuple(map(cameras.parse, named))
+
+
+@pytest.mark.parametrize("text", [",sim", "sim,", "sim,,sim", ""])
+def test_a_camera_without_a_name_among_several(text: str) -> None:
+    """Assert that nothing between commas is refused."""
+    with pytest.raises(InputError, match="no such camera"):
+        cameras.parse_several(text)
+
+
 def test_near_miss_has_a_hint() -> None:
     """Assert that a slip of the pen is understood."""
     with pytest.raises(InputError, match="did you mean dvxplorer"):

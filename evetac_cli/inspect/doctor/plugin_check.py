@@ -18,7 +18,7 @@ from evetac_cli.sim.setup.plan import named_objects, one_sensor
 LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
     plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
-    plugins.IMPORTERS: lambda plugin: plugin.load(imports.ImportFormat),
+    plugins.IMPORTERS: imports.format_of_plugin,
     plugins.EXPORTERS: lambda plugin: plugin.load(exports.ExportFormat),
     plugins.CONTROLLERS: lambda plugin: plugin.load(OtherLaw),
     plugins.NETWORKS: lambda plugin: plugin.load(OtherArchitecture),
@@ -48,7 +48,10 @@ def why_not(plugin: Plugin) -> str:
     if fault := plugin.fault():
         return fault
     try:
-        LOADED[plugin.group](plugin)
+        with plugins.only_looked_at():
+            LOADED[plugin.group](plugin)
     except InputError as error:
         return error.found or error.message
+    except Exception as error:  # code of somebody else's: the others are to be looked at
+        return f"{type(error).__name__}: {error}"
     return ""

@@ -7,10 +7,13 @@ paper's control experiment, stays where light contact ended; `fixed:N` closes N 
 """
 
 import math
+import operator
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 from evetac_cli.checks import check_range
+from evetac_cli.errors import EvetacError
 from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase, GripLaw
@@ -44,10 +47,11 @@ class FixedGrip:
 class LawState:
     """What a law of another package remembers between steps; what it needs beside these is in a class below this one.
 
-    u_ff, x_ref: feed-forward term and reference position in ticks, as they are recorded; NaN where the law has none.
+    u_ff, x_ref: feed-forward term and reference position in ticks, as they are recorded. u_ff is finite, 0 where the
+    law has none; x_ref is NaN where it has none.
     """
 
-    u_ff: float = math.nan
+    u_ff: float = 0.0
     x_ref: float = math.nan
 
 
@@ -55,9 +59,11 @@ class LawState:
 class OtherLaw:
     """A law of another package, a frozen dataclass below this one: its fields are its constants, and part of recipes.
 
-    It is sent to the process that commands the gripper, and stepped there.
+    It is sent to the process that commands the gripper, and stepped there. A law has to set `method`: 1, and one more
+    whenever it commands other goals with the same constants; it is part of recipes, so that grasps are made anew then.
     """
 
+    method: ClassVar[int]
     needs_detector: ClassVar[bool] = True  # whether its goals depend on the slip detector at all
 
     def start(self, control_hz: float) -> LawState:
@@ -108,11 +114,13 @@ def uses_detector(law: Law) -> bool:
 class Control:
     """A controller with its state, stepped at control_hz; slip, u_ff_ticks and x_ref_ticks are what is recorded of it.
 
-    ValueError for a rate that is not finite and above 0.
+    name: of the controller, for errors. ValueError for a rate that is not finite and above 0; EvetacError, here and in
+    `step`, where a law of another package breaks its contract.
     """
 
     law: Law
     control_hz: float = paper.PAPER_HZ
+    name: str = ""
     slip: bool = False  # since the step before
     _slips: int = 0  # slices with slip up to the step before
     _state: Any = None
@@ -126,6 +134,8 @@ class Control:
             self._law, self._state = self.law.at(self.control_hz), paper.start()
         elif isinstance(self.law, OtherLaw):
             self._law, self._state = paper.PAPER, self.law.start(self.control_hz)
+            if not isinstance(self._state, LawState):
+                raise self._fault("its start gives no LawState", self._state)
         else:
             self._law, self._state = paper.PAPER, paper.start()
 
@@ -144,8 +154,7 @@ class Control:
                 self.law,
             )
         if isinstance(self.law, OtherLaw):
-            goal = self.law.step(self._state, phase, self.slip, signal, position_ticks)
-            return min(max(int(goal), paper.PAPER.first_tick), paper.PAPER.last_tick)
+            return self._step_other(self.law, phase, signal, position_ticks)
         if isinstance(self.law, FixedGrip) and phase is not GraspPhase.CONTACT:
             if self._state.phase is GraspPhase.CONTACT:
                 self._state = paper.GripState(phase, -float(self.law.beyond), float(position_ticks))
@@ -153,6 +162,26 @@ class Control:
                 return position_ticks
             return min(int(self._state.x_ref) + self.law.beyond, paper.PAPER.last_tick)
         return paper.step(self._state, phase, self.slip, position_ticks, self._law)
+
+    def _step_other(self, law: OtherLaw, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
+        """A step of another package's law, whose goal is clipped; EvetacError where it or the state is none."""
+        goal, state = law.step(self._state, phase, self.slip, signal, position_ticks), self._state
+        try:
+            goal = operator.index(goal)
+        except TypeError:
+            raise self._fault("its goal is not a whole number of ticks", goal) from None
+        if not (isinstance(state.u_ff, Real) and math.isfinite(state.u_ff)):
+            raise self._fault("its u_ff is not a finite number", state.u_ff)
+        if not (isinstance(state.x_ref, Real) and not math.isinf(state.x_ref)):
+            raise self._fault("its x_ref is neither a finite number nor NaN", state.x_ref)
+        return min(max(goal, paper.PAPER.first_tick), paper.PAPER.last_tick)
+
+    def _fault(self, what: str, found: object) -> EvetacError:
+        """That a law of another package breaks its contract."""
+        of = f"{type(self.law).__module__}.{type(self.law).__qualname__}"
+        named = f"{self.name} ({of})" if self.name else of
+        hint = "tell its authors: evetac_cli.testing.check_controller shows it"
+        return EvetacError(f"the controller {named} fails: {what}", where="--controller", found=repr(found), hint=hint)
 
     @property
     def u_ff_ticks(self) -> float:

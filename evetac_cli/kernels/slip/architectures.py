@@ -6,7 +6,7 @@ inputs but must not import torch. This module needs numpy alone.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,8 +150,11 @@ class OtherArchitecture(DotArchitecture):
 
     A layer has arrays NAME.weight and NAME.bias, one value of it for each row of the weight. The graph in a model file
     is never run for what it is: it is written anew by `add_layers` from the weights, and refused if it is another.
+    A network has to set `method`: 1, and one more whenever it computes other numbers under its name; it is part of
+    recipes, so that models are trained anew then.
     """
 
+    method: ClassVar[int]
     fc1: int = 1  # it has none of these
     fc2: int = 1
 

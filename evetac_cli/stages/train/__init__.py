@@ -28,6 +28,7 @@ from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
     DotArchitecture,
+    OtherArchitecture,
     joined,
     named_architecture,
     parted,
@@ -215,6 +216,9 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
     if params.patience is not None:
         parameters["patience"] = params.patience
+    architecture = named_architecture(settings.model)
+    if isinstance(architecture, OtherArchitecture):
+        parameters["model_method"] = architecture.method
     parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)
     simulated = any(header["simulated"] for header in parents)
@@ -245,7 +249,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             found="{} x {}".format(*adapted.dot_shape),
             hint="evetac train without --adapt makes a model for this grid",
         )
-    architecture = named_architecture(settings.model)
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
     start = None if adapted is None else adapted.weights

@@ -158,13 +158,13 @@ def identity_fault(header: Header) -> str:
 def made() -> dict[str, str]:
     """Time, host and versions, of plug-ins too: recorded, not part of the id."""
     return {
+        **plugins.used(),  # first, so that no package stands in the place of what follows
         "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "host": platform.node(),
         "machine": platform.machine(),
         "python": platform.python_version(),
         "evetac": __version__,
         **_libraries(),
-        **plugins.used(),
     }
 
 

@@ -72,6 +72,7 @@ class ControllerSettings:
     watchdog_ms: int
     most_s: float  # that the grasp may take, whatever the camera's clock says
     time: TimeSource = HOST_TIME  # by which the controller goes
+    controller: str = ""  # its name, for errors
 
 
 class GripperReady(NamedTuple):
@@ -286,14 +287,15 @@ def _command(
 ) -> ControllerEnded:
     """The loop; its result does not yet say when torque was off."""
     timing = settings.timing
-    control = Control(settings.law, timing.control_hz)
+    control = Control(settings.law, timing.control_hz, settings.controller)
     pace = Pace(1.0 / timing.control_hz, clock, sleep)
     watch = Watch(settings.watchdog_ms, has_ended)
     parent = os.getppid()
     wire_us = COMMAND_BYTES * 1e7 / settings.gripper.baud
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
-    ended, error, alive_us = "", None, math.nan
+    ended, alive_us = "", math.nan
+    error: EvetacError | None = None
     began_s = last_s = clock()
     missed_before = slips_before = 0
     while True:
@@ -335,6 +337,9 @@ def _command(
             gripper.write_position(goal)
         except DeviceError as failed:
             ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
+            break
+        except EvetacError as failed:  # a law of another package
+            ended, error, alive_us = str(failed).splitlines()[0], failed, begun_s * 1e6
             break
         last_s = clock()
         cycle_us.append((last_s - begun_s) * 1e6)

@@ -192,6 +192,7 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
             (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * trial.watchdog_ms,
             trial.most_s,
             HOST_TIME if world is None else world.time,
+            settings.controller,
         )
         processes = GraspProcesses(detector, controller, world)
         opened.callback(processes.close)

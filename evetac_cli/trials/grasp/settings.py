@@ -71,7 +71,9 @@ class DetectorModel:
 def _law(name: str, gain: float) -> Law:
     """The law of a controller, ours or a plug-in's; InputError if there is none of this name and gain."""
     law = plugins.find(plugins.CONTROLLERS, name, OtherLaw)
-    if law is not None and gain == 1.0:
+    if law is not None and gain != 1.0:
+        raise InputError("a gain is for paper and paper-reset", where="--gain", found=f"{name} with gain {gain:g}")
+    if law is not None:
         return law
     try:
         return grip_control.make_law(name, gain)
@@ -113,7 +115,7 @@ class GraspSettings:
 
     def control(self) -> Control:
         """The controller at the beginning of a grasp."""
-        return Control(self.law, self.control_hz)
+        return Control(self.law, self.control_hz, self.controller)
 
     def view(self, params: Grasp) -> ViewRequest | None:
         """How the trials are shown, if the flags say so: with the detector of the grasp, else the package's."""
@@ -138,6 +140,7 @@ class GraspSettings:
             "controller": self.controller,
             "gain": self.gain,
             "law": asdict(self.law),
+            **({"law_method": self.law.method} if isinstance(self.law, OtherLaw) else {}),
             "latency_ms": self.latency_ms,
             "control_hz": self.control_hz,
             "tracker": tracking,

@@ -1,11 +1,24 @@
 """Controllers by name: which law, which signals reach it, and the two that use no detector."""
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import pytest
 
+from evetac_cli.errors import EvetacError
 from evetac_cli.kernels.grip import load_proportional, paper
-from evetac_cli.kernels.grip.control import LAWS, Control, FixedGrip, SlipSignal, make_law, uses_detector
+from evetac_cli.kernels.grip.control import (
+    LAWS,
+    Control,
+    FixedGrip,
+    LawState,
+    OtherLaw,
+    SlipSignal,
+    make_law,
+    uses_detector,
+)
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
 
@@ -100,3 +113,61 @@ def test_a_rate_out_of_range() -> None:
     for hz in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="control_hz"):
             Control(make_law("load-proportional"), hz)
+
+
+@dataclass(frozen=True)
+class Given(OtherLaw):
+    """A law of another package: it answers as it is told to."""
+
+    method = 1
+    goal: Any = 300
+    u_ff: Any = 0.0
+    x_ref: Any = math.nan
+
+    def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+        """The goal that was given."""
+        state.u_ff, state.x_ref = self.u_ff, self.x_ref
+        goal: int = self.goal
+        return goal
+
+
+def test_the_usual_state_of_another_law_can_be_recorded() -> None:
+    """Assert that a law without a feed-forward term has one that is finite, as recordings have it."""
+    assert Control(Given()).u_ff_ticks == 0.0
+    assert math.isnan(Control(Given()).x_ref_ticks)
+
+
+def test_another_law_s_goals_are_whole_and_clipped() -> None:
+    """Assert that a whole number of any type is a goal, and that it is clipped to the gripper's range."""
+    goals = [Control(Given(goal)).step(LIFT, SlipSignal(), 100) for goal in (5, np.int32(6), -3, 9999)]
+    assert goals == [5, 6, 0, 740]
+    assert all(type(goal) is int for goal in goals)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (Given(goal=math.nan), "its goal is not a whole number"),
+        (Given(goal=300.0), "its goal is not a whole number"),
+        (Given(goal=None), "its goal is not a whole number"),
+        (Given(u_ff=math.nan), "its u_ff is not a finite number"),
+        (Given(u_ff=np.float32(math.inf)), "its u_ff is not a finite number"),
+        (Given(u_ff="-2"), "its u_ff is not a finite number"),
+        (Given(x_ref=math.inf), "its x_ref is neither"),
+    ],
+)
+def test_another_law_that_breaks_its_contract_is_refused(law: Given, said: str) -> None:
+    """Assert that what cannot be commanded or recorded is an error that names the controller."""
+    with pytest.raises(EvetacError, match=rf"the controller odd \(.*Given\) fails: {said}"):
+        Control(law, name="odd").step(LIFT, SlipSignal(), 100)
+
+
+def test_another_law_starts_with_a_state() -> None:
+    """Assert that a start which gives none is refused."""
+
+    class Stateless(Given):
+        def start(self, control_hz: float) -> LawState:
+            return None  # type: ignore[return-value]
+
+    with pytest.raises(EvetacError, match="its start gives no LawState"):
+        Control(Stateless())

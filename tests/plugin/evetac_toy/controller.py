@@ -17,6 +17,7 @@ class FirmState(LawState):
 class FirmLaw(OtherLaw):
     """The constants, which are part of the recipe of every grasp."""
 
+    method = 1  # one more whenever it commands other goals with the same constants
     approach_ticks: int = 2
     step_ticks: float = 1.0
 

@@ -12,6 +12,8 @@ WIDTH = 8
 class MeanOfDots(OtherArchitecture):
     """Written down twice: as torch modules, to be trained, and as nodes of an ONNX graph, to be run."""
 
+    method = 1  # one more whenever it computes other numbers under its name
+
     def layers(self, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
         """The weight of each layer."""
         return {"code": (WIDTH, self.inputs_per_dot), "last": (1, WIDTH)}
