@@ -6,8 +6,9 @@ load is refused where it is asked for, and keeps nothing else from working.
 """
 
 import re
+import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -91,7 +92,8 @@ class Plugin(NamedTuple):
         if fault := self.fault():
             raise self.error(fault)
         try:
-            loaded = self.entry.load()
+            with redirect_stdout(sys.stderr):  # what it prints is no part of a table or of JSON
+                loaded = self.entry.load()
         except (Exception, SystemExit) as error:  # code of somebody else's
             raise self.error(f"{type(error).__name__}: {error}") from error
         self._require(loaded, wanted)

@@ -29,9 +29,9 @@ from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import Imported, read_events
-from evetac_cli.kernels.grip.control import Control, OtherLaw, SlipSignal
+from evetac_cli.kernels.grip.control import Control, PluginLaw, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
-from evetac_cli.kernels.slip.architectures import OtherArchitecture, weight_shapes
+from evetac_cli.kernels.slip.architectures import PluginArchitecture, weight_shapes
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.object_file import TouchedObject
@@ -223,14 +223,14 @@ def small_recording(path: Path) -> Path:
 
 def check_controller(name: str) -> None:
     """A controller of a plug-in: a frozen dataclass, the same in another process, that answers every step."""
-    law = _plugin(plugins.CONTROLLERS, name, OtherLaw)
+    law = _plugin(plugins.CONTROLLERS, name, PluginLaw)
     assert dataclasses.is_dataclass(law)
     json.dumps(dataclasses.asdict(law), allow_nan=False)
     assert pickle.loads(pickle.dumps(law)) == law, "it is not the same in another process"
     assert goals(law) == goals(law), "two grasps alike are not commanded alike"
 
 
-def goals(law: OtherLaw) -> list[int]:
+def goals(law: PluginLaw) -> list[int]:
     """The goals of a grasp of half a second, whose fingers follow: whole, and within the gripper's range."""
     try:
         return _goals(law)
@@ -238,7 +238,7 @@ def goals(law: OtherLaw) -> list[int]:
         raise AssertionError(str(error)) from error
 
 
-def _goals(law: OtherLaw) -> list[int]:
+def _goals(law: PluginLaw) -> list[int]:
     control, position, slips, answers = Control(law), 300, 0, []
     for step in range(250):
         phase = GraspPhase(min(step // 80, 2))
@@ -263,7 +263,7 @@ def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
     from evetac_cli.kernels.slip import networks, onnx_graphs
     from evetac_cli.kernels.slip.detector import Detector
 
-    architecture = _plugin(plugins.NETWORKS, name, OtherArchitecture)
+    architecture = _plugin(plugins.NETWORKS, name, PluginArchitecture)
     assert architecture.name == name, f"it calls itself {architecture.name}"
     rng = np.random.default_rng(3)
     network = networks.build(architecture, rows, columns)

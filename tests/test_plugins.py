@@ -24,7 +24,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import ImportFormat, read_events
 from evetac_cli.inspect.doctor import plugin_check
-from evetac_cli.kernels.grip.control import OtherLaw
+from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import made as made_with
@@ -307,12 +307,12 @@ class OneCamera(NamedCamera):
 
 
 @dataclass(frozen=True)
-class Unnumbered(OtherLaw):
+class Unnumbered(PluginLaw):
     """A law that does not say its method."""
 
 
 @dataclass(frozen=True)
-class Numbered(OtherLaw):
+class Numbered(PluginLaw):
     """A law that does."""
 
     method = 3
@@ -355,7 +355,7 @@ def test_a_class_for_devices_and_an_instance_for_all_else(add: Add) -> None:
     with pytest.raises(InputError, match="is an instance, and a class below"):
         grippers.parse("three")
     with pytest.raises(InputError, match="is a class, and an instance of"):
-        plugins.find(plugins.CONTROLLERS, "four", OtherLaw)
+        plugins.find(plugins.CONTROLLERS, "four", PluginLaw)
     with pytest.raises(InputError, match="is a class, and an instance of"):
         exports.named_format("five")
 
@@ -403,7 +403,7 @@ def test_a_package_counts_as_used_where_it_has_a_part(add: Add) -> None:
     assert plugins.used() == {}
     before = made_with()
     plugins.find(plugins.CAMERAS, "one", NamedCamera)
-    plugins.find(plugins.CONTROLLERS, "full", OtherLaw)
+    plugins.find(plugins.CONTROLLERS, "full", PluginLaw)
     assert plugins.used() == {"numpy": "2.0", "evetac": "2.0"}
     assert {**made_with(), "at": ""} == {**before, "at": ""}
 

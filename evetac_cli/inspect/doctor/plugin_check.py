@@ -8,8 +8,8 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.formats import exports, imports
-from evetac_cli.kernels.grip.control import OtherLaw
-from evetac_cli.kernels.slip.architectures import OtherArchitecture
+from evetac_cli.kernels.grip.control import PluginLaw
+from evetac_cli.kernels.slip.architectures import PluginArchitecture
 from evetac_cli.plugins import Plugin
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_objects, one_sensor
@@ -20,8 +20,8 @@ LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
     plugins.IMPORTERS: imports.format_of_plugin,
     plugins.EXPORTERS: lambda plugin: plugin.load(exports.ExportFormat),
-    plugins.CONTROLLERS: lambda plugin: plugin.load(OtherLaw),
-    plugins.NETWORKS: lambda plugin: plugin.load(OtherArchitecture),
+    plugins.CONTROLLERS: lambda plugin: plugin.load(PluginLaw),
+    plugins.NETWORKS: lambda plugin: plugin.load(PluginArchitecture),
     plugins.SCENES: lambda plugin: scene_file.load(plugin.name),
     plugins.SENSORS: lambda plugin: one_sensor(plugin.name),
     plugins.OBJECTS: lambda plugin: named_objects(plugin.name),

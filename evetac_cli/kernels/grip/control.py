@@ -1,6 +1,6 @@
 """The controllers of a grasp by name, behind one `step`: slip signal and finger position in, goal position out.
 
-Each is a law: a frozen dataclass of its constants. `OtherLaw` is what the laws of other packages have in common.
+Each is a law: a frozen dataclass of its constants. `PluginLaw` is what the laws of other packages have in common.
 
 The paper's law with both readings of its latch, ours (`load-proportional`), and two that use no detector: `none`, the
 paper's control experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
@@ -56,7 +56,7 @@ class LawState:
 
 
 @dataclass(frozen=True)
-class OtherLaw:
+class PluginLaw:
     """A law of another package, a frozen dataclass below this one: its fields are its constants, and part of recipes.
 
     It is sent to the process that commands the gripper, and stepped there. A law has to set `method`: 1, and one more
@@ -78,7 +78,7 @@ class OtherLaw:
         raise NotImplementedError(f"{type(self).__name__} has no step")
 
 
-Law = GripLaw | LoadLaw | FixedGrip | OtherLaw
+Law = GripLaw | LoadLaw | FixedGrip | PluginLaw
 
 
 def make_law(name: str, gain: float = 1.0) -> Law:
@@ -107,7 +107,7 @@ def make_law(name: str, gain: float = 1.0) -> Law:
 
 def uses_detector(law: Law) -> bool:
     """Whether the goals of a controller depend on the slip detector at all."""
-    return law.needs_detector if isinstance(law, OtherLaw) else not isinstance(law, FixedGrip)
+    return law.needs_detector if isinstance(law, PluginLaw) else not isinstance(law, FixedGrip)
 
 
 @dataclass
@@ -132,7 +132,7 @@ class Control:
             self._law, self._state = paper.PAPER, load_proportional.start()
         elif isinstance(self.law, GripLaw):
             self._law, self._state = self.law.at(self.control_hz), paper.start()
-        elif isinstance(self.law, OtherLaw):
+        elif isinstance(self.law, PluginLaw):
             self._law, self._state = paper.PAPER, self.law.start(self.control_hz)
             if not isinstance(self._state, LawState):
                 raise self._fault("its start gives no LawState", self._state)
@@ -153,7 +153,7 @@ class Control:
                 1.0 / self.control_hz,
                 self.law,
             )
-        if isinstance(self.law, OtherLaw):
+        if isinstance(self.law, PluginLaw):
             return self._step_other(self.law, phase, signal, position_ticks)
         if isinstance(self.law, FixedGrip) and phase is not GraspPhase.CONTACT:
             if self._state.phase is GraspPhase.CONTACT:
@@ -163,7 +163,7 @@ class Control:
             return min(int(self._state.x_ref) + self.law.beyond, paper.PAPER.last_tick)
         return paper.step(self._state, phase, self.slip, position_ticks, self._law)
 
-    def _step_other(self, law: OtherLaw, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
+    def _step_other(self, law: PluginLaw, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
         """A step of another package's law, whose goal is clipped; EvetacError where it or the state is none."""
         goal, state = law.step(self._state, phase, self.slip, signal, position_ticks), self._state
         try:

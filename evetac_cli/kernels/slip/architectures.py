@@ -145,7 +145,7 @@ class ImageArchitecture:
 
 
 @dataclass(frozen=True)
-class OtherArchitecture(DotArchitecture):
+class PluginArchitecture(DotArchitecture):
     """A network over dots of another package: its inputs are `views`, normalised as ours; its layers are its own.
 
     A layer has arrays NAME.weight and NAME.bias, one value of it for each row of the weight. The graph in a model file
@@ -219,7 +219,7 @@ def weight_shapes(
             for index, (before, after) in enumerate(zip(entering, IMAGE_CONVS, strict=False))
         }
         layers |= {"fc1": (IMAGE_FC, IMAGE_CONVS[-1]), "fc2": (1, IMAGE_FC)}
-    elif isinstance(architecture, OtherArchitecture):
+    elif isinstance(architecture, PluginArchitecture):
         wide, layers = architecture.inputs_per_dot, architecture.layers(rows, columns)
     else:
         wide = architecture.inputs_per_dot
@@ -292,7 +292,7 @@ ARCHITECTURES: dict[str, Architecture] = {
 
 def named_architecture(name: str) -> Architecture:
     """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
-    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, OtherArchitecture)
+    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, PluginArchitecture)
     if architecture is None:
         others = plugins.usable(plugins.NETWORKS)
         raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")

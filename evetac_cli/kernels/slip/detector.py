@@ -20,7 +20,7 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
-    OtherArchitecture,
+    PluginArchitecture,
 )
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.tracking import tracker
@@ -35,7 +35,7 @@ class Detector:
         """Load the graph; ValueError for bytes that are no graph, and for dots unless `onnx_graphs.build` wrote it."""
         self.architecture = architecture
         self.networks: dot_network.DotNetworks | None = None  # over dots
-        if isinstance(architecture, DotArchitecture) and not isinstance(architecture, OtherArchitecture):
+        if isinstance(architecture, DotArchitecture) and not isinstance(architecture, PluginArchitecture):
             self.networks = dot_network.pack(architecture, *onnx_graphs.read(graph, architecture))
         else:
             self._session = _session(graph)
@@ -144,7 +144,7 @@ class Live:
             copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
             none = np.empty(0, np.uint16)  # compiles or loads it now and not in the first slice
             _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
-        elif isinstance(architecture, OtherArchitecture):
+        elif isinstance(architecture, PluginArchitecture):
             self._seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
             detector.check_dots(len(self._seen))
             factors = architecture.factors(sensor)
@@ -166,14 +166,14 @@ class Live:
         architecture = self.detector.architecture
         tracker.step(self.tracking, x, y, p)
         self._slices += 1
-        if isinstance(architecture, OtherArchitecture):
+        if isinstance(architecture, PluginArchitecture):
             dots = self.tracking.dot_xy_px[self._seen], self.tracking.events_per_dot[self._seen]
             features.step(self._features, *dots)
         else:
             self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         since_full = self._slices - architecture.history
         if since_full >= 0 and since_full % architecture.every == 0:
-            is_other = isinstance(architecture, OtherArchitecture)
+            is_other = isinstance(architecture, PluginArchitecture)
             series = features.latest(self._features) if is_other else self._stack()
             batch = inputs.at(architecture, series, self._newest)
             self._probability = float(self.detector.probability(batch)[0])

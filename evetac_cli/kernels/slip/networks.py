@@ -25,7 +25,7 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
-    OtherArchitecture,
+    PluginArchitecture,
 )
 
 
@@ -141,7 +141,7 @@ class OtherNet(nn.Module):
 
     def __init__(
         self,
-        architecture: OtherArchitecture,
+        architecture: PluginArchitecture,
         rows: int = 7,
         columns: int = 8,
         input_scale: ArrayLike | None = None,
@@ -187,7 +187,7 @@ def build(
     """A network with first weights from torch's generator; rows and columns of dots mean nothing to an `ImageNet`."""
     if isinstance(architecture, ImageArchitecture):
         return ImageNet(architecture, input_scale, input_offset)
-    if isinstance(architecture, OtherArchitecture):
+    if isinstance(architecture, PluginArchitecture):
         return OtherNet(architecture, rows, columns, input_scale, input_offset)
     return SlipNet(architecture, rows, columns, input_scale, input_offset)
 

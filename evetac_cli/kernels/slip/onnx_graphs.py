@@ -26,7 +26,7 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
-    OtherArchitecture,
+    PluginArchitecture,
     prefixes,
     weight_shapes,
 )
@@ -127,7 +127,7 @@ def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]
         if isinstance(architecture, DotArchitecture):
             shape = [rows * columns, architecture.inputs_per_dot]
             value = graph.normalised("features", [-1])
-            if isinstance(architecture, OtherArchitecture):
+            if isinstance(architecture, PluginArchitecture):
                 logits.append(architecture.add_layers(graph, value, rows, columns))
             else:
                 logits.append(_dot_layers(graph, architecture, rows, columns, value))

@@ -28,7 +28,7 @@ from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
     DotArchitecture,
-    OtherArchitecture,
+    PluginArchitecture,
     joined,
     named_architecture,
     parted,
@@ -217,7 +217,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     if params.patience is not None:
         parameters["patience"] = params.patience
     architecture = named_architecture(settings.model)
-    if isinstance(architecture, OtherArchitecture):
+    if isinstance(architecture, PluginArchitecture):
         parameters["model_method"] = architecture.method
     parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)

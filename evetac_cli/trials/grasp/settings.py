@@ -13,7 +13,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
-from evetac_cli.kernels.grip.control import Control, Law, OtherLaw
+from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.tracker import TrackerConstants
 from evetac_cli.stages.slip_detectors import check_graph, require_useful
@@ -70,7 +70,7 @@ class DetectorModel:
 
 def _law(name: str, gain: float) -> Law:
     """The law of a controller, ours or a plug-in's; InputError if there is none of this name and gain."""
-    law = plugins.find(plugins.CONTROLLERS, name, OtherLaw)
+    law = plugins.find(plugins.CONTROLLERS, name, PluginLaw)
     if law is not None and gain != 1.0:
         raise InputError("a gain is for paper and paper-reset", where="--gain", found=f"{name} with gain {gain:g}")
     if law is not None:
@@ -140,7 +140,7 @@ class GraspSettings:
             "controller": self.controller,
             "gain": self.gain,
             "law": asdict(self.law),
-            **({"law_method": self.law.method} if isinstance(self.law, OtherLaw) else {}),
+            **({"law_method": self.law.method} if isinstance(self.law, PluginLaw) else {}),
             "latency_ms": self.latency_ms,
             "control_hz": self.control_hz,
             "tracker": tracking,

@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip.control import (
     Control,
     FixedGrip,
     LawState,
-    OtherLaw,
+    PluginLaw,
     SlipSignal,
     make_law,
     uses_detector,
@@ -116,7 +116,7 @@ def test_a_rate_out_of_range() -> None:
 
 
 @dataclass(frozen=True)
-class Given(OtherLaw):
+class Given(PluginLaw):
     """A law of another package: it answers as it is told to."""
 
     method = 1

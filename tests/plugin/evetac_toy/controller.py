@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.kernels.grip.control import LawState, OtherLaw, SlipSignal
+from evetac_cli.kernels.grip.control import LawState, PluginLaw, SlipSignal
 from evetac_cli.kernels.grip.paper import GraspPhase
 
 
@@ -14,7 +14,7 @@ class FirmState(LawState):
 
 
 @dataclass(frozen=True)
-class FirmLaw(OtherLaw):
+class FirmLaw(PluginLaw):
     """The constants, which are part of the recipe of every grasp."""
 
     method = 1  # one more whenever it commands other goals with the same constants
