@@ -12,7 +12,6 @@ Why so: the name of a folder in /tmp can be guessed, and whoever makes it first 
 import atexit
 import hashlib
 import os
-import pickle
 import shutil
 import stat
 import tempfile
@@ -145,6 +144,8 @@ def _digest_of_sources() -> str:
 
 def _is_readable(index: Path) -> bool:
     """Whether numba could read an index of its cache, as it will."""
+    import pickle  # `evetac --help` needs none of it
+
     try:
         with index.open("rb") as file:
             pickle.load(file)  # the version of numba

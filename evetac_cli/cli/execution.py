@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import console
-from evetac_cli.cli import compiling, config, dask_engine, engines, flags, workers
+from evetac_cli.cli import compiling, config, engines, flags, workers
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.command import Command
@@ -196,6 +196,8 @@ def run_jobs(
         how = (command.module, engines.largest_first(some), chosen, force, at_once)
         with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
             if engine.name == engines.DASK:
+                from evetac_cli.cli import dask_engine  # only for whom it is
+
                 dask_engine.run_on_dask(engine, *how, progress, into)
             else:
                 workers.run_parallel(*how, progress, into, quiet=quiet)
