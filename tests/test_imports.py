@@ -42,7 +42,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     ),
     "sim": frozenset({"plugins", "arrays", "checks", "errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"interrupts", "errors", "events", "kernels"}),
-    "kernels": frozenset({"plugins", "arrays", "checks", "errors", "events"}),
+    "kernels": frozenset({"arrays", "checks", "errors", "events"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "plugins", "errors"}),
     "resources": frozenset({"errors"}),

@@ -43,7 +43,7 @@ class Devices:
     watchdog_ms: int | None = parameter(
         None,
         "The gripper lets go if it gets no command for so long, or the program hangs; a multiple of 20; default: 100"
-        " to record, 60 to grasp.",
+        " to record, 60 to grasp, more for a virtual gripper.",
         unit="ms",
         low=20,
         high=500,

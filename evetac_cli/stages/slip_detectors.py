@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip import features, inputs, onnx_graphs
-from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture, named_architecture
+from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
@@ -17,6 +17,7 @@ from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import joined_on_disk
+from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header
 
 USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"

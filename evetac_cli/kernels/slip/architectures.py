@@ -11,7 +11,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import plugins
 from evetac_cli.kernels.sensitivity import Sensitivity
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
@@ -288,12 +287,3 @@ ARCHITECTURES: dict[str, Architecture] = {
         ),
     )
 }
-
-
-def named_architecture(name: str) -> Architecture:
-    """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
-    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, PluginArchitecture)
-    if architecture is None:
-        others = plugins.usable(plugins.NETWORKS)
-        raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")
-    return architecture

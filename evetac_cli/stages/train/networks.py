@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import named_architecture
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.sampling import SlipSamples
 from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
 from evetac_cli.stages.splits import Fold
 from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of
+from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Recipe
 
 if TYPE_CHECKING:  # torch takes more than a second to import

@@ -14,13 +14,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import plugins
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
     LEAST_COLUMNS,
     LEAST_ROWS,
+    Architecture,
     DotArchitecture,
-    named_architecture,
+    PluginArchitecture,
     prefixes,
     weight_shapes,
 )
@@ -354,3 +357,12 @@ _RULES: dict[str, tuple[Callable[[Contents, Shapes], Iterator[Fault]], ...]] = {
     "model": (_weights,),
     "force-model": (_layers_of_force,),
 }
+
+
+def named_architecture(name: str) -> Architecture:
+    """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
+    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, PluginArchitecture)
+    if architecture is None:
+        others = plugins.usable(plugins.NETWORKS)
+        raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")
+    return architecture
