@@ -44,7 +44,7 @@ class StillGripper:
 
 @dataclass(frozen=True)
 class Still(NamedGripper):
-    """`still`: as it is named on the command line. It says that it is no real one, which asks for --arm."""
+    """`still` on the command line. Nothing real moves here, so it has no HARDWARE and needs no --arm."""
 
     name = "still"
     capabilities = frozenset({Capability.MOVED})
