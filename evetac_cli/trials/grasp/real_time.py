@@ -355,6 +355,7 @@ def _row(
         ended=recorded.ended,
         **timing,
         command_misses=_whole(datasets.get("capture/command_misses")),
+        command_misses_by_gripper=_whole(datasets.get("capture/command_misses_by_gripper")),
         latencies=len(recorded.latency_us),
         late_slices=late.count,
         too_slow=too_slow,
