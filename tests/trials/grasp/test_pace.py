@@ -44,6 +44,30 @@ def test_one_long_step() -> None:
     assert pace.missed == 3
 
 
+@given(own=st.lists(st.floats(0.0, 0.01), min_size=1, max_size=20), waited=st.lists(st.floats(0.0, 0.01), min_size=20))
+def test_whose_fault_a_missed_deadline_is(own: list[float], waited: list[float]) -> None:
+    """Assert that deadlines are ours where they pass without the gripper's answers being late, and else the gripper's.
+
+    A step that took so long on its own, and so much longer because it waited, begins where the one before ended.
+    """
+    clock = Clock()
+    pace = Pace(PERIOD_S, clock, clock.sleep)
+    late_us = pace.wait()
+    due_s = clock.now_s - late_us * 1e-6
+    ours = gripper = 0
+    for alone_s, waited_s in zip(own, waited, strict=False):
+        begun_s = clock.now_s
+        clock.now_s += alone_s + waited_s
+        for passed_s in (clock.now_s - due_s, clock.now_s - waited_s - due_s):
+            assume(abs(passed_s / PERIOD_S - round(passed_s / PERIOD_S)) > 1e-6 or passed_s == 0.0)
+        alone = math.floor((begun_s + alone_s - due_s) / PERIOD_S)
+        ours += alone
+        gripper += math.floor((clock.now_s - due_s) / PERIOD_S) - alone
+        late_us = pace.wait(waited_s)
+        due_s = clock.now_s - late_us * 1e-6
+    assert (pace.missed - pace.missed_by_gripper, pace.missed_by_gripper) == (ours, gripper)
+
+
 @given(age_us=st.floats(0.0, 5000.0))
 def test_steps_follow_the_status(age_us: float) -> None:
     """Assert that a shift is small, repeats with the slices, and brings the age of the status to what is wanted."""
