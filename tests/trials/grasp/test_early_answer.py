@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli import testing
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.control import LawState, PluginLaw, SlipSignal
 from evetac_cli.kernels.grip.load_proportional import LoadLaw
@@ -163,6 +164,25 @@ class StuckLaw(CountingLaw):
 
     def start(self, control_hz: float) -> LawState:
         return Stuck()
+
+
+@dataclass(frozen=True)
+class HidingLaw(CountingLaw):
+    """A law that remembers its steps beside its state."""
+
+    steps: list[int] = field(default_factory=list)
+
+    def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+        self.steps.append(1)
+        return len(self.steps)
+
+
+def test_the_contract_test_of_controllers_finds_what_is_not_in_the_state() -> None:
+    """Assert that a law which steps on a copy of its state would change is found before it commands a gripper."""
+    assert len(testing.goals(CountingLaw())) == 250
+    for law, said in ((HidingLaw(), "outside of its state"), (StuckLaw(), "cannot be copied")):
+        with pytest.raises(AssertionError, match=said):
+            testing.goals(law)
 
 
 def test_a_state_that_cannot_be_copied_is_refused_before_there_is_torque(bench: Callable[..., Bench]) -> None:
