@@ -23,10 +23,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
 from evetac_cli.sim.setup.sensor import SensorGripper
 

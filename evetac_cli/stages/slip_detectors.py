@@ -14,13 +14,12 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.stages.model_files import read_weights
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header
-
-USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
 
 
 def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
@@ -117,33 +116,6 @@ def probabilities(detector: Detector, series: inputs.Series, first: int) -> NDAr
     return detector.over(series, begin)[first - begin :]
 
 
-def why_useless(model: StageFile) -> str:
-    """Why a model detects nothing, in a sentence: at its threshold all slices are slip, or none is; "" if it may do.
-
-    Models of an older evetac do not say how many validation slices they detect; a threshold of 0 is known to be useless
-    without that.
-    """
-    share = float(model.read("validation/detected_share")) if model.has("validation/detected_share") else None
-    if share not in (0.0, 1.0) and float(model.read("threshold")) > 0.0:
-        return ""
-    if model.has("validation/slip_share") and float(model.read("validation/slip_share")) == 1.0:
-        return "its validation trajectories have no slice without slip, so that no threshold could be chosen"
-    which = "no slice" if share == 0.0 else "every slice"
-    return f"at its threshold, {float(model.read('threshold')):g}, it calls {which} of its validation trajectories slip"
-
-
-def require_useful(model: StageFile) -> None:
-    """InputError for a model that detects nothing, before it is let at a gripper."""
-    why = why_useless(model)
-    if why:
-        raise InputError("this model is no slip detector", where=str(model.path), found=why, hint=USELESS_HINT)
-
-
-def read_horizon_ms(model: StageFile) -> int:
-    """How far ahead a model predicts slip, in ms; 0 for detection."""
-    return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
-
-
 def load_detector(model: StageFile) -> Detector:
     """The detector in a model file; InputError as `check_graph`."""
     graph = check_graph(model)
@@ -163,12 +135,6 @@ def check_graph(model: StageFile) -> bytes:
     except ValueError as error:
         raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
     return graph
-
-
-def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
-    """The weights in a model file by their names in the detector; those of several networks begin with a number."""
-    names = [name for name in model.contents() if name.startswith("weights/")]
-    return {name.removeprefix("weights/"): model.read(name) for name in names}
 
 
 def check_checkpoints(model: StageFile) -> None:

@@ -15,7 +15,7 @@ from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, make_law
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.sim.parts import rows_of
 from evetac_cli.store.layout import schema
 from tests import small_files
@@ -84,7 +84,7 @@ def test_every_kind_of_file_and_dataset_has_a_place(every: dict[str, str]) -> No
     [
         ("scenes.md", {path.stem for path in resources.SCENES.glob("*.toml")}),
         ("sensors.md", set(resources.table("sensors"))),
-        ("presets.md", {*tracker.PRESETS, *PRESETS, ADAPT.name, *choices(Label, "method")}),
+        ("presets.md", {*presets.PRESETS, *PRESETS, ADAPT.name, *choices(Label, "method")}),
         ("controllers.md", {*LAWS, "none", "fixed:N"}),
         ("models.md", {*ARCHITECTURES, *choices(TrainForce, "method"), "slip-10ms"}),
     ],

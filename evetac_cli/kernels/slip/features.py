@@ -20,12 +20,12 @@ from math import isnan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX, Factors
 

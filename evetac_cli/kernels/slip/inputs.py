@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,

@@ -6,11 +6,11 @@ ValueError with expected and found on anything else, before a camera changes.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMotion, check_place
 
 FARTHEST_PX = 1e6

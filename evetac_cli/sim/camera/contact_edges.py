@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 
 # An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
 EDGE_SIGMAS = 3.5

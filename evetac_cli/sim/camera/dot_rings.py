@@ -8,10 +8,10 @@ a dot that shakes to and fro does not use it up. A box is (centre x, centre y, h
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 
 
 @njit(cache=True)

@@ -4,10 +4,10 @@ Why so: while a slice is made its events come pixel after pixel; one integer is 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 # From the highest bits down: time in the slice, column, row, polarity.
 TIME_SHIFT = 33

@@ -8,10 +8,10 @@ reference keeps what has leaked since the crossing, or the rate would fall.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key

@@ -17,11 +17,11 @@ is earlier, the dark one later.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 # Still and this near to where it belongs a point has arrived; a ten-thousandth of an edge changes no pixel's event, and
 # without an end what once moved would be visited in every slice.

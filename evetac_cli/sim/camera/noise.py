@@ -12,10 +12,10 @@ the median). The polarity of an event depends on that before: most pixels altern
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.setup.sensor import HotPixelTable
 

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 
 LOG_CONTRAST = 1.61  # ln(gel / dot), brightness 5 : 1
 EDGE_SIGMA_PX = 1.2

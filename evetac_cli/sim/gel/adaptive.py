@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes

@@ -10,10 +10,10 @@ centre of the view.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.setup.object_file import Shape
 
 

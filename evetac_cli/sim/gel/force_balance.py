@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Flags, Floats
+from evetac_cli.kernels.compiled import njit
 
 ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
 

@@ -31,11 +31,11 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.friction import half_wavelength_m
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, PadConstants, spring

@@ -12,9 +12,9 @@ fails on other[0].
 import math
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Flags, Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work, links
 
 Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick

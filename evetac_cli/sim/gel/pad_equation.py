@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Flags, Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work, links
 from evetac_cli.sim.gel.friction import coefficient_after
 

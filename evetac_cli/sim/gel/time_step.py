@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Flags, Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import imbalance, relax, set_object_velocity
 from evetac_cli.sim.gel.object_move import move_object
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, advance, begin, let_go, refresh

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline

@@ -18,7 +18,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify import gripper, held_gel
 from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import PAD_M
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
@@ -215,7 +215,7 @@ def _tracked(recording: Recording) -> NDArray[np.float32]:
     """Place of every dot at the end of each slice, (slices, dots, 2)."""
     dots, radius_px = recording.dot_xy_px, recording.dot_radius_px
     assert dots is not None and radius_px is not None
-    state = tracker.start(dots.reshape(-1, 2), tracker.PRESETS["stable"].for_dots(radius_px))
+    state = tracker.start(dots.reshape(-1, 2), presets.PRESETS["stable"].for_dots(radius_px))
     slices = min(len(recording), LONGEST_MS)
     place = np.empty((slices, len(dots.reshape(-1, 2)), 2), np.float32)
     for index in range(slices):

@@ -23,7 +23,6 @@ from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
@@ -32,16 +31,14 @@ from evetac_cli.kernels.slip.architectures import (
     joined,
     parted,
 )
-from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose_threshold
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
+from evetac_cli.stages.model_files import USELESS_HINT, read_weights, why_useless
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.stages.slip_detectors import USELESS_HINT, predict, read_trajectory, read_weights, why_useless
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
-from evetac_cli.stages.train.networks import Networks, state_file
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header, Recipe
@@ -113,6 +110,8 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
 
 def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     """The networks of a model, to be trained at the same time; none if it is a single one."""
+    from evetac_cli.stages.train.networks import state_file
+
     settings, _ = _settings(params)
     count = settings.networks * (params.folds + 1)
     numbers = range(count if count > 1 else 0)
@@ -232,6 +231,11 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 
     progress(0, 0, "loading torch")
     import torch
+
+    from evetac_cli.kernels.slip import onnx_graphs
+    from evetac_cli.kernels.slip.detector import Detector
+    from evetac_cli.stages.slip_detectors import predict, read_trajectory
+    from evetac_cli.stages.train.networks import Networks
 
     log = log_folder(output) if params.log is not None else None
     if log is not None:

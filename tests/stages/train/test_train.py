@@ -16,7 +16,7 @@ from evetac_cli.jobs import Job
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.stages import slip_detectors, splits, train
+from evetac_cli.stages import model_files, slip_detectors, splits, train
 from evetac_cli.stages.train import networks
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -218,7 +218,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
         (row,) = train.run(job, params).rows
         assert row["horizon_ms"] == horizon_ms
         with StageFile(job.output, "model") as model:
-            assert slip_detectors.read_horizon_ms(model) == horizon_ms
+            assert model_files.read_horizon_ms(model) == horizon_ms
             result = slip_detectors.load_detector(model)
         trajectory = slip_detectors.read_trajectory(trials[0], result.architecture)
         probabilities[horizon_ms] = result.over(trajectory.series)[ONSET - 10 : ONSET].mean()
@@ -367,8 +367,8 @@ def test_several_networks_decide_by_the_mean_of_their_logits(
     (row,) = train.run(job, params).rows
     assert row["networks"] == 3
     with StageFile(alone.output) as one, StageFile(job.output) as three:
-        weights = parted(slip_detectors.read_weights(three))
-        for name, array in slip_detectors.read_weights(one).items():
+        weights = parted(model_files.read_weights(three))
+        for name, array in model_files.read_weights(one).items():
             np.testing.assert_array_equal(weights[2][name], array)
         rows, columns = (int(size) for size in three.read("dot_shape"))
         detector = slip_detectors.load_detector(three)

@@ -16,10 +16,10 @@ Few pixels are solved (why so: 63 dots have 22,000 ring pixels, and make 800 eve
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, SliceTimes

@@ -23,11 +23,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, SliceMotion, Window
 from evetac_cli.sim.camera.contact_edges import ContactEdges

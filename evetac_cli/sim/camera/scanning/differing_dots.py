@@ -8,10 +8,10 @@ dots lie apart, and are done in a simple way here.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import COLUMN_MASK, PIXEL_SHIFT

@@ -11,10 +11,10 @@ as long, and compiling 1.2 times: references to every array of a group are count
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.differing_dots import compare_crowded, forget_exchanged

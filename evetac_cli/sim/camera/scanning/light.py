@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import LineMotion
 from evetac_cli.sim.camera.dot_shapes import differing_row

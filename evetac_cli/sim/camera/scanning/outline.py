@@ -10,10 +10,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 

@@ -13,9 +13,9 @@ A pixel is one integer here, y << PIXEL_SHIFT | x; a box is that of dot_rings.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.scanning.pixels import TRUE, CandidatePixels
 

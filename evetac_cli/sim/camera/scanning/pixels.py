@@ -7,9 +7,9 @@ so: see dots).
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline
 from evetac_cli.sim.camera.dot_shapes import DotShapes

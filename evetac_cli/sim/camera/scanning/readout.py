@@ -10,11 +10,11 @@ Left out: that the comparison itself waits for the scan before. What waits at th
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 # Of the events of a slice: times in us, columns, rows, polarities.
 Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]

@@ -7,10 +7,10 @@ short run of pixels is not compared until that has used up what the pixel neares
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.event_keys import event_key
