@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
-from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.records import check_record
@@ -211,21 +210,6 @@ def events_outside(
     outside = np.empty(len(starts) - 1, np.int32)
     _count_outside(x, y, starts, (x0, y0, x1, y1), outside)
     return outside
-
-
-def event_image(
-    x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], frame_px: tuple[int, int] = FRAME_PX
-) -> NDArray[np.int8]:
-    """Draw events, given in the order of time: (height, width), +1 brighter, -1 darker, 0 none; the last event wins.
-
-    frame_px is (width, height); events outside it are left out. ValueError if the columns differ in length.
-    Source: paper, "Evetac Touch Features", the set of events in image form.
-    """
-    if x.ndim != 1 or not x.shape == y.shape == p.shape:
-        raise ValueError(f"expected three columns of equal length, found {x.shape}, {y.shape} and {p.shape}")
-    image = np.zeros((frame_px[1], frame_px[0]), np.int8)
-    _draw(x, y, p, image)
-    return image
 
 
 class EventImages(NamedTuple):
