@@ -50,7 +50,8 @@ def choices(of: type, name: str) -> set[str]:
 def test_every_command_and_option_has_a_place(every: dict[str, str]) -> None:
     """Assert that each command of the program has a page that names all of its options and files."""
     alone = {command.name for command in main.app.registered_commands}
-    judging = {f"evaluate {command.name}" for command in main.evaluate.registered_commands}
+    (judged,) = (group.typer_instance for group in main.app.registered_groups)
+    judging = {f"evaluate {command.name}" for command in judged.registered_commands}
     assert set(command_pages.every_command()) == alone | judging
     for name, command in command_pages.every_command().items():
         text = every[f"commands/{command_pages.page_name(name)}"]
