@@ -17,8 +17,8 @@ from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import joined_on_disk
-from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.layout.rules import named_architecture
 
 USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
 
