@@ -144,7 +144,7 @@ class StageFile:
         try:
             contents.check_first(self, path, self._shapes, self._passed)
         except BaseException:
-            self._looked_at.discard(path)
+            self._looked_at.clear()  # those too that a rule has read, which it concerns
             raise
 
     def _values(self, path: str, start: int, stop: int | None) -> Any:
