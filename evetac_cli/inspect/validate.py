@@ -11,7 +11,7 @@ from evetac_cli.inspect.header_rules import follows
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.resources import schemas
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.layout import contents
+from evetac_cli.store.layout import contents, rules
 from evetac_cli.store.layout.provenance import ContentDigest
 from evetac_cli.store.recordings.read import Recording
 
@@ -27,6 +27,7 @@ def run(files: list[Path], progress: Progress = silent) -> Outcome:
         kind, faults, why_not = None, list[str](), None
         try:
             with StageFile(path) as file:
+                file.check()
                 faults = _faults(file)
                 kind = file.kind
                 simulated |= bool(file.header["simulated"])
@@ -74,7 +75,7 @@ def _recording(file: StageFile) -> list[str]:
             return []
         digest = ContentDigest()
         for name, (_, shape) in recording.contents().items():
-            for values in contents.blocks(recording, name, shape):
+            for values in rules.blocks(recording, name, shape):
                 digest.update(name, values)
         fits = digest.hexdigest() == file.header["content"]
         return [] if fits else ["the arrays are not those that the header was made for"]

@@ -18,8 +18,8 @@ from evetac_cli.stages.model_files import read_weights
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import joined_on_disk
-from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.layout.rules import named_architecture
 
 
 def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:

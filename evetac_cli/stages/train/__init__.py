@@ -40,8 +40,8 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
-from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining

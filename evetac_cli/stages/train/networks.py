@@ -23,8 +23,8 @@ from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
 from evetac_cli.stages.splits import Fold
 from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of
-from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining, TrainingState
