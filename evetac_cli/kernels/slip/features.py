@@ -15,7 +15,6 @@ Why so:
   turns undo one, and four give back the square in its place.
 """
 
-from collections.abc import Sequence
 from math import isnan, sqrt
 from typing import Any, NamedTuple
 
@@ -129,14 +128,15 @@ def series(
     displacement_xy_px: NDArray[np.float32] | None = None,
     factors: Factors = UNSCALED,
 ) -> NDArray[np.float32]:
-    """All channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
+    """The channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
 
-    Without displacement_xy_px its two channels are 0; all are multiplied by factors. ValueError where the
-    shapes differ.
+    Without displacement_xy_px there are the first two channels alone; all are multiplied by factors. ValueError where
+    the shapes differ.
     """
     if displacement_px.ndim != 2 or displacement_px.shape != events_per_dot.shape:
         raise ValueError(f"expected (slices, n) twice, found {displacement_px.shape} and {events_per_dot.shape}")
-    result = np.zeros((*displacement_px.shape, len(CHANNELS)), np.float32)
+    channels = len(CHANNELS) if displacement_xy_px is not None else 2
+    result = np.empty((*displacement_px.shape, channels), np.float32)
     result[..., 0] = factors.displacement * displacement_px
     result[..., 1] = factors.events * events_per_dot
     if displacement_xy_px is not None:
@@ -223,17 +223,6 @@ class EventImages(NamedTuple):
         """The slices [first, last); pixels are views."""
         start = self.start[first : last + 1]
         return EventImages(start - start[0], self.pixel[start[0] : start[-1]], self.sign[start[0] : start[-1]])
-
-
-def join_images(parts: Sequence[EventImages]) -> EventImages:
-    """Put runs of slices end to end."""
-    ends = np.cumsum([0, *(len(part.pixel) for part in parts)])
-    starts = [part.start[:-1] + end for part, end in zip(parts, ends, strict=False)]
-    return EventImages(
-        np.concatenate([*starts, ends[-1:]]).astype(np.int64),
-        np.concatenate([np.empty(0, np.uint32), *(part.pixel for part in parts)]),
-        np.concatenate([np.empty(0, np.int8), *(part.sign for part in parts)]),
-    )
 
 
 def gel_image(

@@ -139,9 +139,8 @@ def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, flo
     for half, (start, stop), pictures in gel_at_rest.stroke_images(recording):
         halves[half] = [one.joined(picture) for one, picture in zip(halves[half], pictures, strict=True)]
         edges += [start, stop]
-        for first in range(start, stop, gel_at_rest.BLOCK_SLICES):
-            block = recording.between(first, min(stop, first + gel_at_rest.BLOCK_SLICES))
-            thresholds.add(events, *block, half)
+        for block in recording.blocks(gel_at_rest.BLOCK_SLICES, start, stop):
+            thresholds.add(events, *block.events, half)
     if not edges:
         raise ValueError("nothing strokes the gel from rest")
     return (Runs(*halves[0]), Runs(*halves[1])), events, (edges[-1] - edges[0]) * 1e-3

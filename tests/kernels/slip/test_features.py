@@ -149,9 +149,9 @@ def test_channels_by_hand() -> None:
 
 
 def test_series_without_directions() -> None:
-    """Assert that a recording whose features have no directions has zeros for them."""
+    """Assert that without directions there are the channels before them alone."""
     series = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
-    assert series.tolist() == [[[1, 5, 0, 0]] * 2] * 3
+    assert series.tolist() == [[[1, 5]] * 2] * 3
 
 
 def test_not_enough_history() -> None:
@@ -312,14 +312,3 @@ def test_gel_image_is_the_event_image_without_the_window(seed: int, count: int, 
     assert len(np.unique(pixel)) == len(pixel)
     blank.reshape(-1)[pixel] = sign
     np.testing.assert_array_equal(blank, expected)
-
-
-def test_images_are_cut_and_joined() -> None:
-    """Assert that parts of images put end to end are the whole."""
-    rng = np.random.default_rng(3)
-    start = np.cumsum([0, *rng.integers(0, 5, 9)])
-    whole = features.EventImages(start, rng.integers(0, 9, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
-    joined = features.join_images([whole.part(0, 4), whole.part(4, 4), whole.part(4, 9)])
-    for column, expected in zip(joined, whole, strict=True):
-        assert column.dtype == expected.dtype
-        np.testing.assert_array_equal(column, expected)
