@@ -32,6 +32,7 @@ SPEED = "`evetac doctor --speed` says what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
 RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
+RECORDER_LATE_MS = 5000.0  # for one that waits for a core: the detector keeps 64 MB, 5 s of a million events per s
 LOST = "capture/lost/"
 JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
 SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does

@@ -84,6 +84,11 @@ class SliceBatch:
     counted: Mapping[str, int] | None = None  # what the camera lost so far, by reason; now and then
 
     @property
+    def size(self) -> int:
+        """Bytes of memory that the events take."""
+        return sum(len(column) for column in self.columns)
+
+    @property
     def events(self) -> Events:
         """The events of all slices."""
         if not self.columns:
@@ -168,7 +173,7 @@ def run_detector(
         if camera is not None:
             with contextlib.suppress(DeviceError):  # it may have failed already
                 camera.close()
-    outbox.put(DetectorEnded(dict(camera.counted) if camera is not None else {}, error))
+    outbox.put(DetectorEnded(dict(camera.counted) if camera is not None else {}, error), always=True)
     with contextlib.suppress(PeerGone):
         outbox.flush(LAST_FLUSH_S)
     alive.close()

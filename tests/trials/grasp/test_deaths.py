@@ -24,7 +24,7 @@ from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import recorder
 from evetac_cli.trials.grasp.controller_process import ControllerEnded
 from evetac_cli.trials.grasp.detector_process import DetectorEnded, DetectorSettings, SliceBatch, joined, run_detector
-from evetac_cli.trials.grasp.recorder import RecordedGrasp
+from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from tests.devices.stand_ins import StillCamera
 from tests.quick import few
 
@@ -184,8 +184,8 @@ class Writer:
     def __init__(self) -> None:
         self.slices = 0
 
-    def append(self, events: Events, rows: dict[str, Any]) -> None:
-        self.slices += 1
+    def append_slices(self, events: Events, counts: list[int], rows: dict[str, Any]) -> None:
+        self.slices += len(counts)
 
     def append_rows(self, row: dict[str, Any]) -> None:
         pass
