@@ -74,6 +74,7 @@ class ControllerSettings:
     most_s: float  # that the grasp may take, whatever the camera's clock says
     time: TimeSource = HOST_TIME  # by which the controller goes
     controller: str = ""  # its name, for errors
+    servo: int | None = None  # process of a virtual gripper, to see what it takes
 
 
 class GripperReady(NamedTuple):

@@ -6,12 +6,14 @@ Where the controller died or hangs, it is ended here, torque switched off and re
 import contextlib
 import math
 import multiprocessing
+import os
 import select
 import time
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import signals_held
+from evetac_cli.realtime.core_use import CoreUse
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import start_shielded
@@ -76,9 +78,21 @@ class GraspProcesses:
         for process in (self.detector, self.controller):
             process.daemon = True
             start_shielded(process)
+        self._cores = CoreUse(self._known(world))
         # Our copies of their ends; else a pipe would not end with the process at its other end.
         for end in (*theirs, slices_end, steps_end, detector_end, alive):
             end.close()
+
+    def _known(self, world: "VirtualWorld | None") -> dict[str, int]:
+        """The processes of the grasp, by their names in words."""
+        found = {
+            "the detector": self.detector.pid,
+            "the controller": self.controller.pid,
+            "the recorder": os.getpid(),
+            "the virtual gripper": self._settings.servo,
+            "the virtual world": None if world is None else world.pid,
+        }
+        return {name: process for name, process in found.items() if process is not None}
 
     def begin(self, signals: list[int]) -> tuple[CameraReady, GripperReady]:
         """Open the gripper once the detector has loaded, then the camera; what they are. EvetacError if one fails.
@@ -102,8 +116,13 @@ class GraspProcesses:
             self._orders[whom].send(order)
 
     def give_sign_of_life(self) -> None:
-        """For the loop that records: it is alive."""
+        """For the loop that watches: it is alive."""
         self.status.recorder_lives(self.now_s() * 1e6)
+        self._cores.sample(time.monotonic())
+
+    def cores_used(self, *, whole: bool = False) -> str:
+        """Who used the cores of this computer in the last second, or since the beginning, in words."""
+        return self._cores.words(whole=whole)
 
     def end_hanging_controller(self) -> str:
         """End a controller that gives no sign of life; for how long it did not, in words, "" if it does."""

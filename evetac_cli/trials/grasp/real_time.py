@@ -198,6 +198,7 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
             trial.most_s,
             HOST_TIME if world is None else world.time,
             settings.controller,
+            None if servo is None else servo.pid,
         )
         processes = GraspProcesses(detector, controller, world)
         opened.callback(processes.close)
@@ -348,7 +349,9 @@ def _row(
     for name in ("slices_per_s", "commands_per_s"):
         timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
     late, commands = recorded.late_slices, len(recorded.step_late_us)
-    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s)
+    load = None if recorded.detector is None else recorded.detector.load
+    used = "; ".join(words for words in (recorded.cores_used, "" if load is None else load.words()) if words)
+    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s, used)
     if too_slow is not None:
         console.say(too_slow)
     return outcome(
@@ -362,6 +365,9 @@ def _row(
         latencies=len(recorded.latency_us),
         late_slices=late.count,
         too_slow=too_slow,
+        detector_core_share=None if load is None else load.core_share,
+        events_per_s=None if load is None else load.events_per_s,
+        bearable_events_per_s=None if load is None else load.bearable_events_per_s,
         scheduling=datasets["capture/scheduling"],
         **session.lost_columns(datasets),
         **grasp_outcome,

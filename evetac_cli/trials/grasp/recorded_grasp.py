@@ -22,7 +22,7 @@ from evetac_cli.trials.grasp.controller_process import DETECTOR, OVER, Controlle
 from evetac_cli.trials.grasp.detector_process import DetectorEnded, SliceBatch
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.live_view import LiveView
-from evetac_cli.trials.session import INTERRUPTED, LET_GO, OPENED, LateSlices, lost_datasets, spread
+from evetac_cli.trials.session import INTERRUPTED, LET_GO, OPENED, OVERLOADED, LateSlices, lost_datasets, spread
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
@@ -55,6 +55,8 @@ class RecordedGrasp:
     controller: ControllerEnded | None = None
     controller_hung: str = ""  # in words
     torque: str = ""  # what it was at the end, in words
+    cores_used: str = ""  # by whom, in words: from beginning to end, and in the second before something ended it
+    cores_at_end: str = ""
 
     @property
     def has_steps(self) -> bool:
@@ -166,6 +168,8 @@ class RecordedGrasp:
                 self.error = world.died()
             if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
                 self.error.message += f"; {self.torque}"
+            if isinstance(self.error, EvetacError) and self.error.hint == OVERLOADED:
+                self.error.found = "; ".join(words for words in (self.error.found, self.cores_at_end) if words)
         opened = controller is not None and self.ended == OPENED == controller.ended
         if opened or (controller is not None and self.ended in (INTERRUPTED, LET_GO, FELL)):
             self.error = None

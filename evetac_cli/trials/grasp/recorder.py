@@ -64,6 +64,7 @@ def record(
     try:
         with WritingThread(write, niceness) as writing, raised_priority(PRIORITY):
             _watch(processes, world, recorded, writing, signals, key, progress, view)
+            recorded.cores_used = processes.cores_used(whole=True)
     finally:
         sys.setswitchinterval(interval_s)
     _take_last_truths(recorded, world)
@@ -129,6 +130,7 @@ def _watch(
         if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
             processes.status.stop()
             stopped_s = now_s
+            recorded.cores_at_end = processes.cores_used()
 
 
 def _take_last_truths(recorded: RecordedGrasp, world: "VirtualWorld | None") -> None:

@@ -129,6 +129,7 @@ def test_who_watches_gives_signs_of_life_while_writing_hangs() -> None:
         now_s=time.monotonic, give_sign_of_life=give_sign_of_life, switch_off=lambda: "torque is off",
         status=SimpleNamespace(stop=lambda: None, open_gripper=open_gripper), end_hanging_controller=lambda: "",
         detector="the detector", controller="the controller", exit_words=lambda which: "SIGKILL",
+        cores_used=lambda whole=False: "",
     )  # fmt: skip
     writer = Writer()
 
