@@ -2,11 +2,11 @@
 
 Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
 segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
-last quarter of a second is on disk: of wall time, which is that of devices. Trials that can be simulated again are
-written once (trial_writer.py). A folder NAME.part/ that is left over means that a recording broke off; it holds all
-that `evetac repair` needs (recovery.py). Segments are not compressed: that would cost a tenth of the time in
-which they fill, at a million events a second, and the recorder must not leave its devices unread for so long. Each
-dataset carries its CRC-32 instead, so that damage is seen.
+last quarter of a second is on disk: of wall time, which is that of devices; and what whoever records has not handed
+over, if it is late. Trials that can be simulated again are written once (trial_writer.py). A folder NAME.part/ that is
+left over means that a recording broke off; it holds all that `evetac repair` needs (recovery.py). Segments are not
+compressed: that would cost a tenth of the time in which they fill, at a million events a second, and the recorder must
+not leave its devices unread for so long. Each dataset carries its CRC-32 instead, so that damage is seen.
 """
 
 import fcntl
