@@ -3,7 +3,7 @@
 The slip signal is written by the detector at 1000 Hz and read by the controller at 500 Hz. Beside it stand the times by
 which the controller recognizes a detector that died and a camera that is silent, and knows how old the signal is.
 
-Recorder and controller leave a sign of life each, written by the loop that does their work, and by nothing else: a
+Recorder and controller leave a sign of life each, written by the loop that watches or commands, and by nothing else: a
 thread that did so would hide that the loop hangs.
 """
 
