@@ -230,7 +230,7 @@ def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _move(
     place: tuple[float, float],
     speed: float,
@@ -314,7 +314,7 @@ def _move_on(
     return motors, fingers
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _follow(motor: float, finger: float, half_play: float) -> float:
     """Where a finger comes to be that its motor leaves where it is, if that is within half the lost motion."""
     return min(max(finger, motor - half_play), motor + half_play)

@@ -72,7 +72,7 @@ def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
     return given.shape == shape and given.dtype == np.float64 and given.flags.c_contiguous
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _fill_ends(
     dots_start: Floats, dots_end: Floats, object_start: Floats, object_end: Floats, path: Floats, ends: Floats
 ) -> bool:

@@ -55,7 +55,7 @@ def shaped_level(
     return picture
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def differing_row(
     dot_xy_px: NDArray[np.float64],
     inner: NDArray[np.float64],

@@ -16,7 +16,7 @@ ROW_SHIFT = 1
 COORDINATE_MASK = 0xFFFF
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def event_key(time_us: int, x: int, y: int, brighter: bool) -> int:
     """The integer of an event, `time_us` after the start of its slice."""
     return (time_us << TIME_SHIFT) | (x << COLUMN_SHIFT) | (y << ROW_SHIFT) | int(brighter)

@@ -78,7 +78,7 @@ class LowPass:
         return seen
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _follow(path: Floats, parts: int, tau_us: Floats, now: Floats, seen: Floats) -> None:
     """The exact answer to straight pieces: a lag of velocity * tau, and what is left of the start dies away."""
     pieces = len(path) - 1

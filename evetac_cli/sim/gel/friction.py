@@ -24,7 +24,7 @@ from evetac_cli.kernels.compiled import njit
 WAVES = 256  # that make up a smooth random field
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def coefficient_after(
     coefficient: float, slip_speed: float, seconds: float, static: float, kinetic: float, stribeck: float, memory: float
 ) -> float:

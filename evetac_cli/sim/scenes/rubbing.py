@@ -147,7 +147,7 @@ def _covered(node_xy_m: Floats, centre_m: Floats, mm_per_px: float, half: Floats
     return weights
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _inside(x: float, y: float, half: Floats) -> float:
     """How far a point seen from the middle of an ellipse of half axes (2,) lies inside, to first order at its edge."""
     scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))

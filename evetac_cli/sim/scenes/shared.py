@@ -182,7 +182,7 @@ class GelSlices:
         return False
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _settle(velocity: Floats, mean: Floats, maxwell: Floats, creep: Floats, displacement: Floats) -> bool:
     """Set velocities and Maxwell forces to 0, if all of them are too small to tell; returns whether they are."""
     moving, lately = velocity.reshape(-1), mean.reshape(-1)

@@ -163,7 +163,7 @@ def _inside(at_px: Floats, low: tuple[int, int], high: tuple[int, int]) -> Flags
     return inside
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _rigid_motion(nodes: Floats, slid: Floats, weights: Floats) -> tuple[float, float, float, float, float]:
     """The translation and rotation that explain the motion of nodes best: weighted least squares.
 

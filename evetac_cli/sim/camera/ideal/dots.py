@@ -61,7 +61,8 @@ def solve_dots(
     this_slice, t0_us, refractory_us = times
     height, width = reference.shape
     dots, vertices, _ = path.shape
-    box = dot_rings.boxes(path, seen_xy)
+    box = np.empty((len(path), 4))
+    dot_rings.boxes(path, seen_xy, box)
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)

@@ -50,7 +50,7 @@ class Readout:
         return t[:now], x[:now], y[:now], p[:now]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _take_turns(
     t_us: NDArray[np.int64],
     x: NDArray[np.uint16],
