@@ -115,7 +115,8 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
             result = module.run(chosen, running.out)
         elif chosen.speed:
             module = importlib.import_module("evetac_cli.inspect.doctor.speed")
-            result = module.run(chosen)
+            with console.progress_bar("measuring", "parts", quiet=running.quiet) as progress:
+                result = module.run(chosen, progress=progress)
         else:
             result = module.run(chosen)
         _show(title, module, result, running)
