@@ -169,7 +169,7 @@ def test_what_features_take_in_memory(trials: list[Path], model: str) -> None:
     with StageFile(trials[0], "features") as file:
         series = slip_detectors.read_series(file, architecture)
         arrays = [series] if isinstance(series, np.ndarray) else list(series)
-        assert slip_detectors.series_bytes(file, architecture) == sum(array.nbytes for array in arrays)
+        assert plan.series_bytes(file, architecture) == sum(array.nbytes for array in arrays)
 
 
 def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], tmp_path: Path) -> None:
