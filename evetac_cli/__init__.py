@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         tracker_presets,
     )
     from evetac_cli.errors import EvetacError, InputError, UnavailableError
-    from evetac_cli.events import Events, Slicer
+    from evetac_cli.events import Events, SliceBlock, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
     from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
@@ -49,6 +49,7 @@ __all__ = [
     "Recording",
     "Sensitivity",
     "Simulation",
+    "SliceBlock",
     "Slicer",
     "SlipDetector",
     "SlipWindows",
@@ -72,7 +73,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    **dict.fromkeys(("Events", "Slicer"), "events"),
+    **dict.fromkeys(("Events", "SliceBlock", "Slicer"), "events"),
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),

@@ -46,7 +46,7 @@ from evetac_cli.events import FRAME_PX, SLICES_PER_S, Events
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.resources import MODEL
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
@@ -108,7 +108,7 @@ def step_us(step: Callable[[Events], object], slices: list[Events]) -> float:
 
 def tracking(rest: NDArray[np.float64], preset: str) -> Callable[[Events], object]:
     """A step of the tracker."""
-    state = tracker.start(rest.reshape(-1, 2), tracker.PRESETS[preset])
+    state = tracker.start(rest.reshape(-1, 2), presets.PRESETS[preset])
     return lambda events: tracker.step(state, events.x, events.y, events.p)
 
 
@@ -128,7 +128,7 @@ def events() -> list[Row]:
             for preset in ("stable", "paper", "official")
         ]
         with StageFile(MODEL, "model") as model:
-            detector = OnlineSlipDetector.start(model, rest, (540, 0, 640, 480), tracker.PRESETS["stable"])
+            detector = OnlineSlipDetector.start(model, rest, (540, 0, 640, 480), presets.PRESETS["stable"])
         rows.append({"what": "online step", "events": count, "us": step_us(detector.step, slices)})
     return rows
 

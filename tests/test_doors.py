@@ -37,7 +37,7 @@ DOORS = {
     "trials/live_view/server.py": {"bind_sockets"},
     "trials/live_view/shared_view.py": {"RawArray"},
     "realtime/shared_status.py": {"RawArray"},
-    "trials/grasp/recorder.py": {"Pipe"},
+    "trials/grasp/grasp_processes.py": {"Pipe"},
     "trials/live_view/__init__.py": {"Pipe"},
     "trials/live_view/browser.py": {"TemporaryDirectory", "webbrowser.open"},
     "store/hdf5/disk.py": {"TemporaryFile", "gettempdir"},

@@ -17,8 +17,6 @@ from evetac_cli.cli import compiling, config, engines, flags, workers
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.command import Command
-from evetac_cli.commands.record import Record
-from evetac_cli.commands.trials import Trials
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.interrupts import interrupt_came
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
@@ -52,7 +50,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
         for line in stage.cautions(jobs, chosen) if not running.quiet else ():
             console.say(f"note: {line}")
         started = time.monotonic()
-        previews = isinstance(chosen, Record) and chosen.preview
+        previews = getattr(chosen, "preview", False)
         run_jobs(command, stage, jobs, chosen, running, run.results)
         run.results = {job.output: run.results[job.output] for job in jobs}
         outcomes, errors = run.outcomes(), run.errors()
@@ -177,7 +175,7 @@ def run_jobs(
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
-    shown = isinstance(chosen, Trials) and chosen.shown_in is not None  # by a view, with its own lines
+    shown = getattr(chosen, "shown_in", None) is not None  # by a view, with its own lines
     quiet, force = running.quiet or shown, running.force
     engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)

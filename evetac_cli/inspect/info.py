@@ -82,6 +82,7 @@ def _contents_in_words(path: Path) -> Iterator[None]:
 
 def _describe(path: Path) -> dict[str, Any]:
     with StageFile(path) as file, _contents_in_words(path):
+        file.check()  # what it says of a file holds for all of it
         header = file.header
         known: dict[str, Any] = {
             "file": str(path),

@@ -6,6 +6,7 @@ and a message that it died over is never delivered.
 """
 
 import contextlib
+import itertools
 import os
 import pickle
 import struct
@@ -15,10 +16,12 @@ from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
-MOST_BYTES = 256 << 20
+MOST_BYTES = 64 << 20
 _PIPE_BYTES = 1 << 20
 _LENGTH = struct.Struct("<Q")
-_READ_BYTES = 1 << 16
+_READ_BYTES = 1 << 18
+_MOST_READ_BYTES = 4 << 20  # at once: a writer that catches up must not keep its reader from all else
+_MOST_PARTS = 64  # of messages that are written by one call
 _PAUSE_S = 1e-3
 
 
@@ -56,31 +59,33 @@ class MessageWriter:
         """For select: writable when there is room in the pipe."""
         return self._pipe.fileno()
 
-    def put(self, message: Any) -> bool:
-        """Take a message, to be sent later; False, and it is not taken, if too much is waiting."""
+    def put(self, message: Any, *, always: bool = False) -> bool:
+        """Take a message, to be sent later; False, and it is not taken, if too much is waiting.
+
+        always: take it however much is waiting, as a last message that says so.
+        """
         data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         size = _LENGTH.size + len(data)
-        if self.waiting_bytes + size > self._most_bytes:
+        if self.waiting_bytes + size > self._most_bytes and not always:
             return False
-        self._waiting.append(memoryview(_LENGTH.pack(len(data)) + data))
+        self._waiting += (memoryview(_LENGTH.pack(len(data))), memoryview(data))
         self.waiting_bytes += size
         return True
 
     def send(self) -> None:
         """Send as much as there is room for; PeerGone if there is no reader any more."""
         while self._waiting:
-            first = self._waiting[0]
             try:
-                sent = os.write(self._pipe.fileno(), first)
+                sent = os.writev(self._pipe.fileno(), list(itertools.islice(self._waiting, _MOST_PARTS)))
             except BlockingIOError:
                 return
             except BrokenPipeError:
                 raise PeerGone("whoever reads is gone") from None
             self.waiting_bytes -= sent
-            if sent < len(first):
-                self._waiting[0] = first[sent:]
-            else:
-                self._waiting.popleft()
+            while self._waiting and sent >= len(self._waiting[0]):
+                sent -= len(self._waiting.popleft())
+            if sent:
+                self._waiting[0] = self._waiting[0][sent:]
 
     def flush(self, timeout_s: float) -> bool:
         """Send everything, waiting for room; False if not all of it went in time."""
@@ -107,17 +112,20 @@ class MessageReader:
     def take(self) -> Iterator[Any]:
         """The messages that have come whole, oldest first; what is not taken now is there for the next call."""
         os.set_blocking(self._pipe.fileno(), False)
-        while not self.ended:
+        came = 0
+        while not self.ended and came < _MOST_READ_BYTES:
             try:
                 data = os.read(self._pipe.fileno(), _READ_BYTES)
             except BlockingIOError:
                 break
             self._data += data
+            came += len(data)
             self.ended = not data
         while len(self._data) >= _LENGTH.size:
             end = _LENGTH.size + _LENGTH.unpack_from(self._data)[0]
             if len(self._data) < end:
                 break
-            message = bytes(self._data[_LENGTH.size : end])
+            with memoryview(self._data) as whole:
+                message = pickle.loads(whole[_LENGTH.size : end])  # from a process of our own
             del self._data[:end]
-            yield pickle.loads(message)  # from a process of our own
+            yield message

@@ -14,6 +14,7 @@ waited for answers of its gripper, and missed one command in eight on two cores.
 """
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import CTRL_C, signals_blocked
 
 STANDSTILL_S = 60.0  # a process that computed nothing for so long while it starts will not come up any more
+ENDING_FLAG = 0x4  # of a process that has begun to end (PF_EXITING): one that was killed may need a core for that
 NICE = -10
 USUAL = "as usual"
 REALTIME = "real-time"
@@ -55,6 +57,20 @@ def cpu_time_s(process: int | None) -> float:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     return time.monotonic()
+
+
+def stands_still(process: int) -> bool:
+    """Whether a process was stopped (SIGSTOP, a debugger) or killed, and does not only wait for a core or a disk.
+
+    Where Linux does not say which, it counts as stopped: whoever asks has not heard of it for a while.
+    """
+    try:
+        state, *more = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        is_ending = int(more[5]) & ENDING_FLAG
+        pending = Path(f"/proc/{process}/status").read_text().partition("SigPnd:")[2].split()[0]
+    except (OSError, IndexError, ValueError):
+        return True
+    return state in "TtZXx" or bool(is_ending) or bool(int(pending, 16) >> (signal.SIGKILL - 1) & 1)
 
 
 def wait_while_computing(pipe: Connection, process: BaseProcess, failure: str) -> None:
@@ -97,20 +113,6 @@ def set_niceness(niceness: int) -> str:
         return f"nice {niceness}"
     except OSError:
         return USUAL
-
-
-@contextmanager
-def at_niceness(niceness: int) -> Iterator[None]:
-    """Put this process ahead of others or behind them for as long as the block lasts, where that can be undone."""
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    if set_niceness(before - 1) == USUAL:  # who may not go ahead could not come back either
-        yield
-        return
-    set_niceness(niceness)
-    try:
-        yield
-    finally:
-        set_niceness(before)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ which the controller recognizes a detector that died and a camera that is silent
 
 A slice with slip that is new rings a bell, for a controller that sleeps until its next step (early_answer.py).
 
-Recorder and controller leave a sign of life each, written by the loop that does their work, and by nothing else: a
+Recorder and controller leave a sign of life each, written by the loop that watches or commands, and by nothing else: a
 thread that did so would hide that the loop hangs.
 """
 

@@ -16,7 +16,6 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.related_files import check_made_from
@@ -104,6 +103,8 @@ def _blocks(
     recording: Recording, tracks: StageFile, rest_xy_px: NDArray[Any], window: Any, images: bool, progress: Progress
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """The features in blocks of slices; `images` grow with the pixels that had events."""
+    from evetac_cli.kernels.slip import features
+
     slices = len(recording)
     blank = np.zeros(GEL_PX[::-1], np.int8)
     pixels = 0

@@ -17,7 +17,7 @@ from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.labelling import event_flow, flow
+from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
@@ -65,12 +65,6 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
     )
 
 
-def _event_flow(params: Label) -> event_flow.EventFlowConstants:
-    return event_flow.EventFlowConstants(
-        slip_distance_px=params.slip_distance_px, edge_events=params.edge_events, after_ms=params.after_ms
-    )
-
-
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
     """Labels of a recording by the method that is chosen; InputError where the recording lacks what it needs."""
     if params.from_start and params.method != "truth":
@@ -95,7 +89,11 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
                     hint=f"{MAKE_GRID} to evetac record, or label with --method farneback",
                 )
             radius = float(recording.read("sensor/dot_radius_px"))
-            constants = _event_flow(params)
+            from evetac_cli.kernels.labelling import event_flow
+
+            constants = event_flow.EventFlowConstants(
+                slip_distance_px=params.slip_distance_px, edge_events=params.edge_events, after_ms=params.after_ms
+            )
             return event_flow.label(between, slices, window, gel, dots.reshape(-1, 2), radius, constants, start)
         names = flow.FlowConstants.__dataclass_fields__
         chosen = {name: value for name, value in recipe_of(params).items() if name in names}

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
+
+if TYPE_CHECKING:
+    from evetac_cli.kernels.tracking.tracker import TrackerState, Tracks
 
 OUTPUT = "tracks"
 METHOD = 4
@@ -29,10 +31,10 @@ def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
     return per_file(files, OUTPUT, out)
 
 
-def constants(preset: str, **overrides: Any) -> tuple[str, tracker.TrackerConstants]:
+def constants(preset: str, **overrides: Any) -> tuple[str, presets.TrackerConstants]:
     """Name and constants of a preset; with overrides the name is `custom from PRESET`. InputError if invalid."""
     chosen = {name: value for name, value in overrides.items() if value is not None}
-    base = tracker.PRESETS[preset]
+    base = presets.PRESETS[preset]
     try:
         custom = dataclasses.replace(base, **chosen)
     except ValueError as error:
@@ -60,6 +62,9 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
+        from evetac_cli.kernels.slip import features
+        from evetac_cli.kernels.tracking import tracker
+
         rows, columns = calibration.dot_xy_px.shape[:2]
         try:
             fitting = chosen.for_dots(calibration.dot_radius_px)
@@ -93,11 +98,13 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
     )
 
 
-def _tracked(recording: Recording, state: tracker.TrackerState, progress: Progress) -> Iterator[tracker.Tracks]:
+def _tracked(recording: Recording, state: "TrackerState", progress: Progress) -> Iterator["Tracks"]:
     """Where the dots are in every slice, in blocks of slices; the state of the tracker goes along.
 
     Times are not read: the tracker takes the events of a slice in any order.
     """
+    from evetac_cli.kernels.tracking import tracker
+
     slices = len(recording)
     columns = "xyp" if state.constants.fit else "xy"
     for first, stop in row_blocks(slices):

@@ -288,6 +288,7 @@ def describe(folder: Path, name: str, size_bytes: int, changed_ns: int) -> Index
 
     try:
         with StageFile(folder / name) as file:
+            file.check()
             return IndexRow(name, size_bytes, changed_ns, **_figures(file))
     except ForeignFile:
         return IndexRow(name, size_bytes, changed_ns)

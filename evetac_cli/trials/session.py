@@ -32,6 +32,7 @@ SPEED = "`evetac doctor --speed` says what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
 RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
+RECORDER_LATE_MS = 5000.0  # for one that waits for a core: the detector keeps 64 MB, 5 s of a million events per s
 LOST = "capture/lost/"
 JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
 SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
@@ -165,12 +166,17 @@ class LateSlices:
 
 
 def too_slow(
-    datasets: Mapping[str, Any], slices: int, late_slices: LateSlices, commands: int, behind_s: float | None = None
+    datasets: Mapping[str, Any],
+    slices: int,
+    late_slices: LateSlices,
+    commands: int,
+    behind_s: float | None = None,
+    used: str = "",
 ) -> str | None:
     """What this computer was too slow for, and what that means for the recording, in one line; None for nothing.
 
     datasets: capture/...; commands: that were given; behind_s: how far behind the recorder of a grasp was at most; None
-    where no slice decides on a command, and one that is late costs nothing.
+    where no slice decides on a command, and one that is late costs nothing; used: who used its cores, in words.
     """
     missed, lost = int(datasets.get("capture/command_misses", 0)), int(datasets.get(QUEUE_LOST, 0))
     late = f"{late_slices.count:,} of {slices:,} slices came more than {late_slices.most_us * 1e-3:g} ms late"
@@ -183,7 +189,7 @@ def too_slow(
         f"the recorder was {behind_s or 0.0:.1f} s behind (all is in the file)": (behind_s or 0.0) > BEHIND_S,
     }
     said = [words for words, applies in parts.items() if applies]
-    return f"this computer was too slow: {'; '.join(said)}. {SPEED}" if said else None
+    return f"this computer was too slow: {'; '.join([*said, *([used] if used else [])])}. {SPEED}" if said else None
 
 
 def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def test_all_arrive_in_order_whatever_their_size(pipe: tuple[Connection, Connect
 
 
 def test_a_full_pipe_keeps_nobody_waiting(pipe: tuple[Connection, Connection]) -> None:
-    """Assert that `send` returns with the rest waiting, that `flush` gives up, and that too much is refused."""
+    """Assert that `send` returns with the rest waiting, and that too much is refused, but for last words."""
     writer = MessageWriter(pipe[1], most_bytes=10_000_000)
     assert writer.put(bytes(9_000_000))
     writer.send()
@@ -44,6 +44,8 @@ def test_a_full_pipe_keeps_nobody_waiting(pipe: tuple[Connection, Connection]) -
     waiting = writer.waiting_bytes
     assert not writer.put(bytes(9_000_000))
     assert writer.waiting_bytes == waiting
+    assert writer.put("last words", always=True)
+    assert writer.waiting_bytes > waiting
 
 
 def test_what_is_not_taken_stays(pipe: tuple[Connection, Connection]) -> None:

@@ -5,14 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import SimpleNamespace
-
-import pytest
 
 from evetac_cli import interrupts
 from evetac_cli.realtime import processes
+
+PATIENCE_S = 60.0
 
 
 def child(pipe: Connection) -> None:
@@ -52,23 +52,18 @@ def test_ctrl_c_is_held_back_from_the_first_moment() -> None:
     assert (run.stdout, run.stderr) == ("interrupted\n", "")
 
 
-def test_niceness_is_changed_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a process is put behind others and back again, and that a refusal changes nothing."""
-    changed: list[int] = []
-    permitted = SimpleNamespace(
-        PRIO_PROCESS=0,
-        getpriority=lambda what, process: -3,
-        setpriority=lambda what, process, value: changed.append(value),
-    )
-    monkeypatch.setattr(processes, "os", permitted)
-    with processes.at_niceness(15):
-        assert changed == [-4, 15]
-    assert changed == [-4, 15, -3]
-    assert processes.set_niceness(-10) == "nice -10"
-
-    def refuse(what: int, process: int, value: int) -> None:
-        raise PermissionError
-
-    permitted.setpriority = refuse
-    with processes.at_niceness(15):
-        assert processes.set_niceness(-10) == processes.USUAL
+def test_a_process_that_was_stopped_stands_still() -> None:
+    """Assert that one that computes or waits does not stand still, and one that was stopped or has ended does."""
+    command = [sys.executable, "-c", "import sys; print(flush=True); sys.stdin.read()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as waiting:
+        assert waiting.stdout is not None
+        waiting.stdout.readline()
+        assert not processes.stands_still(waiting.pid)
+        assert not processes.stands_still(os.getpid())
+        for number, stands in ((signal.SIGSTOP, True), (signal.SIGCONT, False), (signal.SIGKILL, True)):
+            waiting.send_signal(number)
+            until_s = time.monotonic() + PATIENCE_S
+            while processes.stands_still(waiting.pid) != stands and time.monotonic() < until_s:
+                time.sleep(0.001)
+            assert processes.stands_still(waiting.pid) == stands
+    assert processes.stands_still(waiting.pid)  # nobody of this number any more

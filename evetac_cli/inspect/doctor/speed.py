@@ -28,7 +28,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.inspect.doctor import chain, check, show
 from evetac_cli.jobs import Outcome, Progress, Row, silent
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.segments import RecordingWriter
@@ -116,7 +116,7 @@ class Computer:
         """Times of online steps of the shipped detector, on slices of so many events at the rims of the dots."""
         sensor = {"sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
         with StageFile(resources.MODEL, "model") as model:
-            detector = open_detector(model, sensor, tracker.PRESETS["stable"], 0.3)
+            detector = open_detector(model, sensor, presets.PRESETS["stable"], 0.3)
         rng = np.random.default_rng(0)
         slices = [_rim_events(rng, events) for _ in range(DIFFERENT_SLICES)]
         times_us = []

@@ -37,12 +37,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region
 
 BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices

@@ -2,24 +2,24 @@
 
 Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
 segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
-last quarter of a second is on disk: of wall time, which is that of devices. Trials that can be simulated again are
-written once (trial_writer.py). A folder NAME.part/ that is left over means that a recording broke off; it holds all
-that `evetac repair` needs (recovery.py). Segments are not compressed: that would cost a tenth of the time in
-which they fill, at a million events a second, and the recorder must not leave its devices unread for so long. Each
-dataset carries its CRC-32 instead, so that damage is seen.
+last quarter of a second is on disk: of wall time, which is that of devices; and what whoever records has not handed
+over, if it is late. Trials that can be simulated again are written once (trial_writer.py). A folder NAME.part/ that is
+left over means that a recording broke off; it holds all that `evetac repair` needs (recovery.py). Segments are not
+compressed: that would cost a tenth of the time in which they fill, at a million events a second, and the recorder must
+not leave its devices unread for so long. Each dataset carries its CRC-32 instead, so that damage is seen.
 """
 
 import fcntl
 import json
 import re
 import time
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from isal import isal_zlib
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
@@ -73,6 +73,7 @@ class RecordingWriter:
             self.discard()
             raise
         self._waiting = TrialBuffer()
+        self._counts: list[int] = []  # events of each slice that waits
         self._segments = 0
         self._slices = 0
         self.events = 0
@@ -107,7 +108,14 @@ class RecordingWriter:
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
         """Add one slice (its events may be none) and one row to each of the named datasets; arrays are not copied."""
-        self._waiting.append(events, rows or {})
+        self.append_slices(events, (events.size,), {name: (row,) for name, row in (rows or {}).items()})
+
+    def append_slices(self, events: Events, counts: Sequence[int], rows: Mapping[str, Sequence[Any]]) -> None:
+        """Add slices: their events together, how many each has, and a row for each to each of the named datasets."""
+        self._waiting.append(events, {})
+        for name, column in rows.items():
+            self._waiting.rows.setdefault(name, []).extend(column)
+        self._counts += counts
         self.events += events.size
         if self._waiting.event_count >= SEGMENT_EVENTS or time.monotonic() - self._closed_at >= SEGMENT_S:
             self.close_segment()
@@ -118,13 +126,13 @@ class RecordingWriter:
 
     def close_segment(self) -> None:
         """Write everything that waits as the next segment."""
-        if self._waiting.events:
-            counts = self._waiting.counts()
+        if self._counts:
+            counts = np.array(self._counts, np.int64)
             arrays = {COUNTS: counts, **self._waiting.columns()}
             self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})
             self._segments += 1
             self._slices += len(counts)
-            self._waiting = TrialBuffer()
+            self._waiting, self._counts = TrialBuffer(), []
         self._closed_at = time.monotonic()
 
     def finish(self, recipe: Recipe, late: Mapping[str, Any] | None = None) -> Header:
@@ -220,7 +228,7 @@ def _part_folder(path: Path) -> Path:
 
 def checksum(value: Any) -> int:
     """CRC-32 of the bytes of an array, as stored beside it in a segment."""
-    return zlib.crc32(np.ascontiguousarray(value).tobytes())
+    return int(isal_zlib.crc32(np.ascontiguousarray(value).reshape(-1).view(np.uint8)))
 
 
 def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], parts: Sequence[Path | int]) -> Header:

@@ -4,9 +4,10 @@ Deadlines are absolute (pace.py): a step that comes late does not move those aft
 counted, not made up for. New slip between two steps is answered at once (early_answer.py).
 
 Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That is also
-what happens where the bus fails, and where the detector publishes no status, its camera gives no event, or the recorder
-(the parent of all) gives no sign of life for longer than FRESH of the watchdog's time; a recorder writes to a disk, and
-has RECORDER_MS if that is longer. What this process itself cannot notice, its own death, is noticed by the servo, whose
+what happens where the bus fails, and where the detector publishes no status or its camera gives no event for longer
+than FRESH of the watchdog's time. A recorder (the parent of all) that gives no sign of life for so long, or RECORDER_MS
+if that is longer, ends it if it was stopped or killed; one that only waits for a core has RECORDER_LATE_MS, in which
+the detector keeps what it sends. What this process itself cannot notice, its own death, is noticed by the servo, whose
 Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets go before it
 commands anything.
 
@@ -37,14 +38,14 @@ from evetac_cli.kernels.grip.control import Control, Law
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import set_realtime_priority
+from evetac_cli.realtime.processes import set_realtime_priority, stands_still
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.trials.grasp import early_answer
 from evetac_cli.trials.grasp.early_answer import EarlyAnswer
 from evetac_cli.trials.grasp.loop import Timing, control_row
 from evetac_cli.trials.grasp.pace import Pace, shift_us
-from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_MS
+from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_LATE_MS, RECORDER_MS
 
 PRIORITY = 30
 BATCH_STEPS = 25  # whose rows the recorder gets at once
@@ -76,6 +77,7 @@ class ControllerSettings:
     most_s: float  # that the grasp may take, whatever the camera's clock says
     time: TimeSource = HOST_TIME  # by which the controller goes
     controller: str = ""  # its name, for errors
+    servo: int | None = None  # process of a virtual gripper, to see what it takes
 
 
 class GripperReady(NamedTuple):
@@ -109,11 +111,21 @@ class Watch:
     that is late at every step would never see anything.
     """
 
-    def __init__(self, watchdog_ms: float, has_ended: Callable[[], bool] = lambda: False) -> None:
-        """`has_ended` says whether the detector's process has ended, which needs no waiting."""
+    def __init__(
+        self,
+        watchdog_ms: float,
+        has_ended: Callable[[], bool] = lambda: False,
+        recorder_stopped: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """`has_ended` says whether the detector's process has ended, which needs no waiting.
+
+        `recorder_stopped` is asked once the recorder is silent: whether it was stopped, and does not only wait for a
+        core.
+        """
         self._fresh_us = 1e3 * FRESH * watchdog_ms
         self._recorder_us = max(self._fresh_us, 1e3 * RECORDER_MS)
-        self._has_ended = has_ended
+        self._late_us = max(self._recorder_us, 1e3 * RECORDER_LATE_MS)
+        self._has_ended, self._recorder_stopped = has_ended, recorder_stopped
         self._awake_us = -math.inf
 
     def slept_until(self, now_us: float) -> None:
@@ -130,12 +142,19 @@ class Watch:
         for what, alive_us, most_us in (
             (f"{DETECTOR} hangs: no sign of life", status.at_us, self._fresh_us),
             ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
-            (f"{RECORDER_HANGS}: no sign of life", recorder_us, self._recorder_us),
         ):
-            silent_us = now_us - alive_us
-            if silent_us > 2 * most_us or min(silent_us, now_us - self._awake_us) > most_us:
-                return f"{what} for {silent_us * 1e-3:.0f} ms", alive_us
+            if self._is_silent(alive_us, most_us, now_us):
+                return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us
+        silent_us = now_us - recorder_us
+        if self._is_silent(recorder_us, self._recorder_us, now_us) and (
+            silent_us > self._late_us or self._recorder_stopped()
+        ):
+            return f"{RECORDER_HANGS}: no sign of life for {silent_us * 1e-3:.0f} ms", recorder_us
         return "", status.at_us
+
+    def _is_silent(self, alive_us: float, most_us: float, now_us: float) -> bool:
+        silent_us = now_us - alive_us
+        return silent_us > 2 * most_us or min(silent_us, now_us - self._awake_us) > most_us
 
 
 def run_controller(
@@ -164,7 +183,8 @@ def run_controller(
             gc.freeze()
             gc.disable()  # the loop makes no cycles
             clock, sleep = settings.time.now_s, settings.time.sleep
-            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, detector.poll, ending)
+            watch = Watch(settings.watchdog_ms, detector.poll, lambda: stands_still(recorder))
+            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, watch, ending)
     except PeerGone:  # whoever started this; it may have only asked this to end
         result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
         _speak_for_recorder(result, died=_has_died(recorder))
@@ -206,18 +226,19 @@ def command_grasp(
     outbox: MessageWriter,
     clock: Callable[[], float] = HOST_TIME.now_s,
     sleep: Callable[[float, Bell | None], bool] = HOST_TIME.sleep,
-    has_ended: Callable[[], bool] = lambda: False,
+    watch: Watch | None = None,
     ending: Sequence[int] = (),
 ) -> ControllerEnded:
     """Command until the grasp is over, the order to stop or open comes, or something fails; then torque off.
 
-    has_ended: whether the detector's process has; clock, sleep: in seconds, as of a TimeSource; ending: signals that
-    came here.
+    watch: over detector, camera and recorder; clock, sleep: in seconds, as of a TimeSource; ending: signals that came
+    here.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
         if _wait_for_status(shared, clock, sleep, ending):
-            result = _command(gripper, shared, settings, outbox, clock, sleep, has_ended, ending)
+            watch = watch or Watch(settings.watchdog_ms)
+            result = _command(gripper, shared, settings, outbox, clock, sleep, watch, ending)
         if result.ended == OPENED:
             gripper.emergency_open()
         gripper.close()  # without effect where the driver has let go of it already
@@ -243,7 +264,7 @@ def _command(
     outbox: MessageWriter,
     clock: Callable[[], float],
     sleep: Callable[[float, Bell | None], bool],
-    has_ended: Callable[[], bool],
+    watch: Watch,
     ending: Sequence[int],
 ) -> ControllerEnded:
     """The loop; its result does not yet say when torque was off."""
@@ -256,7 +277,6 @@ def _command(
         may_write=lambda: not (shared.stopping or shared.opening or ending),
     )
     pace = Pace(1.0 / timing.control_hz, clock, early.sleep)
-    watch = Watch(settings.watchdog_ms, has_ended)
     parent = os.getppid()
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []

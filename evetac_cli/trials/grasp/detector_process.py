@@ -32,8 +32,10 @@ from evetac_cli.realtime.processes import (
     set_niceness,
 )
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
+from evetac_cli.trials.grasp.detector_load import DetectorLoad, LoadMeter
 from evetac_cli.trials.grasp.loop import SliceDetector
 from evetac_cli.trials.grasp.settings import DetectorModel
+from evetac_cli.trials.session import OVERLOADED
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
@@ -84,6 +86,11 @@ class SliceBatch:
     counted: Mapping[str, int] | None = None  # what the camera lost so far, by reason; now and then
 
     @property
+    def size(self) -> int:
+        """Bytes of memory that the events take."""
+        return sum(len(column) for column in self.columns)
+
+    @property
     def events(self) -> Events:
         """The events of all slices."""
         if not self.columns:
@@ -99,10 +106,11 @@ def joined(slices: Sequence[Events]) -> tuple[bytes, ...]:
 
 
 class DetectorEnded(NamedTuple):
-    """What the camera lost, by reason, and what failed, if anything did, once the detector has ended."""
+    """What the camera lost, by reason, what failed, if anything did, and what it took, once the detector has ended."""
 
     counted: Mapping[str, int]
     error: Exception | None
+    load: DetectorLoad | None = None  # of the computer, where it ran long enough to say
 
 
 def open_detector(settings: DetectorSettings) -> SliceDetector | None:
@@ -141,7 +149,7 @@ def run_detector(
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
     ending = remember_signals()
     outbox = MessageWriter(pipe)
-    camera = None
+    camera = meter = None
     error: Exception | None = None
     try:
         detector = open_detector(settings)
@@ -157,7 +165,8 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)
-        detect(camera, detector, status, outbox, settings.slices, ending, lambda: take_order(orders))
+        meter = LoadMeter()
+        detect(camera, detector, status, outbox, settings.slices, ending, lambda: take_order(orders), meter)
     except PeerGone:  # whoever started this
         return
     except EvetacError as failed:
@@ -168,7 +177,8 @@ def run_detector(
         if camera is not None:
             with contextlib.suppress(DeviceError):  # it may have failed already
                 camera.close()
-    outbox.put(DetectorEnded(dict(camera.counted) if camera is not None else {}, error))
+    counted = dict(camera.counted) if camera is not None else {}
+    outbox.put(DetectorEnded(counted, error, meter.load() if meter is not None else None), always=True)
     with contextlib.suppress(PeerGone):
         outbox.flush(LAST_FLUSH_S)
     alive.close()
@@ -187,12 +197,14 @@ def detect(
     most: int,
     ending: Sequence[int] = (),
     may_move: Callable[[], bool] = lambda: True,
+    meter: LoadMeter | None = None,
 ) -> None:
     """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
 
     Nothing is published before `may_move`: from the first status on, the gripper moves. Slices are evaluated before,
     because those that wait in the meantime would have to be caught up with, while the gripper moves by old ones.
-    DeviceError where the stream ends before, the recorder cannot keep up, or a signal came (`ending`).
+    meter: gets to know how many slices and events there were. DeviceError where the stream ends before, the recorder
+    cannot keep up, or a signal came (`ending`).
     """
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
     parent = os.getppid()
@@ -230,6 +242,8 @@ def detect(
         if len(slices_held) >= BATCH_MS:
             if slices % COUNTED_SLICES < BATCH_MS:
                 batch.counted = dict(camera.counted)
+            if meter is not None:
+                meter.add(len(batch.counts), sum(batch.counts))
             _hand_over(outbox, batch, slices_held)
             slices_held, batch = [], SliceBatch()
             if os.getppid() != parent:
@@ -242,5 +256,5 @@ def _hand_over(outbox: MessageWriter, batch: SliceBatch, slices: list[Events]) -
     batch.columns = joined(slices)
     if not outbox.put(batch):
         waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
-        raise DeviceError("the recorder cannot keep up", found=waiting)
+        raise DeviceError("the recorder cannot keep up", found=waiting, hint=OVERLOADED)
     outbox.send()

@@ -26,7 +26,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.names import Capability
-from evetac_cli.realtime.processes import at_niceness, set_realtime_priority
+from evetac_cli.realtime.processes import set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.store.calibration import MAKE_GRID, read_calibration
@@ -36,8 +36,10 @@ from evetac_cli.trials import live_view, session
 from evetac_cli.trials.grasp import replay
 from evetac_cli.trials.grasp.controller_process import ControllerSettings
 from evetac_cli.trials.grasp.detector_process import DetectorSettings
+from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.grasp.loop import Timing
-from evetac_cli.trials.grasp.recorder import GraspProcesses, RecordedGrasp, record
+from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
+from evetac_cli.trials.grasp.recorder import record
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp
 from evetac_cli.trials.trial import ReplayTrial, device_trials
 
@@ -50,7 +52,10 @@ WATCHDOG_MS = 60  # where none is asked for
 EVENTS_S = 500_000  # that the disk must have room for
 SLOWEST_HZ = 100.0  # below, the watchdog would be blind
 SERVO_PRIORITY = 40  # hardware does not wait for a scheduler
-RECORDER_NICE, BESIDE_VIRTUAL = -5, 15  # behind the detector; beside devices that take as much, behind all
+WRITING_NICE, BESIDE_VIRTUAL = (
+    -5,
+    15,
+)  # of the thread that writes, behind the detector; beside devices that take as much, behind all
 LAST_TICK = 740  # closed; the law's own limit
 FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: what is held then falls"
 
@@ -193,6 +198,7 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[s
             trial.most_s,
             HOST_TIME if world is None else world.time,
             settings.controller,
+            None if servo is None else servo.pid,
         )
         processes = GraspProcesses(detector, controller, world)
         opened.callback(processes.close)
@@ -213,13 +219,12 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[s
         try:
             if not signals:
                 processes.go()
-            # A grasp lasts while its recorder is alive.
-            with at_niceness(RECORDER_NICE if is_hardware else BESIDE_VIRTUAL):
-                recorded = record(
-                    *(processes, world, writer, timing.end_ms, signals, key),
-                    lambda done: progress(done, timing.end_ms),
-                    view,
-                )
+            recorded = record(
+                *(processes, world, writer, timing.end_ms, signals, key),
+                lambda done: progress(done, timing.end_ms),
+                view,
+                WRITING_NICE if is_hardware else BESIDE_VIRTUAL,
+            )
         except BaseException as error:
             writer.leave()
             processes.close()
@@ -347,7 +352,9 @@ def _row(
     for name in ("slices_per_s", "commands_per_s"):
         timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
     late, commands = recorded.late_slices, len(recorded.step_late_us)
-    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s)
+    load = None if recorded.detector is None else recorded.detector.load
+    used = "; ".join(words for words in (recorded.cores_used, "" if load is None else load.words()) if words)
+    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s, used)
     return outcome(
         trial,
         made=True,
@@ -362,6 +369,9 @@ def _row(
         late_slices=late.count,
         recorder_behind_s=recorded.behind_s,
         too_slow=too_slow,
+        detector_core_share=None if load is None else load.core_share,
+        events_per_s=None if load is None else load.events_per_s,
+        bearable_events_per_s=None if load is None else load.bearable_events_per_s,
         scheduling=datasets["capture/scheduling"],
         **session.lost_columns(datasets),
         **grasp_outcome,

@@ -1,5 +1,6 @@
 """The reading API: a recording by slice, by iteration and by range is the same; windows of features for training."""
 
+import itertools
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings import read
-from evetac_cli.store.recordings.read import SlipWindows, open_recording
+from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
 from tests.make import event_arrays
 
 DOTS = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 15.0]), axis=-1)
@@ -71,6 +72,46 @@ def test_slices_by_index_iteration_and_range_are_equal(counts: list[int], block:
             for start in range(slices + 1):
                 for stop in range(start, slices + 1):
                     assert equal(recording.between(start, stop), concatenate(pieces[start:stop]))
+
+
+@given(st.lists(st.sampled_from([0, 0, 1, 3, 80]), max_size=20), st.integers(1, 25), st.data())
+@settings(max_examples=30, deadline=None)
+def test_blocks_hold_their_slices(counts: list[int], ms: int, data: st.DataObject) -> None:
+    """Assert that blocks of any length, of all slices or a part, hold each slice once, in order, empty ones too."""
+    start = data.draw(st.integers(0, len(counts)))
+    stop = data.draw(st.one_of(st.none(), st.integers(start, len(counts))))
+    pieces, end = pieces_of(counts), len(counts) if stop is None else stop
+    with TemporaryDirectory() as folder:
+        with open_recording(write_recording(Path(folder) / "a.recording.h5", counts)) as recording:
+            blocks = list(recording.blocks(ms, start, stop))
+        edges = [*range(start, end, ms), end]
+        assert [(block.first, block.stop) for block in blocks] == list(itertools.pairwise(edges))
+        for block in blocks:
+            own = pieces[block.first : block.stop]
+            assert equal(block.events, concatenate(own))
+            assert np.diff(block.starts).tolist() == [events.size for events in own]
+            assert block.starts[0] == 0
+            assert all(equal(*pair) for pair in zip(block.slices(), own, strict=True))
+
+
+def test_no_block_is_read_before_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a wrong length or range of blocks is refused at once, and a right one reads block by block."""
+    with open_recording(write_recording(tmp_path / "a.recording.h5", [2] * 6)) as recording:
+        for wrong, words in (((0,), "expected: at least 1"), ((1, 2, 1), "out of range"), ((1, 0, 7), "out of range")):
+            with pytest.raises(InputError, match=words):
+                recording.blocks(*wrong)
+        read_ranges: list[tuple[int, int]] = []
+        events_of = Recording.events
+
+        def noted(self: Recording, first: int, last: int) -> Events:
+            read_ranges.append((first, last))
+            return events_of(self, first, last)
+
+        monkeypatch.setattr(Recording, "events", noted)
+        blocks = recording.blocks(2)
+        assert read_ranges == []
+        next(blocks)
+        assert read_ranges == [(0, 4)]
 
 
 def test_slices_outlive_their_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from evetac_cli.realtime.shared_status import DetectorStatus
 from evetac_cli.trials.grasp.controller_process import COMMAND_BYTES, OVER, STOPPED, TOO_LONG, Watch
 from evetac_cli.trials.grasp.loop import Timing
 from evetac_cli.trials.grasp.pace import FRESH_US
-from evetac_cli.trials.session import OPENED
+from evetac_cli.trials.session import OPENED, RECORDER_LATE_MS
 from tests.trials.grasp.bench import FELT_S, PERIOD_S, WRITE_S, Bench, goals_by_law
 
 
@@ -34,6 +34,23 @@ def test_watch() -> None:
     assert ("recorder" in reason, alive_us) == (True, 1e6)
     assert Watch(200).fault(later._replace(at_us=1.14e6, heard_us=1.14e6), 1e6, 1.149e6)[0] == ""
     assert "recorder" in watch.fault(status, -math.inf, 1.001e6)[0]  # it never gave a sign of life
+
+
+def test_a_recorder_that_waits_for_a_core_is_late_for_seconds() -> None:
+    """Assert that a silent recorder ends the grasp at once if it was stopped, and if it was not, after its 5 s."""
+    stopped = False
+    watch = Watch(60, recorder_stopped=lambda: stopped)
+
+    def fault(silent_ms: float) -> str:
+        now_us = 10e6
+        status = DetectorStatus(SlipSignal(), 10, at_us=now_us, heard_us=now_us, zero_us=0.0, slip_us=())
+        return watch.fault(status, now_us - 1e3 * silent_ms, now_us)[0]
+
+    assert [fault(ms) for ms in (74, 76, 1000, RECORDER_LATE_MS - 1)] == [""] * 4
+    assert fault(RECORDER_LATE_MS + 1) == "the recorder hangs: no sign of life for 5001 ms"
+    stopped = True
+    assert fault(74) == ""
+    assert fault(76) == "the recorder hangs: no sign of life for 76 ms"
 
 
 def test_watch_counts_only_while_it_runs_but_not_for_ever() -> None:

@@ -1,12 +1,13 @@
 """A process of a grasp that ends before its time says why: no death is told as "exit code 0"."""
 
+import itertools
 import multiprocessing
 import os
 import signal
 import threading
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import nan
 from types import SimpleNamespace
@@ -24,7 +25,8 @@ from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import recorder
 from evetac_cli.trials.grasp.controller_process import ControllerEnded
 from evetac_cli.trials.grasp.detector_process import DetectorEnded, DetectorSettings, SliceBatch, joined, run_detector
-from evetac_cli.trials.grasp.recorder import RecordedGrasp
+from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
+from evetac_cli.trials.session import OVERLOADED
 from tests.devices.stand_ins import StillCamera
 from tests.quick import few
 
@@ -184,8 +186,8 @@ class Writer:
     def __init__(self) -> None:
         self.slices = 0
 
-    def append(self, events: Events, rows: dict[str, Any]) -> None:
-        self.slices += 1
+    def append_slices(self, events: Events, counts: list[int], rows: dict[str, Any]) -> None:
+        self.slices += len(counts)
 
     def append_rows(self, row: dict[str, Any]) -> None:
         pass
@@ -218,6 +220,7 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
         slices=MessageReader(slices[0]), steps=MessageReader(steps[0]), now_s=time.monotonic,
         give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None),
         detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a message",
+        cores_used=lambda whole=False: "",
     )  # fmt: skip
     sender = threading.Thread(target=send_on, args=(MessageWriter(slices[1]), slices[1]))
     sender.start()
@@ -228,6 +231,43 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
     assert recorded.detector == DetectorEnded({"late_events": 7}, None)
     assert str(recorded.error) == str(failed)
     assert recorded.ended.startswith("the gripper restarted")
+
+
+class EndedInbox(MessageReader):
+    """A pipe whose writer has ended, with messages that come one at a time."""
+
+    def __init__(self, messages: list[Any]) -> None:
+        reading, writing = multiprocessing.Pipe(duplex=False)
+        writing.close()
+        super().__init__(reading)
+        self._left = messages
+
+    def take(self) -> Iterator[Any]:
+        yield from self._left[:1]
+        self.ended = not self._left
+        del self._left[:1]
+
+
+def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the reason a detector gave is told, and who used the cores, though every look comes a minute late."""
+    hangs = DeviceError("the detector hangs: no sign of life for 50 ms; torque is off", hint=OVERLOADED)
+    behind = DeviceError("the recorder cannot keep up", found="64 MB wait to be written", hint=OVERLOADED)
+    ended = ControllerEnded(str(hangs), hangs, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off")
+    batch = SliceBatch(joined([empty()] * 5), [0] * 5, [nan] * 5, [1.0] * 5, [0.0] * 5)
+    minutes = itertools.count()
+    monkeypatch.setattr(recorder, "time", SimpleNamespace(monotonic=lambda: 60.0 * next(minutes)))
+    processes = SimpleNamespace(
+        slices=EndedInbox([batch] * 9 + [DetectorEnded({}, behind)]), steps=EndedInbox([ended]), now_s=time.monotonic,
+        give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None), switch_off=lambda: "torque is off",
+        detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a message",
+        cores_used=lambda whole=False: "" if whole else "the recorder waited 93% of the time for a core",
+    )  # fmt: skip
+    writer, key = Writer(), SimpleNamespace(pressed=False)
+    recorded = recorder.record(processes, None, writer, 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    assert writer.slices == 45
+    assert recorded.ended == "the recorder cannot keep up; torque is off"
+    assert recorded.error is behind
+    assert behind.found == "64 MB wait to be written; the recorder waited 93% of the time for a core"
 
 
 def test_who_failed_first_is_told() -> None:

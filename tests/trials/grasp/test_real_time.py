@@ -28,7 +28,7 @@ from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, GripperReady
 from evetac_cli.trials.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, joined, noise
 from evetac_cli.trials.grasp.loop import control_row
-from evetac_cli.trials.grasp.recorder import RecordedGrasp
+from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from evetac_cli.trials.session import LET_GO
 from evetac_cli.trials.trial import DeviceTrial
 from tests.trials.live_view.fake_view import FakeView

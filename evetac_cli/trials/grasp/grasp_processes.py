@@ -1,0 +1,184 @@
+"""The processes of a grasp in real time, as the recorder sees them, which is their parent: started, watched, ended.
+
+Where the controller died or hangs, it is ended here, torque switched off and read back.
+"""
+
+import contextlib
+import math
+import multiprocessing
+import os
+import select
+import time
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from evetac_cli.errors import DeviceError
+from evetac_cli.interrupts import signals_held
+from evetac_cli.realtime.core_use import CoreUse
+from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from evetac_cli.realtime.message_pipe import MessageReader
+from evetac_cli.realtime.processes import start_shielded
+from evetac_cli.realtime.shared_status import SharedStatus
+from evetac_cli.trials.grasp import controller_process, detector_process
+from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, GripperReady
+from evetac_cli.trials.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings
+
+if TYPE_CHECKING:
+    from evetac_cli.devices.virtual.world import VirtualWorld
+
+HANGS_S = 0.5  # a controller without a sign of life for so long, or some times the watchdog's time, is ended
+HANGS_WATCHDOGS = 4
+OPENING_S = 2.0  # so much longer while it opens the gripper
+LOAD_S = 120.0  # in which both must be ready, compiling included
+OPEN_S = 30.0  # in which the camera must run
+END_S = 3.0
+POLL_S = 0.05
+_T = TypeVar("_T")
+
+
+class GraspProcesses:
+    """Detector and controller, each in a process of its own; closing them switches torque off."""
+
+    def __init__(
+        self, detector: DetectorSettings, controller: ControllerSettings, world: "VirtualWorld | None"
+    ) -> None:
+        """Start both; they load, and wait for `begin`."""
+        context = multiprocessing.get_context("spawn")
+        self.status = SharedStatus()
+        self._settings = controller
+        self.now_s = controller.time.now_s
+        self._hangs_us = 1e6 * max(HANGS_S, HANGS_WATCHDOGS * 1e-3 * controller.watchdog_ms)
+        self._began_us = math.inf
+        self._orders = []  # to the detector and to the controller
+        theirs = []
+        for _ in range(2):
+            order, ours = context.Pipe(duplex=False)
+            self._orders.append(ours)
+            theirs.append(order)
+        slices, slices_end = context.Pipe(duplex=False)
+        steps, steps_end = context.Pipe(duplex=False)
+        detector_end, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
+        self.slices, self.steps = MessageReader(slices), MessageReader(steps)
+        self._words = LastWords(), LastWords()
+        self.detector = context.Process(
+            target=telling,
+            args=(
+                *(self._words[0], detector_process.run_detector),
+                *(detector, self.status, world, theirs[0], slices_end, alive),
+            ),
+            name="evetac-detector",
+        )
+        self.controller = context.Process(
+            target=telling,
+            args=(
+                *(self._words[1], controller_process.run_controller),
+                *(controller, self.status, theirs[1], steps_end, detector_end),
+            ),
+            name="evetac-controller",
+        )
+        for process in (self.detector, self.controller):
+            process.daemon = True
+            start_shielded(process)
+        self._cores = CoreUse(self._known(world))
+        # Our copies of their ends; else a pipe would not end with the process at its other end.
+        for end in (*theirs, slices_end, steps_end, detector_end, alive):
+            end.close()
+
+    def _known(self, world: "VirtualWorld | None") -> dict[str, int]:
+        """The processes of the grasp, by their names in words."""
+        found = {
+            "the detector": self.detector.pid,
+            "the controller": self.controller.pid,
+            "the recorder": os.getpid(),
+            "the virtual gripper": self._settings.servo,
+            "the virtual world": None if world is None else world.pid,
+        }
+        return {name: process for name, process in found.items() if process is not None}
+
+    def begin(self, signals: list[int]) -> tuple[CameraReady, GripperReady]:
+        """Open the gripper once the detector has loaded, then the camera; what they are. EvetacError if one fails.
+
+        Nothing moves before `go`. signals: grows when Ctrl-C is pressed.
+        """
+        self._wait_for(str, self.slices, self.detector, LOAD_S, signals)
+        self._order(1, "begin")
+        gripper = self._wait_for(GripperReady, self.steps, self.controller, LOAD_S, signals)
+        self._order(0, "begin")
+        return self._wait_for(CameraReady, self.slices, self.detector, OPEN_S, signals), gripper
+
+    def go(self) -> None:
+        """Let the detector begin, upon which the controller moves the gripper; from now on it needs signs of life."""
+        self.give_sign_of_life()
+        self._began_us = self.now_s() * 1e6
+        self._order(0, "go")
+
+    def _order(self, whom: int, order: str) -> None:
+        with contextlib.suppress(OSError):  # it has died, which whoever waits for its answer finds out
+            self._orders[whom].send(order)
+
+    def give_sign_of_life(self) -> None:
+        """For the loop that watches: it is alive."""
+        self.status.recorder_lives(self.now_s() * 1e6)
+        self._cores.sample(time.monotonic())
+
+    def cores_used(self, *, whole: bool = False) -> str:
+        """Who used the cores of this computer in the last second, or since the beginning, in words."""
+        return self._cores.words(whole=whole)
+
+    def end_hanging_controller(self) -> str:
+        """End a controller that gives no sign of life; for how long it did not, in words, "" if it does."""
+        patience_us = self._hangs_us + 1e6 * OPENING_S * self.status.opening
+        silent_us = self.now_s() * 1e6 - max(self.status.controller_us, self._began_us)
+        if not silent_us > patience_us:
+            return ""
+        self.controller.kill()
+        return f"the controller hangs: no sign of life for {silent_us * 1e-6:.1f} s"
+
+    def switch_off(self) -> str:
+        """Torque off, once the controller has ended without saying what torque is; in words, what was read back.
+
+        The port is free once the process has ended.
+        """
+        self.controller.kill()
+        self.controller.join(END_S)
+        return self._settings.gripper.release(self._settings.port, self._settings.driver)
+
+    def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
+        """The first message of a kind; what went wrong before it comes is raised."""
+        until_s = time.monotonic() + most_s
+        while time.monotonic() < until_s and not signals:
+            select.select([inbox], [], [], POLL_S)
+            for message in inbox.take():
+                if isinstance(message, kind):
+                    return message
+                if isinstance(message, (DetectorEnded, ControllerEnded)) and message.error is not None:
+                    raise message.error
+            if inbox.ended:
+                torque = f"; {self.switch_off()}" if process is self.controller else ""
+                raise DeviceError(f"{process.name} died while it started{torque}", found=self.exit_words(process))
+        if signals:
+            raise KeyboardInterrupt("interrupted: nothing was recorded")
+        raise DeviceError(f"{process.name} did not come up", expected=f"within {most_s:g} s")
+
+    def exit_words(self, process: Any) -> str:
+        """How one of the two ended, in words; "" if it has not within a second."""
+        return exit_words(process, self._words[process is self.controller])
+
+    def close(self) -> None:
+        """End both; torque is off afterwards, or the servo's watchdog sees to it. Signals wait until then."""
+        with signals_held():
+            self._close()
+
+    def _close(self) -> None:
+        self.status.stop()
+        for orders in self._orders:
+            orders.close()
+        for process in (self.controller, self.detector):
+            process.join(END_S)
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+    def last_words(self) -> str:
+        """What torque is once both were closed; for whoever broke off recording."""
+        ended = [message for message in self.steps.take() if isinstance(message, ControllerEnded)]
+        return ended[-1].torque if ended else self.switch_off()
