@@ -1,10 +1,10 @@
 """Under what a grasp in real time runs, and what its processes take: quiet, beside busy loops, or at half speed.
 
 Half speed: each process of the command has a group of its own, in which it gets a millisecond of CPU time in every two;
-where it has real-time priority, 0.9 (what the kernel gives to all groups of a folder together is 0.95 of a core). A
+with real-time priority a part of that (what the kernel gives to all groups of a folder together is 0.95 of a core). A
 process is put into its group within POLL_S of its start. Among groups it does not count how nice a process is, so each
-group is as nice as its process. That needs cgroups that this user may write: of version 1 with the controller cpu, or
-of version 2, whose groups hold no real-time process back.
+group is as nice as the nicest thread of its process. That needs cgroups that this user may write: of version 1 with the
+controller cpu, or of version 2, whose groups hold no real-time process back.
 """
 
 import contextlib
@@ -20,10 +20,10 @@ from typing import NamedTuple
 BUSY = "while True: pass"
 BUSY_LOOPS = 2
 CONDITIONS = ("quiet", "busy", "half")
-POLL_S = 0.02
-PERIOD_US, QUOTA_US, REALTIME_US = 2000, 1000, 900
+POLL_S, PATIENCE_S = 0.02, 5.0
+PERIOD_US, QUOTA_US = 2000, 1000
+REALTIME_US = {"controller": 800, "servo": 700, "recorder": 300}
 USUAL_SHARES, NICER = 1024, 1.25  # of a process that is not nice; one that is nicer by one has so many times less
-IN_REALTIME = ("controller", "servo")
 
 
 def processes_of(recorder: int) -> dict[str, int]:
@@ -36,24 +36,34 @@ def processes_of(recorder: int) -> dict[str, int]:
                 if "servo_process" in line:
                     found["servo"] = int(pid)
                 elif "multiprocessing-fork" in line:
-                    spawned.append(int(pid))
-    return {**found, **dict(zip(("detector", "controller"), sorted(spawned), strict=False))}
+                    spawned.append((int(_fields(Path(f"/proc/{pid}"))[_STARTED]), int(pid)))
+    return {**found, **dict(zip(("detector", "controller"), (pid for _, pid in sorted(spawned)), strict=False))}
 
 
 class ProcessState(NamedTuple):
-    """CPU time of a process so far, and how nice it is."""
+    """CPU time of a process so far, and how nice its nicest thread is."""
 
     cpu_s: float
     niceness: int
 
 
+def _fields(folder: Path) -> list[str]:
+    """What the kernel says of a process or a thread, after its name; OSError where it has ended."""
+    return (folder / "stat").read_text().rpartition(")")[2].split()
+
+
+_USER, _SYSTEM, _NICENESS, _STARTED = 11, 12, 16, 19  # of these fields
+
+
 def state_of(pid: int) -> ProcessState | None:
     """A process, as it is now; None where it has ended."""
+    folder = Path(f"/proc/{pid}")
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
+        fields = _fields(folder)
+        niceness = max(int(_fields(thread)[_NICENESS]) for thread in (folder / "task").iterdir())
+    except (OSError, ValueError):
         return None
-    return ProcessState((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"), int(fields[16]))
+    return ProcessState((int(fields[_USER]) + int(fields[_SYSTEM])) / os.sysconf("SC_CLK_TCK"), niceness)
 
 
 class HalfSpeed:
@@ -63,29 +73,42 @@ class HalfSpeed:
         self._groups: list[Path] = []
         self._held: dict[int, tuple[Path, int]] = {}  # group of a process, and how nice it is
         self._is_v1, self._above = _cpu_controller()
-        try:
-            self._group(f"evetac-{os.getpid()}-try", realtime=False)
-        except OSError as error:
-            raise SystemExit(f"--condition half: no group can be made below {self._above}: {error}") from None
+        until_s = time.monotonic() + PATIENCE_S
+        while (error := self._fault()) is not None:
+            if time.monotonic() > until_s:
+                raise SystemExit(f"--condition half: no group can be made below {self._above}: {error}")
+            time.sleep(POLL_S)  # the kernel takes back later what groups had that are removed
 
-    def _group(self, name: str, *, realtime: bool) -> Path:
+    def _fault(self) -> OSError | None:
+        """What is wrong with a group that takes what all groups will, which is removed again; None if nothing is."""
+        group = self._above / f"evetac-{os.getpid()}-try"
+        try:
+            self._group(group.name, sum(REALTIME_US.values()))
+        except OSError as error:
+            return error
+        finally:
+            with contextlib.suppress(OSError):
+                group.rmdir()
+        return None
+
+    def _group(self, name: str, realtime_us: int) -> Path:
         group = self._above / name
-        group.mkdir()
         self._groups.append(group)
+        group.mkdir()
         if not self._is_v1:
             (group / "cpu.max").write_text(f"{QUOTA_US} {PERIOD_US}")
             return group
         (group / "cpu.cfs_period_us").write_text(str(PERIOD_US))
         (group / "cpu.cfs_quota_us").write_text(str(QUOTA_US))
-        if realtime and (group / "cpu.rt_runtime_us").exists():
+        if realtime_us and (group / "cpu.rt_runtime_us").exists():
             (group / "cpu.rt_period_us").write_text(str(PERIOD_US))
-            (group / "cpu.rt_runtime_us").write_text(str(REALTIME_US))
+            (group / "cpu.rt_runtime_us").write_text(str(realtime_us))
         return group
 
     def hold(self, what: str, pid: int, niceness: int) -> None:
         """Hold a process and its threads to half its speed, as nice as it is now; may be called again and again."""
         if pid not in self._held:
-            group = self._group(f"evetac-{os.getpid()}-{what}-{pid}", realtime=what in IN_REALTIME)
+            group = self._group(f"evetac-{os.getpid()}-{what}-{pid}", REALTIME_US.get(what, 0))
             self._held[pid] = group, 0
             with contextlib.suppress(ProcessLookupError):
                 (group / "cgroup.procs").write_text(str(pid))
@@ -99,11 +122,12 @@ class HalfSpeed:
 
     def close(self) -> None:
         """Remove the groups, once the processes in them have ended."""
-        until_s = time.monotonic() + 5.0
+        until_s = time.monotonic() + PATIENCE_S
         while self._groups and time.monotonic() < until_s:
             for group in self._groups.copy():
                 with contextlib.suppress(OSError):
-                    group.rmdir()
+                    if group.exists():
+                        group.rmdir()
                     self._groups.remove(group)
             time.sleep(POLL_S)
 
@@ -113,10 +137,19 @@ def _cpu_controller() -> tuple[bool, Path]:
     for line in Path("/proc/mounts").read_text().splitlines():
         _, where, kind, options, *_ = line.split()
         if kind == "cgroup" and "cpu" in options.split(","):
-            return True, Path(where)
+            return True, Path(where) / _own_group()
         if kind == "cgroup2" and "cpu" in (Path(where) / "cgroup.subtree_control").read_text().split():
             return False, Path(where)
     raise SystemExit("--condition half: no cgroup controller `cpu` is mounted; --condition busy needs none")
+
+
+def _own_group() -> str:
+    """The group that this process is in, by its path below the mount of version 1's controller cpu."""
+    for line in Path("/proc/self/cgroup").read_text().splitlines():
+        _, controllers, path = line.split(":", 2)
+        if "cpu" in controllers.split(","):
+            return path.lstrip("/")
+    return ""
 
 
 class Watched:

@@ -93,9 +93,11 @@ def test_a_group_holds_half_a_core_and_is_as_nice_as_its_process(
 ) -> None:
     """Assert quota, real-time share where there is one, and weight, each written once, in a folder of plain files."""
     monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (is_v1, tmp_path))
+    monkeypatch.setattr(Path, "rmdir", lambda group: [file.unlink() for file in group.iterdir()])
     half = HalfSpeed()
     for niceness in (0, -10, -10):
         half.hold("detector", 123, niceness)
+    assert sum(real_time_conditions.REALTIME_US.values()) <= 0.95 * real_time_conditions.PERIOD_US
     (group,) = tmp_path.glob("*detector*")
     written = {file.name: file.read_text() for file in group.iterdir()}
     if is_v1:
@@ -112,5 +114,6 @@ def test_a_group_holds_half_a_core_and_is_as_nice_as_its_process(
 def test_half_speed_is_refused_where_no_group_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that it says where, and does not measure another condition instead."""
     monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (True, tmp_path / "nowhere"))
+    monkeypatch.setattr(real_time_conditions, "PATIENCE_S", 0.0)
     with pytest.raises(SystemExit, match="--condition half: no group can be made below .*nowhere"):
         HalfSpeed()

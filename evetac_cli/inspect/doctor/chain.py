@@ -8,9 +8,7 @@ come late than a grasp lets pass without a word.
 """
 
 import json
-import multiprocessing
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +18,6 @@ from evetac_cli.errors import EvetacError, attached_outcome
 from evetac_cli.events import FRAME_PX
 from evetac_cli.inspect.doctor import check
 from evetac_cli.jobs import Progress, Row
-from evetac_cli.realtime.processes import cpu_time_s
 from evetac_cli.trials.session import BEHIND_S, TOLERATED
 
 WANTED_PER_S = 1_000_000
@@ -32,7 +29,6 @@ NEXT_PER_S = {  # after a rate: which one, where it was too much, and where it w
 }
 SECONDS = 10.0
 TOUCH_S = 1.5  # of the scene's contact, before the phases that have flags
-SETTLED_SLICES = 500  # from which on the detector's share of a core is measured
 FEWER = "fewer events: evetac record --readout-rate, --threshold-on, --threshold-off; a smaller network: --model"
 
 
@@ -67,10 +63,7 @@ def attempt(
     from evetac_cli.trials.grasp import real_time
     from evetac_cli.trials.grasp.settings import DeviceGrasp
 
-    shares = _DetectorShare()
-
     def watch(done: float, total: float, doing: str = "") -> None:
-        shares.look(done)
         progress(done * 1e-3)
 
     with tempfile.TemporaryDirectory(dir=folder, prefix=".speed-") as temporary:
@@ -104,31 +97,8 @@ def attempt(
         missed - by_gripper,
         by_gripper,
         row["recorder_behind_s"],
-        shares.share,
+        row["detector_core_share"],
     )
-
-
-class _DetectorShare:
-    """Which share of a core the detector of a grasp takes, from its CPU time at two moments."""
-
-    def __init__(self) -> None:
-        self._seen: list[tuple[float, float]] = []  # time of day, CPU time
-
-    def look(self, slices: float) -> None:
-        """Take its CPU time after so many slices."""
-        if slices < SETTLED_SLICES:
-            return
-        for process in multiprocessing.active_children():
-            if process.name == "evetac-detector":
-                self._seen = [*self._seen[:1], (time.monotonic(), cpu_time_s(process.pid))]
-
-    @property
-    def share(self) -> float | None:
-        """CPU time over time; None before there were two moments."""
-        if len(self._seen) < 2:
-            return None
-        (first_s, first_cpu_s), (last_s, last_cpu_s) = self._seen
-        return (last_cpu_s - first_cpu_s) / max(last_s - first_s, 1e-9)
 
 
 def rows(
