@@ -9,6 +9,8 @@ SMALL ?=
 SIZES ?=
 # Of bench: a revision, or the folder of another checkout, to compare with.
 BASE ?=
+# Of profile: a file for its figures as JSON.
+COSTS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
@@ -34,14 +36,14 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
 	data-rate force grasp-table grasp-shipped slip-by-sensor part-effects blind-identification force-sensors touch-cost \
-	mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench clean
+	mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
 
-setup: $(READY)  ## make a virtual environment in .venv for README's commands, and compile these; TORCH_INDEX, see docs/install.md
+setup: $(READY)  ## make a virtual environment in .venv for README's commands, and compile them (TORCH_INDEX)
 
-setup-all: $(ALL)  ## ... with all extras, and what tests, checks and documentation use
+setup-all: $(ALL)  ## ... with every extra, and what tests, checks and documentation use
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -165,6 +167,9 @@ docs: $(ALL)  ## the documentation: site/index.html, with every page of the refe
 
 bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
+
+profile: $(READY)  ## what each stage costs: processor time, memory and bytes per trial, start-up apart (COSTS, for JSON)
+	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
 clean:  ## remove what demo, tests and builds left; the environment stays
 	rm -rf demo strips film small dist site docs/reference .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis
