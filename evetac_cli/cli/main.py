@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from evetac_cli import __version__, console, interrupts, kernel_cache
-from evetac_cli.cli import config, execution, exit_codes, flags
+from evetac_cli.cli import config, execution, exit_codes, flags, indexing
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands import (
@@ -27,7 +27,7 @@ from evetac_cli.commands.command import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("index", "repair")  # inspectors that take folders, not the files in them
+OF_FOLDERS = ("repair",)  # inspectors that take folders, not the files in them
 AsJson = Annotated[bool, flags.looking("as_json")]
 Quiet = Annotated[bool, flags.looking("quiet")]
 Verbose = Annotated[bool, flags.looking("verbose")]
@@ -231,11 +231,24 @@ def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
         raise errors[0]
 
 
-app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
-    _inspector(
-        "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
-    )
-)
+@app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)
+def _index(
+    folders: Annotated[list[Path], typer.Argument(help="Folders.", show_default=False)],
+    number_of_jobs: Annotated[int, flags.looking("number_of_jobs")] = 1,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it."""
+    running = Running(number_of_jobs=number_of_jobs, as_json=as_json, quiet=quiet, verbose=verbose)
+    with CommandExit("index", running):
+        execution.require_jobs(running)
+        index = importlib.import_module("evetac_cli.inspect.index")
+        with console.progress_bar("index", "files", quiet=quiet) as progress:
+            result: Outcome = index.run(folders, progress, indexing.describer(number_of_jobs))
+        _show("index", index, result, running)
+
+
 _add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
 _add(app, REPORT, REPORT.name, "Inspect", _write_for_others, flags.OF_REPORT)
 _add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
