@@ -27,7 +27,7 @@ from numba.core import event
 from evetac_cli.events import Events
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, CHANNELS
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.resources import MODEL
 from evetac_cli.sim.scenes.gripped import OUT_OF_SIGHT_M, GraspSimulation
 from evetac_cli.sim.setup.plan import first_plan
@@ -51,7 +51,7 @@ def _detector() -> None:
     with StageFile(MODEL) as model:
         rows, columns = (int(size) for size in model.read("dot_shape"))
         dots_px = np.stack(np.meshgrid(60.0 * np.arange(columns) + 60.0, 60.0 * np.arange(rows) + 50.0), axis=-1)
-        detector = OnlineSlipDetector.start(model, dots_px, (540, 0, 640, 480), tracker.PRESETS["stable"])
+        detector = OnlineSlipDetector.start(model, dots_px, (540, 0, 640, 480), presets.PRESETS["stable"])
     x, y = np.full(200, 100, np.uint16), np.full(200, 110, np.uint16)
     for number in range(SLICES):
         detector.step(Events(np.full(200, 1000 * number), x, y, np.ones(200, np.uint8)))
