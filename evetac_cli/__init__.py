@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from evetac_cli.events import Events, SliceBlock, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
-    from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
+    from evetac_cli.store.recordings.read import Recording, open_recording
+    from evetac_cli.store.recordings.slip_windows import SlipWindows
 
 __all__ = [
     "DotTracker",
@@ -77,7 +78,8 @@ _MODULES = {
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
-    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),
+    **dict.fromkeys(("Recording", "open_recording"), "store.recordings.read"),
+    "SlipWindows": "store.recordings.slip_windows",
 }
 
 

@@ -214,8 +214,8 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
 
 
 def looking(name: str) -> Any:
-    """The option of one of OF_LOOKING, as typer reads it from the signature of a function."""
-    _, _, names, help_ = OF_LOOKING[name]
+    """The option of one of OF_STAGES, as typer reads it from the signature of a function."""
+    _, _, names, help_ = OF_STAGES[name]
     return typer.Option(*names.split("/"), help=help_)
 
 

@@ -15,14 +15,14 @@ from typing import Annotated, Any
 import typer
 
 from evetac_cli import __version__, commands, console, interrupts, kernel_cache
-from evetac_cli.cli import config, execution, exit_codes, flags, workers
+from evetac_cli.cli import config, execution, exit_codes, flags, indexing, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.command import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("index", "repair")  # inspectors that take folders, not the files in them
+OF_FOLDERS = ("repair",)  # inspectors that take folders, not the files in them
 AsJson = Annotated[bool, flags.looking("as_json")]
 Quiet = Annotated[bool, flags.looking("quiet")]
 Verbose = Annotated[bool, flags.looking("verbose")]
@@ -208,6 +208,23 @@ def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
         raise errors[0]
 
 
+def _index(
+    folders: Annotated[list[Path], typer.Argument(help="Folders.", show_default=False)],
+    number_of_jobs: Annotated[int, flags.looking("number_of_jobs")] = 1,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it."""
+    running = Running(number_of_jobs=number_of_jobs, as_json=as_json, quiet=quiet, verbose=verbose)
+    with CommandExit("index", running):
+        execution.require_jobs(running)
+        index = importlib.import_module("evetac_cli.inspect.index")
+        with console.progress_bar("index", "files", quiet=quiet) as progress:
+            result: Outcome = index.run(folders, progress, indexing.describer(number_of_jobs))
+        _show("index", index, result, running)
+
+
 def _add_evaluate(app: typer.Typer) -> None:
     judging = typer.Typer(
         cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True
@@ -238,12 +255,7 @@ ADDED: dict[str, Callable[[typer.Typer], None]] = {
     **{name: _named(name, "Pipeline") for name in commands.OF_PIPELINE},
     "evaluate": _add_evaluate,
     "info": _inspecting("info", _info),
-    "index": _inspecting(
-        "index",
-        _inspector(
-            "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
-        ),
-    ),
+    "index": _inspecting("index", _index),
     "view": _named("view", "Inspect", _write_for_others, flags.OF_VIEW),
     "report": _named("report", "Inspect", _write_for_others, flags.OF_REPORT),
     "export": _named("export", "Inspect", _write_for_others, flags.OF_EXPORT),

@@ -21,7 +21,8 @@ from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.index.known import Known
+from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start
 
 OUTPUT = "labels"
@@ -36,10 +37,20 @@ def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
     return per_file(files, OUTPUT, out)
 
 
+def _recipe(params: Label, recording: Header) -> Recipe:
+    return Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording,))
+
+
+def known_recipe(job: Job, params: Label, known: Known) -> Recipe | None:
+    """The recipe of the labels, where an index knows the recording."""
+    recording = known.header(job.inputs[0], "recording")
+    return None if recording is None else _recipe(params, recording)
+
+
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Find the onset by the method that is chosen, and label every slice."""
     with open_recording(job.inputs[0]) as recording:
-        recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording.header,))
+        recipe = _recipe(params, recording.header)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
@@ -159,4 +170,4 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
     return flow.Labels(labels, np.full(len(slips), np.nan, np.float32), onset, confidence, 0)
 
 
-STAGE = Stage(jobs, run)
+STAGE = Stage(jobs, run, recipe=known_recipe)

@@ -15,10 +15,13 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 import h5py
+import numpy as np
+from h5py import h5s
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.interrupts import leave_if_interrupted
@@ -53,7 +56,7 @@ class StageFile:
             fault = identity_fault(self.header)
             if fault:
                 raise SchemaError(fault, where=str(self.path))
-            self._found = self._file.survey(self._is_left)
+            self._found = self._file.survey(partial(netcdf.is_dimension, self.kind))
             self._readers: dict[str, RowReader] = {}
             self._looked_at: set[str] = set()
             self._passed: set[Rule] = set()
@@ -103,7 +106,7 @@ class StageFile:
         other programs read, are as long as the datasets.
         """
         with damage_in_words(self.path, "its contents"):
-            self._refuse_if([f"{path} is not in the schema" for path in self._file.others_at(self._is_left)])
+            self._refuse_if([f"{path} is not in the schema" for path in self._file.check_left()])
         lines = netcdf.dimension_problems(self.kind, self._shapes, self._file.dimensions)
         schema.refuse(self.kind, lines, str(self.path))
         for path in self._shapes:
@@ -120,10 +123,6 @@ class StageFile:
         contents.check_values(self, path, values, start)
         return values
 
-    def _is_left(self, path: str) -> bool:
-        """Whether what lies at a path is no dataset that could be read, but a dimension, for other programs."""
-        return netcdf.is_place(self.kind, path) and schema.load(self.kind).find(path) is None
-
     def _refuse_if(self, lines: list[str]) -> None:
         """SchemaError if there is any difference to the schema; a newer minor version only adds."""
         major, minor = (int(part) for part in self.header["version"].split("."))
@@ -139,7 +138,7 @@ class StageFile:
         if path not in self._shapes:
             raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
         with damage_in_words(self.path, path):
-            self._file.check(path, self._found[path].id)
+            self._file.check(path, self._found[path])
         self._looked_at.add(path)  # before its values are checked, which are read for that
         try:
             contents.check_first(self, path, self._shapes, self._passed)
@@ -150,8 +149,11 @@ class StageFile:
     def _values(self, path: str, start: int, stop: int | None) -> Any:
         found = self._found[path]
         if not found.shape:
-            is_text = self._shapes[path][0] == "utf8"
-            return self._file.text(path, h5py.Dataset(found.id)) if is_text else h5py.Dataset(found.id)[()]
+            if found.is_text:
+                return self._file.text(path, h5py.Dataset(found.id))
+            value = np.empty((), found.dtype)
+            found.id.read(h5s.ALL, h5s.ALL, value)
+            return (value if found.dtype.isnative else value.astype(found.dtype.newbyteorder("=")))[()]
         start, stop, _ = slice(start, stop).indices(found.shape[0])
         size = max(0, stop - start) * math.prod(found.shape[1:]) * found.dtype.itemsize
         if size > MOST_READ_BYTES:
@@ -163,7 +165,7 @@ class StageFile:
                 hint="cut the recording with `evetac trim`",
             )
         if path not in self._readers:
-            self._readers[path] = RowReader(h5py.Dataset(found.id))
+            self._readers[path] = RowReader(found.id, found.dtype)
         array = self._readers[path].read(start, stop)
         return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 

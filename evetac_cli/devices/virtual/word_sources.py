@@ -66,17 +66,18 @@ class PreparedWords:
 
     def take(self, most: int, timeout_s: float) -> bytes:
         """At most so many bytes that are due, waiting for the first of them; b"" if there are none in time."""
-        end_s = time.monotonic() + timeout_s
+        end_s = time.monotonic() + timeout_s if timeout_s > 0 else 0.0
         with self._changed:
             self._limit_time()
-            while (wait_s := self._wait_s(timeout_s > 0)) != 0.0:
-                left_s = end_s - time.monotonic()
+            while (due := self._due()) == self._at or (self._due_us is None and timeout_s <= 0):
+                left_s = end_s - time.monotonic() if timeout_s > 0 else 0.0
                 if left_s <= 0:
                     return b""
+                wait_s = self._wait_s()
                 self._changed.wait(left_s if wait_s is None else min(left_s, wait_s))
                 self._limit_time()
             start = self._at
-            self._at = min(start + most, self._due())
+            self._at = min(start + most, due)
             return self._between(start, self._at)
 
     def _between(self, start: int, end: int) -> bytes:
@@ -108,10 +109,8 @@ class PreparedWords:
         within_us = passed_us - turn * SLICE_US * self._period_ms
         return 4 * (turn * len(self._words) + int(self._due_us.searchsorted(within_us, side="right")))
 
-    def _wait_s(self, waited_for: bool) -> float | None:
-        """Until something is due: 0 if it is, None if nothing will be."""
-        if self._due() > self._at and (waited_for or self._due_us is not None):
-            return 0.0
+    def _wait_s(self) -> float | None:
+        """Until the next word is due, None if none will be."""
         if self._began_s is None or self._due_us is None or self._at == self._bytes:
             return None
         turn, place = divmod(self._at // 4, len(self._words))

@@ -34,7 +34,7 @@ from evetac_cli.formats.write.slice_columns import (
 )
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
-from evetac_cli.store.index import LARGEST
+from evetac_cli.store.index.rows import LARGEST
 from evetac_cli.text_files import csv_text, open_regular, parse_json
 
 BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group

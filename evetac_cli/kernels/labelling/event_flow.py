@@ -371,7 +371,9 @@ def _follow(
             moved = -step if brighter else step
             centre[dot, 0] += moved * right / distance
             centre[dot, 1] += moved * down / distance
-        dot_px[slice_ + 1 - first] = centre - rest
+        for dot in range(len(rest)):  # a whole row at once would have numba compile words about shapes
+            for axis in range(2):
+                dot_px[slice_ + 1 - first, dot, axis] = centre[dot, axis] - rest[dot, axis]
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ Other people's files may hold what we do not read; of their datasets only those 
 import math
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
@@ -26,6 +26,7 @@ from evetac_cli.store.hdf5.packed_bytes import (
     MOST_CHUNK_BYTES,
     OUR_CHUNK_BYTES,
     OUR_FILTERS,
+    Place,
     check_filters,
     check_stored,
 )
@@ -41,15 +42,23 @@ MOST_ATTRIBUTE_BYTES = 1 << 20
 ITSELF = "data in the file itself"
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)  # what h5py raises on damaged bytes
 
+ANY = np.dtype("V1")  # in the place of a dtype that is not asked for
 DIMENSION_ONLY = b"This is a netCDF dimension but not a netCDF variable"
 
 
 class Found(NamedTuple):
-    """A dataset of a file: its id, its shape, None where it holds no value, and its dtype."""
+    """A dataset of a file: its shape is None where it holds no value, `itemsize` the bytes of one."""
 
     id: h5d.DatasetID
     shape: tuple[int, ...] | None
+    itemsize: int
     dtype: np.dtype[Any]
+    is_text: bool
+
+    @property
+    def announced_bytes(self) -> int:
+        """A row without columns takes no byte, but is a row to go through: it counts as if it had one."""
+        return 0 if self.shape is None else math.prod(max(1, size) for size in self.shape) * self.itemsize
 
 
 class CheckedHdf5:
@@ -63,6 +72,7 @@ class CheckedHdf5:
         self.path, self.where = path, str(path)
         self.dimensions: dict[str, int] = {}  # length of each by its path, once the datasets have been asked for
         self._checked: set[str] = set()
+        self._left: dict[bytes, str] = {}  # objects that were not looked at
         self._announced = self._stored = 0  # bytes of what was checked
         _refuse_irregular(path, expected)
         try:
@@ -143,35 +153,39 @@ class CheckedHdf5:
 
         Nothing may lead elsewhere, in any part of the file. With `only`, a path may be missing, or be a group.
         """
-        found = {name: one.id for name, one in self.survey().items()} if only is None else self._found(only)
-        for name, item in found.items():
-            self.check(name, item, filters, any_kind=only is not None)
-        return {name: h5py.Dataset(item) for name, item in found.items()}
+        if only is None:
+            found = self.survey()
+        else:
+            ids = self._found(only)
+            found = {
+                name: Found(item, item.shape, item.get_type().get_size(), ANY, False) for name, item in ids.items()
+            }
+        for name, one in found.items():
+            self.check(name, one, filters, any_kind=only is not None)
+        return {name: h5py.Dataset(one.id) for name, one in found.items()}
 
     def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, Found]:
         """Every dataset by its path, of which `check` has yet to look at the bytes; InputError names what may not be.
 
         Nothing leads elsewhere, each holds plain numbers or one text, and together they announce no more than the file
         can hold. Dimensions, which hold no numbers, are left out; their lengths are in `dimensions`.
-        is_left: whether what lies at a path is not looked at, for nobody reads it, but by `others_at`.
+        is_left: whether what lies at a path is not looked at, for nobody reads it, but by `check_left`.
         """
         found: dict[str, Found] = {}
-        announced = 0
         with damage_in_words(self.path, "its contents"):
             for name, item in self._found(None, is_left).items():
                 kind, shape = item.get_type(), item.shape
                 self._check_kind(name, item, kind, shape)
-                announced += _announced_bytes(kind, shape)
-                found[name] = Found(item, shape, kind.dtype)
+                is_text = shape is not None and kind.get_class() == h5t.STRING
+                found[name] = Found(item, shape, kind.get_size(), kind.dtype, is_text)
+            announced = sum(one.announced_bytes for one in found.values())
             if announced > MOST_EXPANSION * self.size:
                 for name, one in found.items():  # which may say what is wrong more precisely
-                    self.check(name, one.id)
+                    self.check(name, one)
                 self._refuse("its datasets announce more than the file can hold", f"{announced} bytes")
         return found
 
-    def check(
-        self, name: str, item: h5d.DatasetID, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False
-    ) -> None:
+    def check(self, name: str, one: Found, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False) -> None:
         """Refuse a dataset whose bytes are not all in this file, or are packed in a way that is not read.
 
         Together those that are checked may hold no more than the file can.
@@ -179,23 +193,26 @@ class CheckedHdf5:
         if name in self._checked:
             return
         with damage_in_words(self.path, name):
-            kind, shape = item.get_type(), item.shape
             if not any_kind:
-                self._check_attributes(name, item)
-            check_filters(self.where, name, item.get_create_plist(), filters)
-            if not any_kind and kind.get_class() == h5t.STRING and shape is not None:
-                self.text(name, h5py.Dataset(item))
-            announced = self._announced + _announced_bytes(kind, shape)
+                self._check_attributes(name, one.id)
+            recipe = one.id.get_create_plist()
+            applied = check_filters(self.where, name, recipe, filters)
+            if one.is_text:
+                self.text(name, h5py.Dataset(one.id))
             most = MOST_CHUNK_BYTES if any_kind else OUR_CHUNK_BYTES
-            stored = self._stored + check_stored(self.where, self.size, name, item, most)
+            at = Place(self.where, self.size, name, most)
+            stored = self._stored + check_stored(at, one.id, one.shape, one.itemsize, recipe, applied)
+            announced = self._announced + one.announced_bytes
             if announced > MOST_EXPANSION * self.size or stored > self.size:
                 self._refuse(f"{name} announces more than the file can hold", f"{announced} bytes")
         self._announced, self._stored = announced, stored
         self._checked.add(name)
 
-    def others_at(self, is_left: Callable[[str], bool]) -> list[str]:
+    def check_left(self) -> list[str]:
         """Look at what `survey` left; those paths at which there is a dataset, and no dimension."""
-        return list(self._found(None, lambda path: not is_left(path)))
+        left, self._left = self._left, {}
+        with damage_in_words(self.path, "its contents"):
+            return [name for name, item in self._opened(left) if self._is_dataset(name, item)]
 
     def _found(
         self, only: Collection[str] | None, is_left: Callable[[str], bool] = lambda path: False
@@ -204,17 +221,22 @@ class CheckedHdf5:
         found: dict[str, h5d.DatasetID] = {}
         with damage_in_words(self.path, "its contents"):
             for name, item in self._objects(is_left):
-                if isinstance(item, h5g.GroupID):
-                    if only is None:
-                        self._check_attributes(name, item)
-                    continue
-                if item.get_offset() is None:  # otherwise its bytes lie in this file, in one piece
-                    self._refuse_elsewhere(name, item.get_create_plist())
-                if _is_dimension_only(item):
-                    self.dimensions[name] = item.shape[0]
-                elif only is None or name in only:
+                if only is None and isinstance(item, h5g.GroupID):
+                    self._check_attributes(name, item)
+                elif self._is_dataset(name, item) and (only is None or name in only):
                     found[name] = item
         return dict(sorted(found.items()))
+
+    def _is_dataset(self, name: str, item: Any) -> bool:
+        """Whether an object is a dataset, and no dimension, which is noted; InputError where it leads elsewhere."""
+        if isinstance(item, h5g.GroupID):
+            return False
+        if item.get_offset() is None:  # otherwise its bytes lie in this file, in one piece
+            self._refuse_elsewhere(name, item.get_create_plist())
+        if _is_dimension_only(item):
+            self.dimensions[name] = item.shape[0]
+            return False
+        return True
 
     def lengths(self) -> dict[str, int]:
         """The rows of every dataset by its path; 1 for a single value. Nothing in them is looked at."""
@@ -250,9 +272,12 @@ class CheckedHdf5:
         found = root.links.visit(fault, info=True, order=h5.ITER_NATIVE)  # which would lose what is raised
         if found is not None:
             raise found
+        self._left = {raw: name for raw, name in names.items() if is_left(name)}
+        yield from self._opened({raw: name for raw, name in names.items() if raw not in self._left})
+
+    def _opened(self, names: Mapping[bytes, str]) -> Iterator[tuple[str, Any]]:
+        root = self.h5["/"].id
         for raw, name in names.items():
-            if is_left(name):
-                continue
             item = h5o.open(root, raw)
             if not isinstance(item, (h5g.GroupID, h5d.DatasetID)):
                 self._refuse(f"`{name}` is neither a dataset nor a group", "a named type")
@@ -263,10 +288,11 @@ class CheckedHdf5:
         count = h5a.get_num_attrs(item)
         if count > MOST_ATTRIBUTES:
             self._refuse(f"{name} has too many attributes", f"{count}, more than {MOST_ATTRIBUTES}")
-        for index in range(count):
-            size = h5a.open(item, index=index).get_storage_size()
-            if size > MOST_ATTRIBUTE_BYTES:
-                self._refuse(f"an attribute of {name} is too large", f"{size} bytes, more than {MOST_ATTRIBUTE_BYTES}")
+        sizes: list[int] = []
+        h5a.iterate(item, lambda _, about: sizes.append(about.data_size), info=True)
+        if max(sizes, default=0) > MOST_ATTRIBUTE_BYTES:
+            found = f"{max(sizes)} bytes, more than {MOST_ATTRIBUTE_BYTES}"
+            self._refuse(f"an attribute of {name} is too large", found)
 
     def _refuse_elsewhere(self, name: str, recipe: Any) -> None:
         if recipe.get_external_count() or recipe.get_layout() == h5d.VIRTUAL:
@@ -326,11 +352,6 @@ def _refuse_irregular(path: Path, expected: str) -> None:
     for is_so, words in checks:
         if is_so(path):
             raise InputError(words, where=str(path), expected="" if words == "no such file" else expected)
-
-
-def _announced_bytes(kind: Any, shape: tuple[int, ...] | None) -> int:
-    """A row without columns takes no byte, but is a row to go through: it counts as if it had one."""
-    return 0 if shape is None else int(math.prod(max(1, size) for size in shape) * kind.get_size())
 
 
 def _is_dimension_only(item: Any) -> bool:

@@ -9,7 +9,7 @@ import math
 import zlib
 from collections.abc import Collection
 from contextlib import suppress
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from h5py import h5d, h5z
 
@@ -34,8 +34,20 @@ EVENT_FILE_FILTERS = OUR_FILTERS | {
 }
 
 
-def check_filters(where: str, name: str, recipe: Any, allowed: Collection[int]) -> None:
-    """Only filters that are known, each once, and whose plugin is there; HDF5 would look for others on its own."""
+class Place(NamedTuple):
+    """A dataset of a file: where that is, its size, the name of the dataset, and how large its chunks may be."""
+
+    where: str
+    size: int
+    name: str
+    most_chunk_bytes: int
+
+
+def check_filters(where: str, name: str, recipe: Any, allowed: Collection[int]) -> list[int]:
+    """Numbers of the filters: those alone that are known, each once, whose plugin is there.
+
+    HDF5 would look for others on its own.
+    """
     used = [recipe.get_filter(i) for i in range(recipe.get_nfilters())]
     for number, _, _, label in used:
         spoken = f"HDF5 filter {number} ({label.decode(errors='replace').split(';')[0] or 'unknown'})"
@@ -54,30 +66,36 @@ def check_filters(where: str, name: str, recipe: Any, allowed: Collection[int]) 
             raise missing_extra(message, "convert", where=where, found=spoken)
     if len({number for number, *_ in used}) < len(used):
         _refuse(where, f"{name} is compressed twice with the same filter", "a filter that is named twice")
+    return [number for number, *_ in used]
 
 
-def check_stored(where: str, size: int, name: str, item: Any, most_chunk_bytes: int) -> int:
-    """Bytes that are stored; InputError unless every announced row was written, within a file of this size."""
-    shape = item.shape
+def check_stored(
+    place: Place, item: Any, shape: tuple[int, ...] | None, itemsize: int, recipe: Any, applied: list[int]
+) -> int:
+    """Bytes that are stored; InputError unless every announced row was written, within the file.
+
+    item, recipe: the ids of the dataset and of how it was created. applied: numbers of its filters.
+    """
     if shape is None or math.prod(shape) == 0:
         return 0
-    recipe = item.get_create_plist()
     if recipe.get_layout() == h5d.CHUNKED:
-        return _check_chunks(where, size, name, item, recipe, most_chunk_bytes)
-    wanted = math.prod(shape) * item.get_type().get_size()
+        return _check_chunks(place, item, shape, itemsize, recipe, applied)
+    wanted = math.prod(shape) * itemsize
     stored = int(item.get_storage_size())
     contiguous = recipe.get_layout() == h5d.CONTIGUOUS
-    if stored < wanted or (contiguous and (item.get_offset() or size) + wanted > size):
-        _refuse_incomplete(where, name, shape)
+    if stored < wanted or (contiguous and (item.get_offset() or place.size) + wanted > place.size):
+        _refuse_incomplete(place, shape)
     return stored
 
 
-def _check_chunks(where: str, size: int, name: str, item: Any, recipe: Any, most_bytes: int) -> int:
-    chunk, shape = recipe.get_chunk(), item.shape
-    whole = math.prod(chunk) * item.get_type().get_size()
+def _check_chunks(
+    place: Place, item: Any, shape: tuple[int, ...], itemsize: int, recipe: Any, applied: list[int]
+) -> int:
+    where, size, name, most_bytes = place
+    chunk = recipe.get_chunk()
+    whole = math.prod(chunk) * itemsize
     if whole > most_bytes:
         _refuse(where, f"the chunks of {name} are too large", f"{whole} bytes, more than {most_bytes}")
-    applied = [recipe.get_filter(i)[0] for i in range(recipe.get_nfilters())]
     packing = sum(
         1 << i for i, number in enumerate(applied) if number not in (h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
     )
@@ -87,23 +105,23 @@ def _check_chunks(where: str, size: int, name: str, item: Any, recipe: Any, most
     large: list[tuple[int, ...]] = []
     count, stored, wrong = 0, 0, ""
 
-    def check_place(place: Any) -> None:
+    def check_one(one: Any) -> None:
         nonlocal count, stored, wrong
         count += 1
-        stored += place.size
-        packed = packing & ~place.filter_mask
-        if place.byte_offset + place.size > size or place.size > most or (not packed and place.size < whole):
-            wrong = f"a chunk of {place.size} bytes at byte {place.byte_offset}"
-        if gzip & ~place.filter_mask and place.size > OUR_CHUNK_BYTES + OUR_CHUNK_BYTES // 64 + 1024:
-            large.append(place.chunk_offset)
+        stored += one.size
+        packed = packing & ~one.filter_mask
+        if one.byte_offset + one.size > size or one.size > most or (not packed and one.size < whole):
+            wrong = f"a chunk of {one.size} bytes at byte {one.byte_offset}"
+        if gzip & ~one.filter_mask and one.size > OUR_CHUNK_BYTES + OUR_CHUNK_BYTES // 64 + 1024:
+            large.append(one.chunk_offset)
 
-    item.chunk_iter(check_place)
+    item.chunk_iter(check_one)
     if wrong:
         _refuse(where, f"{name} is damaged", wrong)
     if count < math.prod(-(-rows // long) for rows, long in zip(shape, chunk, strict=True)):
-        _refuse_incomplete(where, name, shape)
-    for place in large:
-        _refuse_overfull(where, name, item.read_direct_chunk(place)[1], whole)
+        _refuse_incomplete(place, shape)
+    for offset in large:
+        _refuse_overfull(where, name, item.read_direct_chunk(offset)[1], whole)
     return stored
 
 
@@ -117,10 +135,10 @@ def _refuse_overfull(where: str, name: str, packed: bytes, whole: int) -> None:
         _refuse(where, f"{name} is damaged", f"a chunk of {len(packed)} bytes that unpacks to more than {whole}")
 
 
-def _refuse_incomplete(where: str, name: str, shape: tuple[int, ...]) -> None:
+def _refuse_incomplete(place: Place, shape: tuple[int, ...]) -> None:
     raise InputError(
-        f"{name} is incomplete",
-        where=where,
+        f"{place.name} is incomplete",
+        where=place.where,
         expected=" x ".join(map(str, shape)) + " values" if len(shape) > 1 else f"{shape[0] if shape else 1} rows",
         found="parts that were never written",
         hint="the program that wrote the file may have been stopped",

@@ -141,12 +141,6 @@ def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
 def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) -> tuple[str, str] | None:
     """Expected and found of the first limit that an array breaks, if any."""
     limits = row.limits
-
-    def first_wrong(wrong: NDArray[np.bool_], part: NDArray[Any] = array) -> str:
-        place = tuple(int(index) for index in np.argwhere(wrong)[0])
-        value = str(part[place])[:SHORT]
-        return f"{value} in row {first + place[0]}" if place else value
-
     least, most = array.min(), array.max()
     if array.dtype.kind == "f":
         has_nan = bool(np.isnan(least))
@@ -154,22 +148,23 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
             least, most = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)  # NaN where all are
         if np.isinf((least, most)).any() or (limits.finite is True and has_nan):
             wrong = np.isinf(array) if limits.finite == "or NaN" else ~np.isfinite(array)
-            return "finite values" + (" or NaN" if limits.finite == "or NaN" else ""), first_wrong(wrong)
+            return "finite values" + (" or NaN" if limits.finite == "or NaN" else ""), _first_wrong(wrong, array, first)
         if limits.nan_where and has_nan:
             missing = np.isnan(file.read(limits.nan_where).reshape(-1, 2)).any(axis=1)
             wrong = np.isnan(array) & ~missing[:, None]
             if wrong.any():
-                return f"NaN only for dots that are missing in the grid {limits.nan_where}", first_wrong(wrong)
+                words = f"NaN only for dots that are missing in the grid {limits.nan_where}"
+                return words, _first_wrong(wrong, array, first)
     for part, low, high, expected in _bounds(file, row, array):
         beyond = least < low or most > high  # some value, which may be of another part
         if beyond and (np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high):
-            return expected, first_wrong((part < low) | (part > high), part)
+            return expected, _first_wrong((part < low) | (part > high), part, first)
     if limits.above is not None and not (array > limits.above).all():
-        return f"more than {limits.above:g}", first_wrong(~(array > limits.above))
+        return f"more than {limits.above:g}", _first_wrong(~(array > limits.above), array, first)
     if limits.one_of:
         known = np.logical_or.reduce([array == value for value in limits.one_of])
         if not known.all():
-            return f"one of {', '.join(map(str, limits.one_of))}", first_wrong(~known)
+            return f"one of {', '.join(map(str, limits.one_of))}", _first_wrong(~known, array, first)
     if limits.increasing:
         flat = array.ravel()
         back = flat[1:] <= flat[:-1] if limits.increasing == "strictly" else flat[1:] < flat[:-1]
@@ -178,6 +173,13 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
             place = int(np.argmax(back))
             return words, f"{flat[place]}, then {flat[place + 1]}"
     return None
+
+
+def _first_wrong(wrong: NDArray[np.bool_], array: NDArray[Any], first: int) -> str:
+    """The first value of an array that is wrong, and its row, counted from row `first` of a dataset."""
+    place = tuple(int(index) for index in np.argwhere(wrong)[0])
+    value = str(array[place])[:SHORT]
+    return f"{value} in row {first + place[0]}" if place else value
 
 
 def _bounds(file: Contents, row: Dataset, array: NDArray[Any]) -> Iterator[tuple[NDArray[Any], float, float, str]]:

@@ -84,6 +84,12 @@ def is_place(kind: str, path: str) -> bool:
     return path in known or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
 
 
+@functools.lru_cache(maxsize=1000)
+def is_dimension(kind: str, path: str) -> bool:
+    """Whether what lies at a path can be no dataset of a file of this kind, but a dimension of it."""
+    return is_place(kind, path) and schema.load(kind).find(path) is None
+
+
 def _of_open_shape(kind: str, path: str) -> bool:
     group, _, name = path.rpartition("/")
     return group in _open_groups(kind) and ANY_SHAPE.fullmatch(name) is not None

@@ -1,7 +1,6 @@
-"""The reading API: a recording by slice, by iteration and by range is the same; windows of features for training."""
+"""The reading API: a recording by slice, by iteration, by range and in blocks is the same."""
 
 import itertools
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +18,7 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings import read
-from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
+from evetac_cli.store.recordings.read import Recording, open_recording
 from tests.make import event_arrays
 
 DOTS = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 15.0]), axis=-1)
@@ -187,84 +186,3 @@ def test_damaged_events(tmp_path: Path) -> None:
     path.write_bytes(damaged)
     with pytest.raises(InputError, match=r"events/x cannot be read(.|\n)*damaged"), open_recording(path) as recording:
         list(recording)
-
-
-LABEL = [0] * 20 + [1] * 6 + [-1] * 4
-
-
-def write_features(path: Path, label: list[int] | None = None, onset: int = -1) -> tuple[Path, dict[str, Any]]:
-    """Features of 6 dots whose numbers are all different."""
-    slices = len(label or LABEL)
-    numbers = np.arange(slices * 6).reshape(slices, 6)
-    arrays: dict[str, Any] = {
-        "displacement_px": numbers.astype(np.float32),
-        "events_per_dot": (numbers + 10_000).astype(np.int32),
-        "events_total": np.zeros(slices, np.int32),
-        "events_outside": np.zeros(slices, np.int32),
-        "dot_shape": np.array([2, 3], np.int32),
-    }
-    if label is not None:
-        arrays |= {"label": np.array(label, np.int8), "onset_slice": np.int64(onset)}
-    write_stage(path, Recipe("features", 1, {}), arrays)
-    return path, arrays
-
-
-@pytest.mark.parametrize(
-    ("label", "onset", "history", "after", "slices"),
-    [
-        (LABEL, 20, 10, 15, [*range(9, 26)]),  # the examined ones, from where the history is full
-        (LABEL, 20, 10, 3, [*range(9, 23)]),
-        (LABEL, 20, 10, 0, [*range(9, 20)]),
-        (LABEL, 20, 1, 15, [*range(26)]),
-        (LABEL, 20, 26, 15, [25]),
-        (LABEL, 20, 27, 15, []),
-        ([0] * 12, -1, 10, 15, [9, 10, 11]),
-        ([0, -1, 0, -1, 0], -1, 2, 15, [2, 4]),
-        ([-1] * 12, -1, 1, 15, []),
-    ],
-)
-def test_windows_are_cut_where_they_can_be_learned_from(
-    tmp_path: Path, label: list[int], onset: int, history: int, after: int, slices: list[int]
-) -> None:
-    """Assert that items are the slices with a label, a full history and not long after the onset, newest first."""
-    path, arrays = write_features(tmp_path / "a.features.h5", label, onset)
-    data = SlipWindows([path], history, after)
-    assert len(data) == len(slices)
-    for index, slice_ in enumerate(slices):
-        window, wanted = data[index]
-        assert window.dtype == np.float32
-        assert wanted.dtype == np.float32
-        assert wanted == label[slice_]
-        back = slice_ - np.arange(history)
-        np.testing.assert_array_equal(window[:, :history], arrays["displacement_px"][back].T)
-        np.testing.assert_array_equal(window[:, history:], arrays["events_per_dot"][back].T)
-
-
-def test_windows_of_several_files(tmp_path: Path) -> None:
-    """Assert that files follow each other, and no window reaches from one into another."""
-    first, _ = write_features(tmp_path / "a.features.h5", [0] * 11)
-    second, arrays = write_features(tmp_path / "b.features.h5", [0] * 5 + [1] * 8, 5)
-    data = SlipWindows([str(first), second], history=10)
-    assert [float(data[index][1]) for index in range(len(data))] == [0, 0, 1, 1, 1, 1]
-    np.testing.assert_array_equal(data[2][0][:, 9], arrays["displacement_px"][0])
-    assert len(SlipWindows([])) == 0
-
-
-def test_windows_need_labels(tmp_path: Path) -> None:
-    """Assert that features without labels are refused, with what to do."""
-    path, _ = write_features(tmp_path / "a.features.h5")
-    with pytest.raises(InputError, match=r"(?s)have no labels.*evetac label"):
-        SlipWindows([path])
-
-
-def test_windows_are_the_same_in_a_worker(tmp_path: Path) -> None:
-    """Assert that windows travel to another process as the names of their files."""
-    path, _ = write_features(tmp_path / "a.features.h5", [0] * 5 + [1] * 8, 5)
-    data = SlipWindows([path], 3, 4)
-    state = pickle.dumps(data)
-    assert len(state) < 1000
-    copy = pickle.loads(state)
-    assert len(copy) == len(data) == 7
-    for one, other in zip([data[index] for index in range(7)], [copy[index] for index in range(7)], strict=True):
-        np.testing.assert_array_equal(one[0], other[0])
-        assert one[1] == other[1]
