@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
 COUNTED_SLICES = 100  # the recorder gets to know what the camera lost after so many
 FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluated the sooner
-WARM_UP_SLICES = 30  # of noise, before the camera runs
+WARM_UP_SLICES, MOST_WARM_UP_SLICES = 30, 2000  # of noise, before the camera runs
 WARM_UP_EVENTS = 3000  # in each
 FLUSH_S = 5.0
 LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
@@ -114,14 +114,19 @@ class DetectorEnded(NamedTuple):
 
 
 def open_detector(settings: DetectorSettings) -> SliceDetector | None:
-    """The detector, and one run through it on noise with another of its kind, so that everything is compiled."""
+    """The detector, and a run through it on noise with another of its kind, so that everything is compiled and loaded.
+
+    Until a first probability comes: the network is not run before, and loads a library of linear algebra when it is.
+    """
     if settings.model is None:
         return None
     first, detector = (settings.model.open(settings.sensor) for _ in range(2))
     rng = np.random.default_rng(0)
-    for k in range(WARM_UP_SLICES):
-        first.step(noise(rng, k))
+    for k in range(MOST_WARM_UP_SLICES):
+        probability = first.step(noise(rng, k))
         _ = first.signal
+        if k >= WARM_UP_SLICES and not math.isnan(probability):
+            break
     return detector
 
 
