@@ -187,6 +187,7 @@ def _capture(file: StageFile) -> dict[str, Any]:
         "slice_late_us_p99": late_us("slice_late_us"),
         "commands_per_s": figure("commands_per_s"),
         "command_misses": figure("command_misses"),
+        "command_misses_by_gripper": figure("command_misses_by_gripper"),
         "latency_us_p99": late_us("latency_us"),
     }
     return {name: value for name, value in figures.items() if value is not None}

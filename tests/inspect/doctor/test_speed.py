@@ -18,7 +18,7 @@ from evetac_cli.inspect.doctor import chain, speed
 from evetac_cli.inspect.doctor.chain import Tried
 from evetac_cli.inspect.doctor.speed import Computer, WakeUps, Written
 
-FINE = Tried(0, "", 10_000, 10, 5_000, 5, 100, 0.5, 0.62)  # at the limits, but for what a pseudo terminal misses
+FINE = Tried(0, "", 10_000, 100, 5_000, 50, 400, 0.5, 0.62)  # at the limits, but for what a pseudo terminal misses
 
 
 class Made(Computer):
@@ -34,7 +34,7 @@ class Made(Computer):
             "decoded_per_s": 10e6,
             "written": Written(1e6, 75.0),
             "bears": 1_000_000,
-            "too_much": {"late_slices": 11},
+            "too_much": {"late_slices": 101},
         }
         self.figures: dict[str, Any] = {**given, **figures}
 
@@ -180,8 +180,8 @@ def test_what_is_said_to_be_judged_was_tried(bears: int, tried: list[int], judge
     assert list(rows) == [f"at {rate:,}/s" for rate in tried]
     for rate, row in zip(tried, rows.values(), strict=True):
         assert row["ok"] == (rate <= bears)
-        assert row["found"].startswith("fine: " if rate <= bears else "not fine: 11 of 10,000 slices late")
-        assert "5 of 5,000 commands missed; 100 more by the virtual gripper; " in row["found"]
+        assert row["found"].startswith("fine: " if rate <= bears else "not fine: 101 of 10,000 slices late")
+        assert "50 of 5,000 commands missed; 400 more by the virtual gripper; " in row["found"]
         assert "the detector takes 62 % of a core" in row["found"]
         assert (10.0, f"s of a grasp at {rate:,} events/s") in reported
     assert result.summary["judged_events_per_s"] == judged
@@ -191,7 +191,7 @@ def test_what_is_said_to_be_judged_was_tried(bears: int, tried: list[int], judge
 
 @pytest.mark.parametrize(
     "too_much",
-    [{"late_slices": 11}, {"missed_by_us": 6}, {"behind_s": 0.51}, {"ended": "the recorder hangs", "late_slices": 0}],
+    [{"late_slices": 101}, {"missed_by_us": 51}, {"behind_s": 0.51}, {"ended": "the recorder hangs", "late_slices": 0}],
 )
 def test_a_rate_is_not_fine_where_a_grasp_would_say_so(too_much: dict[str, Any]) -> None:
     """Assert that late slices, our own missed commands, a recorder that falls behind and an early end each count."""
