@@ -11,7 +11,7 @@ from evetac_cli.devices.grippers import Serial
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.grip.paper import PAPER
+from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
@@ -152,10 +152,10 @@ def goals_by_law(rows: Sequence[dict[str, Any]], slips: Callable[[int], bool]) -
     for row in rows:
         if row["control/early_goal_ticks"] != -1:
             signal = SlipSignal(sum(map(slips, range(row["control/early_slices_processed"]))))
-            goals.append(law.copy().step(before["control/phase"], signal, before["gripper/position_ticks"]))
+            goals.append(law.copy().step(GraspPhase(before["control/phase"]), signal, before["gripper/position_ticks"]))
             assert row["control/early_goal_ticks"] == goals[-1]
         signal = SlipSignal(sum(map(slips, range(row["control/slices_processed"]))))
-        goals.append(law.step(row["control/phase"], signal, row["gripper/position_ticks"]))
+        goals.append(law.step(GraspPhase(row["control/phase"]), signal, row["gripper/position_ticks"]))
         assert (row["control/goal_ticks"], row["control/slip"]) == (goals[-1], law.slip)
         before = row
     return goals

@@ -20,6 +20,7 @@ from evetac_cli.errors import DeviceError, InputError, attached_outcome
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
+from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
@@ -31,6 +32,7 @@ from evetac_cli.trials.grasp.loop import control_row
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from evetac_cli.trials.session import LET_GO
 from evetac_cli.trials.trial import DeviceTrial
+from tests.trials.grasp.bench import goals_by_law
 from tests.trials.live_view.fake_view import FakeView
 
 PORT = "/dev/ttyNothing"
@@ -342,6 +344,12 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
         assert (np.isfinite(latency) == (slip > 0)).all()
         assert (latency[slip > 0] > 0).all()
         assert (np.diff(file.read("control/slices_processed")) >= 0).all()
+        needed = ("goal_ticks", "slip", "phase", "slices_processed", "early_goal_ticks", "early_slices_processed")
+        steps = {f"control/{name}": file.read(f"control/{name}").tolist() for name in needed}
+        steps["gripper/position_ticks"] = file.read("gripper/position_ticks").tolist()
+        rows = [dict(zip(steps, row, strict=True)) for row in zip(*steps.values(), strict=True)]
+        slips = is_slip(file.read("control/probability"), Grasp().slip_threshold)
+        goals_by_law(rows, lambda k: bool(slips[k]))  # asserts that the file holds them
         assert "controller" in file.read("capture/scheduling")
         assert int(file.read("capture/lost/camera.late_events")) == 0
         assert json.loads(file.read("control/outcome"))["lifted"] == row["lifted"]
