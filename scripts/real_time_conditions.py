@@ -159,6 +159,7 @@ class Watched:
         """recording: what exists while it records; half: holds the processes."""
         self._run, self._recording, self._half = run, recording, half
         self._seen: dict[str, list[tuple[float, float]]] = {}  # time of day and CPU time, first and last
+        self.names: dict[int, str] = {}  # of processes, as when they were first seen: later some have ended
         self._ended = threading.Event()
         self._look()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -170,7 +171,8 @@ class Watched:
 
     def _look(self) -> None:
         records = self._recording.exists()
-        for what, pid in processes_of(self._run.pid).items():
+        for name, pid in processes_of(self._run.pid).items():
+            what = self.names.setdefault(pid, name)
             state = state_of(pid)
             if state is None:
                 continue

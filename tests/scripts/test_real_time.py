@@ -1,7 +1,10 @@
 """The measurement of grasps in real time: what it runs, what it need not run again, and what it makes of its rows."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -79,6 +82,17 @@ def test_processes_are_told_by_what_they_are(tmp_path: Path) -> None:
         recording = tmp_path / "a.recording.part"
         watched = real_time_conditions.Watched(run, recording)
         assert watched.shares() == {}  # nothing is recorded
+        recording.mkdir()
+        watched = real_time_conditions.Watched(run, recording)
+        os.kill(detector, signal.SIGKILL)
+        while real_time_conditions.processes_of(run.pid).get("detector") == detector:
+            time.sleep(0.01)
+        time.sleep(3 * real_time_conditions.POLL_S)
+        assert set(watched.shares()) <= {"recorder", "servo", "detector", "controller"}
+        assert watched.names == {
+            **{run.pid: "recorder", servo: "servo"},
+            **{detector: "detector", controller: "controller"},
+        }
         state = real_time_conditions.state_of(run.pid)
         run.communicate("")
     assert found == {"recorder": run.pid, "servo": servo, "detector": detector, "controller": controller}
