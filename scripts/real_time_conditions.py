@@ -22,6 +22,7 @@ BUSY_LOOPS = 2
 CONDITIONS = ("quiet", "busy", "half")
 POLL_S, PATIENCE_S = 0.02, 5.0
 PERIOD_US, QUOTA_US = 2000, 1000
+PROCESSES = ("recorder", "servo", "detector", "controller")
 REALTIME_US = {"controller": 800, "servo": 700, "recorder": 300}
 USUAL_SHARES, NICER = 1024, 1.25  # of a process that is not nice; one that is nicer by one has so many times less
 
@@ -67,54 +68,46 @@ def state_of(pid: int) -> ProcessState | None:
 
 
 class HalfSpeed:
-    """Groups in which a process gets half a core; SystemExit where none can be made."""
+    """Groups in which each process of a grasp gets half a core; SystemExit where none can be made."""
 
     def __init__(self) -> None:
-        self._groups: list[Path] = []
-        self._held: dict[int, tuple[Path, int]] = {}  # group of a process, and how nice it is
         self._is_v1, self._above = _cpu_controller()
+        self._groups = {what: self._above / f"evetac-{os.getpid()}-{what}" for what in PROCESSES}
+        self._nice = dict.fromkeys(PROCESSES, 0)
+        self._held: set[int] = set()
         until_s = time.monotonic() + PATIENCE_S
-        while (error := self._fault()) is not None:
+        while (error := self._make_groups()) is not None:
             if time.monotonic() > until_s:
+                self.close()
                 raise SystemExit(f"--condition half: no group can be made below {self._above}: {error}")
-            time.sleep(POLL_S)  # the kernel takes back later what groups had that are removed
+            time.sleep(POLL_S)  # the kernel takes back later what groups had that were removed before
 
-    def _fault(self) -> OSError | None:
-        """What is wrong with a group that takes what all groups will, which is removed again; None if nothing is."""
-        group = self._above / f"evetac-{os.getpid()}-try"
+    def _make_groups(self) -> OSError | None:
+        """Make the groups, as far as they are not there; what is wrong, None if nothing is."""
         try:
-            self._group(group.name, sum(REALTIME_US.values()))
+            for what, group in self._groups.items():
+                group.mkdir(exist_ok=True)
+                if not self._is_v1:
+                    (group / "cpu.max").write_text(f"{QUOTA_US} {PERIOD_US}")
+                    continue
+                (group / "cpu.cfs_period_us").write_text(str(PERIOD_US))
+                (group / "cpu.cfs_quota_us").write_text(str(QUOTA_US))
+                if what in REALTIME_US:
+                    (group / "cpu.rt_period_us").write_text(str(PERIOD_US))
+                    (group / "cpu.rt_runtime_us").write_text(str(REALTIME_US[what]))
         except OSError as error:
             return error
-        finally:
-            with contextlib.suppress(OSError):
-                group.rmdir()
         return None
-
-    def _group(self, name: str, realtime_us: int) -> Path:
-        group = self._above / name
-        self._groups.append(group)
-        group.mkdir()
-        if not self._is_v1:
-            (group / "cpu.max").write_text(f"{QUOTA_US} {PERIOD_US}")
-            return group
-        (group / "cpu.cfs_period_us").write_text(str(PERIOD_US))
-        (group / "cpu.cfs_quota_us").write_text(str(QUOTA_US))
-        if realtime_us and (group / "cpu.rt_runtime_us").exists():
-            (group / "cpu.rt_period_us").write_text(str(PERIOD_US))
-            (group / "cpu.rt_runtime_us").write_text(str(realtime_us))
-        return group
 
     def hold(self, what: str, pid: int, niceness: int) -> None:
         """Hold a process and its threads to half its speed, as nice as it is now; may be called again and again."""
+        group = self._groups[what]
         if pid not in self._held:
-            group = self._group(f"evetac-{os.getpid()}-{what}-{pid}", REALTIME_US.get(what, 0))
-            self._held[pid] = group, 0
+            self._held.add(pid)
             with contextlib.suppress(ProcessLookupError):
                 (group / "cgroup.procs").write_text(str(pid))
-        group, before = self._held[pid]
-        if niceness != before:
-            self._held[pid] = group, niceness
+        if niceness != self._nice[what]:
+            self._nice[what] = niceness
             if self._is_v1:
                 (group / "cpu.shares").write_text(str(round(USUAL_SHARES * NICER**-niceness)))
             else:
@@ -123,12 +116,10 @@ class HalfSpeed:
     def close(self) -> None:
         """Remove the groups, once the processes in them have ended."""
         until_s = time.monotonic() + PATIENCE_S
-        while self._groups and time.monotonic() < until_s:
-            for group in self._groups.copy():
+        while any(group.exists() for group in self._groups.values()) and time.monotonic() < until_s:
+            for group in self._groups.values():
                 with contextlib.suppress(OSError):
-                    if group.exists():
-                        group.rmdir()
-                    self._groups.remove(group)
+                    group.rmdir()
             time.sleep(POLL_S)
 
 

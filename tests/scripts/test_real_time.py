@@ -107,7 +107,6 @@ def test_a_group_holds_half_a_core_and_is_as_nice_as_its_process(
 ) -> None:
     """Assert quota, real-time share where there is one, and weight, each written once, in a folder of plain files."""
     monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (is_v1, tmp_path))
-    monkeypatch.setattr(Path, "rmdir", lambda group: [file.unlink() for file in group.iterdir()])
     half = HalfSpeed()
     for niceness in (0, -10, -10):
         half.hold("detector", 123, niceness)
@@ -121,6 +120,8 @@ def test_a_group_holds_half_a_core_and_is_as_nice_as_its_process(
             "cgroup.procs": "123",
             "cpu.shares": "9537",
         }
+        realtime = {file.parent.name.split("-")[-1]: file.read_text() for file in tmp_path.glob("*/cpu.rt_runtime_us")}
+        assert realtime == {what: str(us) for what, us in real_time_conditions.REALTIME_US.items()}
     else:
         assert written == {"cpu.max": "1000 2000", "cgroup.procs": "123", "cpu.weight.nice": "-10"}
 
