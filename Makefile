@@ -9,19 +9,24 @@ SMALL ?=
 SIZES ?=
 # Of bench: a revision, or the folder of another checkout, to compare with.
 BASE ?=
+# Of profile: a file for its figures as JSON.
+COSTS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-DEVELOPING := $(VENV)/.ready-to-develop
-# What commands and experiments use: all but the viewer rerun (500 MB), of which tests alone have need.
-USED := camera,cluster,convert,log,plot,robot
+ALL := $(VENV)/.ready-to-develop
+# Extras of the commands of README and of the first hour; the others come with setup-all, or one by one when needed.
+USED := plot
+EVERY := camera,cluster,convert,log,plot,robot,view,dev,docs
+# Where pip looks beside its own index, for torch without CUDA: https://download.pytorch.org/whl/cpu, or a folder.
+TORCH_INDEX ?=
 LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
 # Installs, and says of each larger package that it comes: pip says either nothing for minutes, or hundreds of lines.
 INSTALL = $(BIN)/python -m pip install --no-compile --disable-pip-version-check --progress-bar off \
-	--constraint constraints.txt --editable
+	--constraint constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) --editable
 SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$0} \
 	/^Installing collected packages/ {print "  unpacking " NF - 3 " packages"} {fflush()}' >&2
 
@@ -29,14 +34,16 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
+.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
 	data-rate force grasp-table grasp-shipped slip-by-sensor part-effects blind-identification force-sensors touch-cost \
-	mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench clean
+	mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
 
-setup: $(READY)  ## make a virtual environment of its own in .venv, with all that the commands use; two to six minutes
+setup: $(READY)  ## make a virtual environment in .venv for README's commands, and compile them (TORCH_INDEX)
+
+setup-all: $(ALL)  ## ... with every extra, and what tests, checks and documentation use
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -45,9 +52,9 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/evetac doctor --compile
 	@touch $@
 
-$(DEVELOPING): $(READY)
-	@echo 'installing what tests, checks and documentation use too, [$(USED),dev,docs,view], into $(VENV)'
-	@$(INSTALL) '.[$(USED),dev,docs,view]' | $(SAYING)
+$(ALL): $(READY)
+	@echo 'installing the other extras, and what tests, checks and documentation use, [$(EVERY)], into $(VENV)'
+	@$(INSTALL) '.[$(EVERY)]' | $(SAYING)
 	@touch $@
 
 experiments: $(READY)  ## list the experiments with their sizes
@@ -107,10 +114,10 @@ force-sensors: $(READY)  ## ... and forces on these sensors, which no model saw
 touch-cost: $(READY)  ## what a step of the touch sensor costs
 	@$(REPRODUCE) --only $@
 
-mujoco-grasps: $(READY)  ## grasps in MuJoCo with our touch
+mujoco-grasps: $(ALL)  ## grasps in MuJoCo with our touch
 	@$(REPRODUCE) --only $@
 
-lift-baseline: $(READY)  ## a grip law found by CMA-ES against fixed grips
+lift-baseline: $(ALL)  ## a grip law found by CMA-ES against fixed grips
 	@$(REPRODUCE) --only $@
 
 strips: $(READY)  ## a picture of every scene, in strips/: events, forces and slip
@@ -123,10 +130,10 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
-test: $(DEVELOPING)  ## the test suite; first installs what it needs, if anything is missing
+test: $(ALL)  ## the test suite; first installs what it needs, if anything is missing
 	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
-test-all: $(DEVELOPING)  ## the test suite with its longer cases
+test-all: $(ALL)  ## the test suite with its longer cases
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
@@ -142,17 +149,17 @@ lerobot:  ## an environment of its own for LeRobot in .venv-lerobot, gigabytes, 
 	$(PYTHON) -m venv --clear $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
-check: $(DEVELOPING)  ## ruff, mypy --strict and the documentation, side by side
+check: $(ALL)  ## ruff, mypy --strict and the documentation, side by side
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs
 
-lint: $(DEVELOPING)
+lint: $(ALL)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(DEVELOPING)
+types: $(ALL)
 	$(BIN)/mypy
 
-docs: $(DEVELOPING)  ## the documentation: site/index.html, with every page of the reference made from the code
+docs: $(ALL)  ## the documentation: site/index.html, with every page of the reference made from the code
 	$(BIN)/python scripts/docs/pages.py
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
@@ -160,6 +167,9 @@ docs: $(DEVELOPING)  ## the documentation: site/index.html, with every page of t
 
 bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
+
+profile: $(READY)  ## what each stage costs: processor time, memory and bytes per trial, start-up apart (COSTS, for JSON)
+	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
 clean:  ## remove what demo, tests and builds left; the environment stays
 	rm -rf demo strips film small dist site docs/reference .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis

@@ -35,10 +35,11 @@ if TYPE_CHECKING:
         tracker_presets,
     )
     from evetac_cli.errors import EvetacError, InputError, UnavailableError
-    from evetac_cli.events import Events, Slicer
+    from evetac_cli.events import Events, SliceBlock, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
-    from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
+    from evetac_cli.store.recordings.read import Recording, open_recording
+    from evetac_cli.store.recordings.slip_windows import SlipWindows
 
 __all__ = [
     "DotTracker",
@@ -49,6 +50,7 @@ __all__ = [
     "Recording",
     "Sensitivity",
     "Simulation",
+    "SliceBlock",
     "Slicer",
     "SlipDetector",
     "SlipWindows",
@@ -72,11 +74,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    **dict.fromkeys(("Events", "Slicer"), "events"),
+    **dict.fromkeys(("Events", "SliceBlock", "Slicer"), "events"),
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
-    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),
+    **dict.fromkeys(("Recording", "open_recording"), "store.recordings.read"),
+    "SlipWindows": "store.recordings.slip_windows",
 }
 
 

@@ -19,10 +19,10 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.labels import is_slip
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
-from evetac_cli.stages.slip_detectors import why_useless
+from evetac_cli.stages.model_files import why_useless
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.record import SCENE_KINDS, simulated
@@ -317,7 +317,7 @@ def tracker_presets() -> list[str]:
     >>> "stable" in evetac.tracker_presets()
     True
     """
-    return list(tracker.PRESETS)
+    return list(presets.PRESETS)
 
 
 def architectures() -> list[str]:
@@ -329,10 +329,10 @@ def architectures() -> list[str]:
     return list(ARCHITECTURES)
 
 
-def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], tracker.TrackerConstants]:
+def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets.TrackerConstants]:
     """The dots of a gel at rest and the tracker's constants for them; InputError where they are unknown or no dots."""
-    if preset not in tracker.PRESETS:
-        raise InputError("unknown preset of the tracker", expected=", ".join(tracker.PRESETS), found=preset)
+    if preset not in presets.PRESETS:
+        raise InputError("unknown preset of the tracker", expected=", ".join(presets.PRESETS), found=preset)
     where = str(getattr(gel, "path", "gel"))
     if gel.dot_xy_px is None or gel.dot_radius_px is None:
         raise InputError(
@@ -349,7 +349,7 @@ def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], tracker
         shape = f"shape {np.shape(dots)}" if dots.size else "no array of numbers"
         expected = "(rows, columns, 2), or (dots, 2): x and y of each dot"
         raise InputError("not dot positions", where=f"{where}: dot_xy_px", expected=expected, found=shape)
-    return dots, tracker.PRESETS[preset].for_dots(gel.dot_radius_px)
+    return dots, presets.PRESETS[preset].for_dots(gel.dot_radius_px)
 
 
 def _in_rows(dot_xy_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:

@@ -5,6 +5,8 @@ Events travel as columns of equal length, sorted by time. Slice k holds all even
 an empty slice is still a slice, because the slice index is the clock.
 """
 
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +48,32 @@ class Events(NamedTuple):
     def at(self, rows: NDArray[np.bool_ | np.intp]) -> "Events":
         """Copies of the events at some rows, by index or mask."""
         return Events(self.t[rows], self.x[rows], self.y[rows], self.p[rows])
+
+
+class SliceBlock(NamedTuple):
+    """Consecutive slices in one piece.
+
+    first: the first slice; starts: where each slice begins among `events`, and their number at the end, (slices + 1,);
+    times stay absolute.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     block = next(recording.blocks(ms=100))
+    >>> block.first, block.stop, len(block.starts)
+    (0, 100, 101)
+    """
+
+    first: int
+    starts: NDArray[np.int64]
+    events: Events
+
+    @property
+    def stop(self) -> int:
+        """The slice after the last one."""
+        return self.first + len(self.starts) - 1
+
+    def slices(self) -> Iterator[Events]:
+        """Views of each slice in turn."""
+        return (self.events.part(start, stop) for start, stop in pairwise(self.starts.tolist()))
 
 
 def empty() -> Events:
@@ -118,8 +146,8 @@ class Slicer:
             return []
         waiting = concatenate(self._waiting)
         edges = np.searchsorted(waiting.t, np.arange(self._next + 1, slices + 1, dtype=np.int64) * SLICE_US)
-        starts = [0, *edges.tolist()]
-        closed = [waiting.part(first, last) for first, last in zip(starts, starts[1:], strict=False)]
-        self._waiting = [waiting.part(starts[-1], waiting.size)]
+        starts = np.concatenate([[0], edges])
+        closed = list(SliceBlock(self._next, starts, waiting).slices())
+        self._waiting = [waiting.part(int(starts[-1]), waiting.size)]
         self._next = slices
         return closed

@@ -141,8 +141,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Put an object down and touch it lightly; a seed decides all that is drawn."""
         from evetac_cli.devices.simulated import SimulatedGripper, rig
-        from evetac_cli.kernels.tracking import tracker
-        from evetac_cli.stages.slip_detectors import require_useful
+        from evetac_cli.kernels.tracking import presets
+        from evetac_cli.stages.model_files import require_useful
         from evetac_cli.trials.grasp.online_detector import open_detector
 
         super().reset(seed=seed)
@@ -162,7 +162,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         with StageFile(self._model, "model") as model:
             require_useful(model)
             self._detector = open_detector(
-                model, devices.camera.sensor, tracker.PRESETS["stable"], Grasp.slip_threshold
+                model, devices.camera.sensor, presets.PRESETS["stable"], Grasp.slip_threshold
             )
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)

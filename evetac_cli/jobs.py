@@ -78,7 +78,8 @@ class Stage(Generic[P]):
     jobs: what has to be made from files and parameters, and where; run: make one job, (job, params, *, force, progress)
     -> Outcome. cautions: what to know before long work begins. parts: of a job, what can be made at the same time
     before it. for_people: the rows that a terminal shows, and what they amount to. dry_run: what would be made and what
-    that costs, (jobs, params, *, force, progress) -> Outcome; dry_run_for_people: what of it fits a screen.
+    that costs, (jobs, params, *, force, progress) -> Outcome; dry_run_for_people: what of it fits a screen. recipe:
+    that of a job's output, as far as indexes know its inputs, (job, params, store.index.known.Known) -> Recipe or None.
     """
 
     jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]
@@ -88,6 +89,7 @@ class Stage(Generic[P]):
     for_people: Callable[[Rows, P], tuple[Rows, list[str]]] = all_rows
     dry_run: Callable[..., Outcome] | None = None
     dry_run_for_people: Callable[[Outcome], tuple[Rows, list[str]]] = lambda shown: (shown.rows, [])
+    recipe: Callable[[Any, P, Any], Any] | None = None
 
 
 def require_possible_name(output: Path) -> None:

@@ -14,9 +14,10 @@ import hashlib
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -207,8 +208,11 @@ def _put_caches_into(folder: Path) -> None:
 
 def settle_for_this_process() -> None:
     """As above where somebody else's program imports evetac: kernels alone, and no variable of the environment."""
-    if is_beside_source():
-        return
+    if not is_beside_source():
+        before_the_first_kernel(_settle_numba)
+
+
+def _settle_numba() -> None:
     import numba
 
     if not numba.config.CACHE_DIR:
@@ -219,3 +223,26 @@ def settle_for_this_process() -> None:
             _take_over(folder)
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
         numba.config.CACHE_DIR = str(folder)
+
+
+_waiting: list[Callable[[], None]] = []  # for the first kernel
+
+
+def before_the_first_kernel(act: Callable[[], None]) -> None:
+    """Call this when numba is loaded and before a kernel is: at once where numba is there, or never without kernels."""
+    if "numba" in sys.modules:
+        act()
+    elif act not in _waiting:
+        _waiting.append(act)
+
+
+def forget(act: Callable[[], None]) -> None:
+    """Call this no longer before the first kernel."""
+    with suppress(ValueError):
+        _waiting.remove(act)
+
+
+def first_kernel_comes() -> None:
+    """Call what waits for the first kernel, once; for kernels/compiled.py."""
+    while _waiting:
+        _waiting.pop(0)()

@@ -1,7 +1,6 @@
 """Where the package's own data lies: schemas, scenes, tables, a slip detector, a force model."""
 
 import functools
-import tomllib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -52,4 +51,6 @@ def with_shipped(files: Iterable[Path]) -> list[Path]:
 @functools.cache
 def table(name: str) -> dict[str, Any]:
     """A TOML table of the package: objects, sensors."""
+    import tomllib
+
     return tomllib.loads((DATA / f"{name}.toml").read_text())

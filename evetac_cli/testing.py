@@ -243,8 +243,11 @@ def _goals(law: PluginLaw) -> list[int]:
     for step in range(250):
         phase = GraspPhase(min(step // 80, 2))
         slips += step % 40 == 0
-        goal = control.step(phase, SlipSignal(slips, 0.5, 0.1 * step, 0.0), position)
+        signal = SlipSignal(slips, 0.5, 0.1 * step, 0.0)
+        ahead = control.copy().step(phase, signal, position)  # as where a slip is answered before its step
+        goal = control.step(phase, signal, position)
         assert type(goal) is int
+        assert goal == ahead, "it remembers something outside of its state, or a copy of that changes it"
         assert PAPER.first_tick <= goal <= PAPER.last_tick
         assert math.isfinite(control.u_ff_ticks), "u_ff is finite: recordings are not valid otherwise"
         assert not math.isinf(control.x_ref_ticks), "x_ref is finite, or NaN where there is none"

@@ -11,7 +11,6 @@ import math
 import os
 import re
 import stat
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -141,6 +140,8 @@ def require_finite(table: Mapping[str, Any], where: str, refusal: type[InputErro
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML within the limits above; ValueError says in words what is wrong with it. Floats may be nan or inf."""
+    import tomllib  # here, as most commands read none
+
     outline = _TOML_TEXT.sub("a", text.replace("\r\n", "\n"))
     if _DOTTED.search(outline):
         raise ValueError(f"a key of more than {MOST_DEPTH} parts")

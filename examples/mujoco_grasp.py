@@ -24,7 +24,7 @@ import evetac_cli as evetac
 from evetac_cli import resources
 from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law, uses_detector
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.sim.gripper import Drive, gap_m, ticks_at_gap
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
@@ -170,7 +170,7 @@ def phase_at(now_ms: int) -> GraspPhase:
 
 def detector_for(sensor: evetac.TouchSensor) -> OnlineSlipDetector:
     """The package's slip detector on a sensor."""
-    constants = tracker.PRESETS["stable"].for_dots(sensor.dot_radius_px)
+    constants = presets.PRESETS["stable"].for_dots(sensor.dot_radius_px)
     with StageFile(resources.MODEL, "model") as model:
         gel = sensor.dot_xy_px, sensor.window_px, constants, sensor.sensitivity
         detector = OnlineSlipDetector.start(model, *gel)

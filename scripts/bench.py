@@ -33,7 +33,7 @@ from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.resources import MODEL
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import first_plan
@@ -157,7 +157,7 @@ def touch() -> list[dict[str, object]]:
         # Different slices: the same one again and again would make its pixels hot, and they would be left out.
         slices = [rim_events(rng, count) for _ in range(min(400, 400_000 // max(count, 1)))]
         for preset in ("paper", "official", "stable"):
-            state = tracker.start(dots, tracker.PRESETS[preset])
+            state = tracker.start(dots, presets.PRESETS[preset])
             turn = itertools.cycle(slices)
             seconds = timed(lambda s=state, t=turn: tracker.step(s, *next(t)), 500)
             rows.append(row(f"track {preset}, {count} events", seconds))
@@ -192,7 +192,7 @@ def network() -> list[dict[str, object]]:
 def online_step(count: int = 500) -> list[dict[str, object]]:
     """From the events of a slice to a slip probability and the signal to the controller, with the package's model."""
     with StageFile(MODEL, "model") as model:
-        name, constants = model.read("architecture"), tracker.PRESETS[Grasp().tracker]
+        name, constants = model.read("architecture"), presets.PRESETS[Grasp().tracker]
         detector = OnlineSlipDetector.start(model, DOTS_PX.reshape(7, 9, 2)[:, :8], (540, 0, 640, 480), constants)
     rng = np.random.default_rng(0)
     turn = itertools.cycle([events_near(rng, count) for _ in range(200)])

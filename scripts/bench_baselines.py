@@ -25,7 +25,7 @@ from evetac_cli.kernels.labelling import event_flow, flow
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
@@ -117,9 +117,9 @@ class NumpyTracker:
     """The paper's gradient step in plain numpy: every event against every dot; preset `paper` but for hot pixels."""
 
     def __init__(self, dot_xy_px: Floats) -> None:
-        state = tracker.start(dot_xy_px, tracker.PRESETS["paper"])
+        state = tracker.start(dot_xy_px, presets.PRESETS["paper"])
         self.dot_xy_px = dot_xy_px.copy()
-        self._constants = tracker.PRESETS["paper"]
+        self._constants = presets.PRESETS["paper"]
         self._near, self._pairs = state.neighbours >= 0, state.neighbours
         self._rest_px2 = ((dot_xy_px[:, None] - dot_xy_px[self._pairs]) ** 2).sum(axis=2)
 
@@ -163,7 +163,7 @@ def trackers() -> list[Row]:
     pictures = [concatenate(slices[max(0, k - FRAME_MS + 1) : k + 1]) for k in range(SLICES)]
 
     def ours(preset: str) -> Callable[[], int]:
-        tracked = tracker.start(DOTS_PX, tracker.PRESETS[preset])
+        tracked = tracker.start(DOTS_PX, presets.PRESETS[preset])
 
         def call() -> int:
             for events in slices:
@@ -257,8 +257,8 @@ def storage(slices: list[Events]) -> list[Row]:
 
         def read_ours() -> int:
             with open_recording(paths[OURS]) as recording:
-                for first in range(0, len(recording), BLOCK):
-                    recording.between(first, min(first + BLOCK, len(recording)))
+                for _ in recording.blocks(BLOCK):
+                    pass
             return events.size
 
         def write_plain(name: str) -> int:

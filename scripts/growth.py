@@ -16,7 +16,8 @@ all processors, with what it starts. Run it on a quiet computer. All of it is si
   recording of 1 s takes is start-up, and is taken away; `over_linear` is how far the rest is from what the recording of
   1 minute says, which may be 0.1 at most.
 - trajectories, workers: record, label, track and featurize of compare_engines.py.
-- files: the first index of a data set, and `info` of its folder after that, which asks the index.
+- files: of data sets of 30 trials and more, four real files each, made by the stages from one recording and copied with
+  other recipe ids: the first index by all cores, the index again, one file more, and a command that has nothing to do.
 """
 
 import argparse
@@ -24,7 +25,6 @@ import json
 import math
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -36,6 +36,7 @@ from typing import TypedDict
 import numpy as np
 from attack.long_recording import Repeated
 from compare_engines import STAGES, run_stage, write_scene
+from data_set_cost import SEED, cpu_of, files
 from numpy.typing import NDArray
 from reproduce import commit
 from results import put_measured
@@ -46,7 +47,7 @@ from evetac_cli.events import FRAME_PX, SLICES_PER_S, Events
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.resources import MODEL
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
@@ -72,9 +73,7 @@ BEFORE = {  # the stages whose files a stage reads, beside the recording
 LENGTHS_S = (1, 60, 600, 3600)
 SLOPE = 1.1  # how much more than 1 s a minute has to cost, to say what an hour should
 TRAJECTORIES = (20, 60, 180)
-FILES = (100, 1_000, 10_000)
 MOST_OVER_LINEAR = 0.1
-SEED = 10_000  # of the trial that is repeated: the package's detector was not trained on it
 
 
 def grid_px(rows: int, columns: int) -> NDArray[np.float64]:
@@ -108,7 +107,7 @@ def step_us(step: Callable[[Events], object], slices: list[Events]) -> float:
 
 def tracking(rest: NDArray[np.float64], preset: str) -> Callable[[Events], object]:
     """A step of the tracker."""
-    state = tracker.start(rest.reshape(-1, 2), tracker.PRESETS[preset])
+    state = tracker.start(rest.reshape(-1, 2), presets.PRESETS[preset])
     return lambda events: tracker.step(state, events.x, events.y, events.p)
 
 
@@ -128,7 +127,7 @@ def events() -> list[Row]:
             for preset in ("stable", "paper", "official")
         ]
         with StageFile(MODEL, "model") as model:
-            detector = OnlineSlipDetector.start(model, rest, (540, 0, 640, 480), tracker.PRESETS["stable"])
+            detector = OnlineSlipDetector.start(model, rest, (540, 0, 640, 480), presets.PRESETS["stable"])
         rows.append({"what": "online step", "events": count, "us": step_us(detector.step, slices)})
     return rows
 
@@ -148,17 +147,6 @@ def dots() -> list[Row]:
 
 
 # --- whole commands ---------------------------------------------------------------------------------------------------
-
-
-def cpu_of(*words: str, cwd: Path) -> tuple[float, float]:
-    """Processor time of a command in s, and its largest resident set in MB; SystemExit if it fails."""
-    command = [sys.executable, "-P", "-m", "evetac_cli", *words]
-    process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(words)} ended with {process.returncode}")
-    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3
 
 
 def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
@@ -265,31 +253,6 @@ def _trajectories(count: int, *engine: str) -> Row:
                 "cpu_s": sum(os.times()[2:4]) - before}  # fmt: skip
 
 
-def files() -> list[Row]:
-    """A data set of copies of a few small files: nine tenths labels and tracks, which are small."""
-    rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as name:
-        write_scene(Path(name) / "tiny.toml")
-        few = Path(name) / "few"
-        for stage in STAGES:
-            run_stage(stage, few, 20)
-        made = sorted(few.glob("*.h5"))
-        turns = [path for path in made if path.name.endswith((".labels.h5", ".tracks.h5"))] * 9 + made[:20]
-        for count in FILES:
-            many = Path(name) / str(count)
-            many.mkdir()
-            for number in range(count):
-                source = turns[number % len(turns)]
-                shutil.copyfile(source, many / f"{number}.{source.name}")
-            first_s, _ = cpu_of("index", str(many), cwd=few)
-            began = time.perf_counter()
-            again_s, _ = cpu_of("info", str(many), cwd=few)
-            rows.append({"files": count, "index_cpu_s": first_s, "info_cpu_s": again_s,
-                         "info_took_s": time.perf_counter() - began})  # fmt: skip
-            shutil.rmtree(many)
-    return rows
-
-
 # --- the picture ------------------------------------------------------------------------------------------------------
 
 
@@ -305,7 +268,17 @@ def draw(measured: dict[str, list[Row]], path: Path) -> None:
         "slices": ("length_s", "stage", {"cpu_s": ""}, "length of the recording [s]", "processor time [s]"),
         "trajectories": ("trajectories", None, {"cpu_s": "four stages"}, "trajectories", "processor time [s]"),
         "workers": ("engine", None, {"took_s": "four stages"}, "workers", "time on the clock [s]"),
-        "files": ("files", None, {"index_cpu_s": "index", "info_cpu_s": "info"}, "files", "processor time [s]"),
+        "files": (
+            "files",
+            None,
+            {
+                "index_cpu_s": "index",
+                "again_cpu_s": "index again",
+                "nothing_to_do_cpu_s": "nothing to do",
+            },
+            "files",
+            "processor time [s]",
+        ),
     }
     shown = [part for part in lines if part in measured]
     # The salt makes it the same picture for the same figures.
@@ -376,12 +349,19 @@ def spread(part: str, rows: list[Row]) -> list[Row]:
 def main() -> int:
     """Read the flags, measure the parts that are asked for, keep them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = {"events": events, "dots": dots, "trajectories": trajectories, "workers": workers, "files": files}
+    parts: dict[str, Callable[[], list[Row]]] = {
+        "events": events,
+        "dots": dots,
+        "trajectories": trajectories,
+        "workers": workers,
+        "files": lambda: files(chosen.most_trials),
+    }
     parser.add_argument("out", type=Path, help="JSON file: part -> commit and rows")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"slices, {', '.join(parts)}")
     parser.add_argument("--longest-min", type=float, default=60.0, help="of `slices`; lengths are 1 s to 1 h")
     parser.add_argument("--events-a-slice", type=float, default=50.0, help="of `slices`, at least")
     parser.add_argument("--stages", help="of `slices`: these, by commas; each needs the files of some before it")
+    parser.add_argument("--most-trials", type=int, default=1_000, help="of `files`: 3.6 MB and 0.1 s each")
     parser.add_argument("--draw", type=Path, help="write a picture of what OUT has")
     parser.add_argument("--page", type=Path, help="put tables of what OUT has into this page")
     chosen = parser.parse_args()

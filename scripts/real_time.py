@@ -1,19 +1,27 @@
 """How well a grasp in real time keeps its time, with virtual devices: prepared event words and a virtual gripper.
 
-    python scripts/real_time.py [--seconds 60] [--runs 5] [--against CHECKOUT] [-o runs.json]
+    python scripts/real_time.py -o runs.jsonl                                       # five runs of 60 s at each rate
+    python scripts/real_time.py -o runs.jsonl --condition quiet busy half           # and under each condition
+    python scripts/real_time.py -o runs.jsonl --against CHECKOUT --runs 2 --seconds 15 --events-per-s 300000
 
 A run is `evetac grasp --camera virtual:prepared --gripper virtual`: the real drivers, the shipped detector, the paper's
-controller and the recorder, in their processes. For each it prints slices and commands a second; latency from the first
-event of the slice with slip to the last byte of the command; how late slices are evaluated (from their end, in us) and
-steps begin; commands missed. Before each run it measures how late the machine itself wakes from sleeps of 1 ms, while
-this program does nothing else, at the loops' priority.
+controller and the recorder, in their processes. Its row is written to -o as it ends, a line of JSON; rows that are
+there are not run again. It says whether the grasp lasted to its end, or in which words it ended; how late slices are
+evaluated (from their end, in us) and steps begin; latency from the first event of the slice with slip to the last byte
+of the command; commands missed, by us and because the virtual gripper's answers were late (its pseudo terminal, its
+process); which share of a core each process took. Before each run it measures how late the machine itself wakes from
+sleeps of 1 ms, while this program does nothing else, at the loops' priority. Before the first run under a condition
+`evetac doctor --speed` is asked under the same one, and what it promised stands in every row.
+
+Conditions: quiet is this machine as it is; busy, beside two loops that do nothing but compute; half, each process held
+to half its speed (real_time_conditions.py).
 
 Latency needs slip, and the events are at random. The detector's probability falls from 0.5 to 0.05 in some 5 s;
 --slip-threshold 0.2 calls slip what lies above it, after that some slices in a hundred, as at the edge of slip. Where
 every slice slips, a step answers two, and its latency is that of the older.
 
---against runs another checkout in turns with this one, of which only the commands are used. Its prepared words may end
-after 30 s. Simulated.
+--against runs another checkout in turns with this one, of which only the commands are used. An older one says less:
+what it does not know is missing in its rows. Its prepared words may end after 30 s. Simulated.
 """
 
 import argparse
@@ -26,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from real_time_conditions import CONDITIONS, HalfSpeed, Watched, condition
 
 from evetac_cli.console import print_table
 from evetac_cli.inspect.doctor.speed import Computer
@@ -34,8 +43,11 @@ from evetac_cli.store.files import StageFile
 HERE = Path(__file__).resolve().parents[1]
 TOUCH_S = 1.5  # of the scene `lift`, before the law reacts to slip
 JITTER_S = 2.0
+OVER = "the grasp is over"
 SPREADS = {"latency": "latency_us", "slice_late": "slice_late_us", "step_late": "step_late_us"}
-MEDIANS = ("slices_per_s", "commands_per_s", "latency_us_median", "latency_us_p99", "missed")
+TIMES = ("slice_late_us_median", "slice_late_us_p99", "latency_us_median", "latency_us_p99")
+SHOWN = (*TIMES, "missed_by_us", "missed_by_gripper", "missed")
+Row = dict[str, Any]
 
 
 def grid(folder: Path) -> Path:
@@ -55,67 +67,156 @@ def jitter() -> dict[str, float]:
     return {"jitter_us_p99": float(np.percentile(late_us, 99)), "jitter_us_most": float(late_us.max())}
 
 
-def one(checkout: Path, chosen: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """One grasp by the commands of a checkout, from the figures of its recording."""
-    phases_s = chosen.seconds - TOUCH_S
+def watched(
+    checkout: Path, words: list[str], folder: Path, half: HalfSpeed | None
+) -> tuple[int, str, str, dict[str, float]]:
+    """Run a command of a checkout in a folder: exit code, what it said on stdout and stderr, its processes' shares."""
+    command = [sys.executable, "-P", "-m", "evetac_cli", *words]
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        watch = Watched(run, folder / "run.recording.part", half)
+        out, said = run.communicate()
+        return run.returncode, out, said, watch.shares()
+
+
+def promise(checkout: Path, folder: Path, half: HalfSpeed | None) -> Row:
+    """What doctor --speed of a checkout says: what is wrong, and, if it knows, how many events a second are judged."""
+    code, out, said, _ = watched(checkout, ["doctor", "--speed", "--json"], folder, half)
+    try:
+        result = json.loads(out)
+    except ValueError:
+        return {"promised": f"exit code {code}: {said.strip()[-300:]}"}
+    wrong = [f"{row['device']} {row['check']}" for row in result["rows"] if row["ok"] is False]
+    row: Row = {"promised": f"wrong: {', '.join(wrong)}" if wrong else "fine in every line"}
+    if "judged_events_per_s" in result["summary"]:
+        row["promised_events_per_s"] = result["summary"]["judged_events_per_s"]
+    return row
+
+
+def one(checkout: Path, plan: Row, folder: Path, half: HalfSpeed | None) -> Row:
+    """One grasp by the commands of a checkout: its figures, as far as there is a recording."""
+    phases_s = plan["seconds"] - TOUCH_S
     lift_s = phases_s / 2
     out = folder / "run.recording.h5"
     words = [
-        *("--camera", f"virtual:prepared={chosen.events_per_s}", "--gripper", "virtual"),
-        *("--calibration", str(grid(folder)), "--slip-threshold", f"{chosen.slip_threshold:g}"),
+        *("grasp", "--camera", f"virtual:prepared={plan['events_per_s']}", "--gripper", "virtual"),
+        *("--calibration", str(grid(folder)), "--slip-threshold", f"{plan['slip_threshold']:g}"),
         *("--lift-s", f"{lift_s:g}", "--balance-s", f"{phases_s - lift_s:g}"),
-        *("--max-seconds", f"{2 * chosen.seconds:g}"),
+        *("--max-seconds", f"{2 * plan['seconds']:g}"),
         *("-q", "--force", "-o", str(out)),
     ]
-    measured: dict[str, Any] = {"checkout": checkout.name, **jitter()}
-    command = [sys.executable, "-P", "-m", "evetac_cli", "grasp", *words]
-    environment = {**os.environ, "PYTHONPATH": str(checkout)}
-    done = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
+    row: Row = {**jitter(), "load_before": os.getloadavg()[0]}
+    code, _, said, shares = watched(checkout, words, folder, half)
+    row |= {"load_after": os.getloadavg()[0], "exit_code": code, "said": said.strip()[-600:], "cpu_shares": shares}
     if not out.exists():
-        raise SystemExit(f"no recording was made: {done.stderr}")
+        return {**row, "lasted": False, "ended": "no recording was made"}
     with StageFile(out, "recording") as file:
-        late = file.read("control/late_us")
-        for name in ("slices_per_s", "commands_per_s"):
-            measured[name] = float(file.read(f"capture/{name}"))
-        for name, path in SPREADS.items():
-            if file.has(f"capture/{path}"):
-                median, p99, most = file.read(f"capture/{path}").tolist()
-                measured |= {f"{name}_us_median": median, f"{name}_us_p99": p99, f"{name}_us_most": most}
-        contact = file.read("control/phase") == 0
-        latency_us = file.read("control/latency_us")[~contact]
-        measured["latencies"] = int(np.isfinite(latency_us).sum())
-        measured["slip_share"] = float(np.mean(file.read("control/probability") >= chosen.slip_threshold))
-        measured |= {"commands": len(late), "missed": int(file.read("capture/command_misses"))}
-        measured |= {"ended": str(file.read("capture/ended")), "scheduling": str(file.read("capture/scheduling"))}
+        row |= figures(file, plan["slip_threshold"])
     out.unlink()
-    return measured
+    return {**row, "lasted": row["ended"] == OVER and code == 0}
+
+
+def figures(file: StageFile, slip_threshold: float) -> Row:
+    """How time was kept, by a recording."""
+    row: Row = {"ended": str(file.read("capture/ended")), "scheduling": str(file.read("capture/scheduling"))}
+    for name in ("slices_per_s", "commands_per_s"):
+        if file.has(f"capture/{name}"):
+            row[name] = float(file.read(f"capture/{name}"))
+    for name, path in SPREADS.items():
+        if file.has(f"capture/{path}"):
+            median, p99, most = file.read(f"capture/{path}").tolist()
+            row |= {f"{name}_us_median": median, f"{name}_us_p99": p99, f"{name}_us_most": most}
+    latency_us = file.read("control/latency_us")[file.read("control/phase") > 0]
+    row |= {"latencies": int(np.isfinite(latency_us).sum()), "commands": len(file.read("control/late_us"))}
+    row["slices"] = len(file.read("control/probability"))
+    row["slip_share"] = float(np.mean(file.read("control/probability") >= slip_threshold))
+    if file.has("capture/command_misses"):
+        row["missed"] = int(file.read("capture/command_misses"))
+    if file.has("capture/command_misses_by_gripper"):
+        row["missed_by_gripper"] = int(file.read("capture/command_misses_by_gripper"))
+        row["missed_by_us"] = row["missed"] - row["missed_by_gripper"]
+        row["answered_early"] = int((file.read("control/early_goal_ticks") >= 0).sum())
+    return row
+
+
+def plans(chosen: argparse.Namespace, checkouts: list[Path]) -> list[Row]:
+    """What is run, in order: under each condition first what doctor says, then run by run all rates, in turns."""
+    made: list[Row] = []
+    for name in chosen.condition:
+        where = [{"checkout": checkout.name, "condition": name} for checkout in checkouts]
+        made += [{"what": "doctor", **each} for each in where if not chosen.no_doctor]
+        how = {"seconds": chosen.seconds, "slip_threshold": chosen.slip_threshold}
+        made += [
+            {"what": "grasp", **each, "events_per_s": rate, **how, "run": run}
+            for run in range(chosen.runs)
+            for rate in chosen.events_per_s
+            for each in where
+        ]
+    return made
+
+
+def known_row(plan: Row, rows: list[Row]) -> Row | None:
+    """The row of what was run already, if it was."""
+    return next((row for row in rows if plan.items() <= row.items()), None)
+
+
+def summary(rows: list[Row]) -> list[Row]:
+    """A row for each checkout, condition and rate: how many runs lasted, medians, and what doctor promised."""
+    table = []
+    cases = dict.fromkeys((row["condition"], row["events_per_s"], row["checkout"]) for row in rows)
+    for case in cases:
+        ours = [row for row in rows if (row["condition"], row["events_per_s"], row["checkout"]) == case]
+        known = {name: [row[name] for row in ours if name in row] for name in SHOWN}
+        shown = dict(zip(("condition", "events_per_s", "checkout"), case, strict=True))
+        shown["lasted"] = f"{sum(row['lasted'] for row in ours)} of {len(ours)}"
+        shown |= {name: float(np.median(values)) for name, values in known.items() if values}
+        shown["promised"] = ours[-1].get("promised_events_per_s", ours[-1].get("promised"))
+        table.append(shown)
+    return table
 
 
 def main() -> None:
+    """Run, write rows, print medians."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--against", type=Path, help="another checkout, run in turns with this one")
-    parser.add_argument("--events-per-s", type=int, default=1_000_000)
+    parser.add_argument("--events-per-s", type=int, nargs="+", default=[100_000, 300_000, 1_000_000])
+    parser.add_argument("--condition", choices=CONDITIONS, nargs="+", default=["quiet"])
     parser.add_argument("--slip-threshold", type=float, default=0.2)
-    parser.add_argument("-o", "--out", type=Path, help="all runs as JSON")
+    parser.add_argument("--no-doctor", action="store_true", help="do not ask doctor --speed")
+    parser.add_argument("-o", "--out", type=Path, help="JSON lines, one a run; runs that are in it are not run again")
     chosen = parser.parse_args()
     checkouts = [HERE, *([chosen.against.resolve()] if chosen.against else [])]
+    by_name = {checkout.name: checkout for checkout in checkouts}
+    if len(by_name) < len(checkouts):
+        raise SystemExit("--against: expected a checkout in a folder of another name")
+    lines = chosen.out.read_text().splitlines() if chosen.out is not None and chosen.out.exists() else []
+    known = [json.loads(line) for line in lines]
+    promised: dict[tuple[str, str], Row] = {}
     rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for _ in range(chosen.runs):
-            for checkout in checkouts:
-                rows.append(one(checkout, chosen, Path(folder)))
-                print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-    medians = []
-    for checkout in checkouts:
-        ours = [row for row in rows if row["checkout"] == checkout.name]
-        known = {name: [row[name] for row in ours if name in row] for name in MEDIANS}
-        figures = {name: float(np.median(values)) for name, values in known.items() if values}
-        medians.append({"checkout": checkout.name, "runs": len(ours), **figures})
-    print_table(f"grasp in real time, {chosen.seconds:g} s, median of the runs", medians, {}, simulated=True)
-    if chosen.out:
-        chosen.out.write_text(json.dumps({"settings": vars(chosen) | {"against": None, "out": None}, "runs": rows}))
+    for plan in plans(chosen, checkouts):
+        row = known_row(plan, known)
+        if row is None:
+            with tempfile.TemporaryDirectory() as folder, condition(plan["condition"]) as half:
+                checkout = by_name[plan["checkout"]]
+                if plan["what"] == "doctor":
+                    row = {**plan, **promise(checkout, Path(folder), half)}
+                else:
+                    said = promised.get((plan["checkout"], plan["condition"]), {})
+                    row = {**plan, **one(checkout, plan, Path(folder), half), **said}
+            print(json.dumps(row), file=sys.stderr, flush=True)
+            if chosen.out is not None:
+                with chosen.out.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+        if plan["what"] == "doctor":
+            said = {name: value for name, value in row.items() if name.startswith("promised")}
+            promised[plan["checkout"], plan["condition"]] = said
+        else:
+            rows.append(row)
+    print_table(f"grasp in real time, {chosen.seconds:g} s, medians of the runs", summary(rows), {}, simulated=True)
 
 
 if __name__ == "__main__":

@@ -85,6 +85,13 @@ def refused(path: Path, *words: str) -> str:
     return " ".join(result.output.split())
 
 
+def read_all(path: Path) -> None:
+    """Open a file and read each of its datasets."""
+    with StageFile(path) as file:
+        for name in file.contents():
+            file.read(name)
+
+
 def fill(words: tuple[str, ...], path: Path) -> list[str]:
     return [word.replace("{}", str(path)) for word in words]
 
@@ -103,12 +110,14 @@ def test_the_originals_are_fine(originals: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", OURS)
 def test_a_hostile_recording_is_refused(originals: Path, tmp_path: Path, name: str) -> None:
-    """Assert that a recording is refused when it is opened, and by `validate` and `info` in the same words."""
+    """Assert that it is refused when it is opened, or when that is read; `validate` and `info` say the same."""
     change, words = OURS[name]
     path = hostile(originals / "a.recording.h5", tmp_path, change)
     with pytest.raises(InputError, match=words) as error:
-        StageFile(path)
+        read_all(path)
     assert len(str(error.value)) < 2000
+    with pytest.raises(InputError, match=words), StageFile(path) as file:
+        file.check()
     said = refused(path, "validate", "--json")
     assert error.value.message.split(":")[0][:40] in said
     assert refused(path, "info")
@@ -248,7 +257,9 @@ now = int(next(line for line in open("/proc/self/status") if line.startswith("Vm
 resource.setrlimit(resource.RLIMIT_AS, (now + limit, resource.RLIM_INFINITY))
 for path in sys.argv[1:]:
     try:
-        StageFile(Path(path))
+        with StageFile(Path(path)) as file:
+            for name in file.contents():
+                file.read(name)
         print(path)
     except InputError as error:
         words = str(error)

@@ -2,6 +2,8 @@
 
 import ast
 import functools
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.resources import PACKAGE
+from tests.conftest import Made
 from tests.patience import PATIENCE_S
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -42,7 +45,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     ),
     "sim": frozenset({"plugins", "arrays", "checks", "errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"interrupts", "errors", "events", "kernels"}),
-    "kernels": frozenset({"arrays", "checks", "errors", "events"}),
+    "kernels": frozenset({"arrays", "checks", "errors", "events", "kernel_cache"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "plugins", "errors"}),
     "resources": frozenset({"errors"}),
@@ -74,6 +77,7 @@ ONLY_IN = {
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
+    "numba": ("kernels/compiled.py", "kernel_cache.py", "cli/compiling.py"),
     "dask": ("cli/dask_engine.py",),
     "distributed": ("cli/dask_engine.py",),
     "tornado": ("trials/live_view/server.py",),
@@ -165,7 +169,8 @@ def test_wrong_imports_would_be_seen() -> None:
         assert wrong not in MAY_IMPORT[part]
 
 
-HEAVY = ("numpy", "h5py", "torch", "cv2", "scipy", "numba", "matplotlib", "dask", "distributed")
+HEAVY = ("numpy", "h5py", "torch", "cv2", "scipy", "numba", "matplotlib", "dask", "distributed", "pydantic")
+COMPILED = ("numba", "scipy", "cv2", "torch", "onnx", "pandas")  # or what takes as long to load
 START = """
 import runpy, sys
 sys.argv = ["evetac", *sys.argv[1:]]
@@ -177,16 +182,62 @@ print(*sorted({name.split(".")[0] for name in sys.modules}), file=sys.stderr)
 """
 
 
+def loaded_by(arguments: list[str], folder: Path = PACKAGE.parent) -> tuple[str, list[str]]:
+    """What a command prints, and the names of all packages that it has loaded at its end."""
+    run = [sys.executable, "-P", "-c", START, *arguments]
+    environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
+    done = subprocess.run(
+        run, capture_output=True, text=True, timeout=PATIENCE_S, check=True, cwd=folder, env=environment
+    )
+    end, loaded = done.stderr.splitlines()[-2:]
+    assert end == "exit 0", done.stderr
+    assert "evetac_cli" in loaded.split()
+    return done.stdout, loaded.split()
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["track", "--help"], ["evaluate", "slip", "--help"]])
 def test_start_is_light(arguments: list[str]) -> None:
     """Assert that help and version load none of the heavy libraries."""
-    run = [sys.executable, "-c", START, *arguments]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=True, cwd=PACKAGE.parent)
-    end, loaded = done.stderr.splitlines()[-2:]
-    assert end == "exit 0"
-    assert done.stdout
-    assert "evetac_cli" in loaded.split()
-    assert [name for name in HEAVY if name in loaded.split()] == []
+    shown, loaded = loaded_by(arguments)
+    assert shown
+    assert [name for name in HEAVY if name in loaded] == []
+
+
+def test_a_command_loads_no_other() -> None:
+    """Assert that the flags of other commands are neither made nor loaded."""
+    code = (
+        "import sys; from evetac_cli.cli.main import command_line; command_line('track')\n"
+        "print(*sorted(name for name in sys.modules if name.startswith('evetac_cli.commands.')))"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True, cwd=PACKAGE)
+    assert {name.split(".")[-1] for name in done.stdout.split()} == {"command", "parameter", "track"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "info apart.recording.h5",
+        "info .",
+        "validate apart.recording.h5 apart.tracks.h5 apart.labels.h5 apart.features.h5",
+        "index .",
+        "export apart.recording.h5 --format parquet --out a.parquet",
+        "export apart.recording.h5 --format csv --out a.csv",
+        "export apart.recording.h5 --format raw --out a.raw",
+        "export apart.recording.h5 --format mcap --out a.mcap",
+        "export apart.recording.h5 --format text --out a.txt; record --from a.txt --out a.recording.h5",
+        "report . --out a.html",
+    ],
+)
+def test_looking_and_exporting_is_light(words: str, made: Made, tmp_path: Path) -> None:
+    """Assert that no compiled code is loaded where nothing is computed, no pandas for tables, no pydantic for flags."""
+    shutil.copytree(made.folder, tmp_path / "work")
+    for library in ("pyarrow", "bokeh", "mcap", "PIL"):
+        pytest.importorskip(library)
+    *before, last = words.split("; ")
+    for command in before:
+        loaded_by(command.split(), tmp_path / "work")
+    _, loaded = loaded_by(last.split(), tmp_path / "work")
+    assert [name for name in (*COMPILED, "pydantic") if name in loaded] == []
 
 
 def test_programs_that_are_started_load_nothing_from_the_working_folder() -> None:

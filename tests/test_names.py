@@ -7,7 +7,7 @@ from evetac_cli.devices import cameras, grippers
 from evetac_cli.formats import exports, imports
 from evetac_cli.kernels.grip import control
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.trials.record import SCENE_KINDS
 
@@ -29,7 +29,7 @@ def test_methods() -> None:
     """Assert that the tables name every controller, network and preset of the tracker."""
     assert list(names.CONTROLLERS) == [*control.LAWS, "none", "fixed:N"]
     assert tuple(ARCHITECTURES) == names.NETWORKS
-    assert set(names.TRACKERS) == set(tracker.PRESETS)
+    assert set(names.TRACKERS) == set(presets.PRESETS)
 
 
 @pytest.mark.parametrize(("table", "kinds"), [(names.RECORDED_SCENES, SCENE_KINDS), (names.GRASPED_SCENES, ("lift",))])

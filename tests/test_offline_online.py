@@ -16,7 +16,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.track import Track
 from evetac_cli.events import SLICE_US, Events, Slicer, SliceStarts, concatenate, empty, slice_starts
 from evetac_cli.kernels.slip.labels import is_slip
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import load_detector, read_series
@@ -78,7 +78,7 @@ def model_path(request: pytest.FixtureRequest, made: Made) -> Path:
 def open_online(model: StageFile, recording: Recording) -> OnlineSlipDetector:
     dots = recording.dot_xy_px
     assert dots is not None
-    return OnlineSlipDetector.start(model, dots, recording.window_px, tracker.PRESETS["stable"], recording.sensitivity)
+    return OnlineSlipDetector.start(model, dots, recording.window_px, presets.PRESETS["stable"], recording.sensitivity)
 
 
 @settings(max_examples=5, deadline=None)

@@ -16,7 +16,6 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 MAKEFILE = (ROOT / "Makefile").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-OF_DEVELOPERS = {"dev", "docs", "view"}  # what `make test` installs beyond what the commands use
 TWO = ["make demo", "make test"]
 
 
@@ -31,15 +30,15 @@ def code_lines(page: str) -> list[str]:
     return lines
 
 
-def used_extras() -> set[str]:
-    """The extras that `make setup` installs."""
-    (named,) = re.findall(r"^USED := (.+)$", MAKEFILE, re.MULTILINE)
+def extras_of(variable: str) -> set[str]:
+    """Extras of a variable of the Makefile: USED is what `make setup` installs, EVERY what `make setup-all` does."""
+    (named,) = re.findall(rf"^{variable} := (.+)$", MAKEFILE, re.MULTILINE)
     return set(named.split(","))
 
 
-def planned(target: str) -> str:
+def planned(target: str, *more: str) -> str:
     """What make would run for a target on a machine where nothing was done so far."""
-    run = ["make", "--dry-run", "--no-print-directory", target, "VENV=nothing-here", "PYTHON=python-here"]
+    run = ["make", "--dry-run", "--no-print-directory", target, "VENV=nothing-here", "PYTHON=python-here", *more]
     return subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
 
@@ -61,7 +60,7 @@ def test_ci_runs_readmes_test_command() -> None:
     )
 
 
-@pytest.mark.parametrize("target", ["demo", "test", "docs", "slip-data", "setup"])
+@pytest.mark.parametrize("target", ["demo", "test", "docs", "slip-data", "mujoco-grasps", "setup", "setup-all"])
 def test_a_target_sets_up_what_it_needs(target: str) -> None:
     """Assert that on a fresh machine an environment is made, filled and compiled before anything else is run."""
     lines = planned(target).splitlines()
@@ -70,18 +69,26 @@ def test_a_target_sets_up_what_it_needs(target: str) -> None:
     assert places == sorted(places) and places[0] == 0
     installs = [line for line in lines if "pip install" in line]
     named = [set(re.findall(r"'\.\[(.+?)\]'", line)[0].split(",")) for line in installs]
-    assert named[0] == used_extras()
-    develops = target in ("test", "docs")
-    assert named[1:] == ([used_extras() | OF_DEVELOPERS] if develops else [])
-    if target != "setup":
+    assert named[0] == extras_of("USED")
+    needs_every = target in ("test", "docs", "mujoco-grasps", "setup-all")
+    assert named[1:] == ([extras_of("EVERY")] if needs_every else [])
+    if target not in ("setup", "setup-all"):
         assert len(lines) > places[-1] + 2  # and then its own work
 
 
-def test_nothing_large_comes_unasked() -> None:
-    """Assert that the viewer rerun, 500 MB, comes with the tests alone, and that no other extra is left out."""
-    assert "view" not in used_extras()
-    assert used_extras() | OF_DEVELOPERS == set(PROJECT["optional-dependencies"])
-    assert used_extras() | {"view"} == set(EXTRAS)
+def test_setup_all_brings_every_extra() -> None:
+    """Assert that setup-all installs all that is there, and setup not more than what draws pictures and pages."""
+    assert extras_of("EVERY") == set(PROJECT["optional-dependencies"]) == {*EXTRAS, "dev", "docs"}
+    assert extras_of("USED") == {"plot"}
+
+
+def test_torch_comes_from_the_index_that_is_named() -> None:
+    """Assert that pip is told of another index where one is named, of none where none is, and that docs name it."""
+    index = "https://download.pytorch.org/whl/cpu"
+    told = f"--extra-index-url {index}"
+    assert told in planned("setup", f"TORCH_INDEX={index}") and "index-url" not in planned("setup", "TORCH_INDEX=")
+    for page in ("README.md", "docs/install.md", "docs/first-hour.md"):
+        assert f"make setup TORCH_INDEX={index}" in (ROOT / page).read_text(), page
 
 
 @pytest.mark.parametrize(
@@ -99,7 +106,7 @@ def test_docs_say_what_setup_installs() -> None:
     shown = said.split("'")[1].replace("nothing-here", ".venv")
     assert shown in (ROOT / "docs" / "first-hour.md").read_text().splitlines()
     troubleshooting = " ".join((ROOT / "docs" / "troubleshooting.md").read_text().split())
-    assert "`make setup` installs all of them but `view`, which is large" in troubleshooting
+    assert "`make setup` installs `plot` alone, `make setup-all` all of them" in troubleshooting
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/first-hour.md", "docs/install.md"])

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import plugins
-from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
 from evetac_cli.text_files import plain_number, read_toml
@@ -35,6 +34,8 @@ def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | No
 
 
 def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
+    from evetac_cli.commands import WITH_CONFIG  # here, as all commands are imported for it
+
     table = read_toml(path)
     words = command.split()
     for depth, word in enumerate(words):

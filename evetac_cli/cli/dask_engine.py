@@ -15,7 +15,6 @@ it takes one at a time.
 
 import itertools
 import logging
-import os
 import pkgutil
 import queue
 import tempfile
@@ -60,8 +59,7 @@ def run_on_dask(
     """
     from multiprocessing import resource_tracker
 
-    for name in workers.ONE_THREAD:
-        os.environ.setdefault(name, "1")
+    workers.compute_on_one_thread()
     resource_tracker.ensure_running()  # or starting a worker does so, and lets interrupts through again
     # Ctrl-C of a terminal reaches all processes: workers that the cluster starts inherit this and stay deaf to it.
     with signals_blocked(CTRL_C):

@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import console
-from evetac_cli.cli import compiling, config, engines, flags, workers
+from evetac_cli.cli import compiling, config, engines, flags, indexing, workers
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.command import Command
-from evetac_cli.commands.record import Record
-from evetac_cli.commands.trials import Trials
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.interrupts import interrupt_came
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
@@ -37,8 +35,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
         stage: Stage[Any] = importlib.import_module(f"evetac_cli.{command.module}").STAGE
         jobs = list(stage.jobs(files, chosen, running.out))
         _check_outputs(jobs, files, chosen, force=running.force)
-        if running.number_of_jobs < 1:
-            raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running.number_of_jobs))
+        require_jobs(running)
         if stage.dry_run is not None and chosen.dry_run:
             # A scene is run to measure what it costs: some seconds, up to a minute where it has to be compiled first.
             quiet = running.quiet
@@ -52,7 +49,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
         for line in stage.cautions(jobs, chosen) if not running.quiet else ():
             console.say(f"note: {line}")
         started = time.monotonic()
-        previews = isinstance(chosen, Record) and chosen.preview
+        previews = getattr(chosen, "preview", False)
         run_jobs(command, stage, jobs, chosen, running, run.results)
         run.results = {job.output: run.results[job.output] for job in jobs}
         outcomes, errors = run.outcomes(), run.errors()
@@ -81,6 +78,12 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             for error in errors[1:]:
                 console.say(f"error: {error}")
             raise errors[0]
+
+
+def require_jobs(running: Running) -> None:
+    """InputError for a number of jobs with which nothing is done."""
+    if running.number_of_jobs < 1:
+        raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running.number_of_jobs))
 
 
 def _show_plan(title: str, stage: Stage[Any], shown: Outcome, running: Running) -> None:
@@ -177,7 +180,7 @@ def run_jobs(
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
-    shown = isinstance(chosen, Trials) and chosen.shown_in is not None  # by a view, with its own lines
+    shown = getattr(chosen, "shown_in", None) is not None  # by a view, with its own lines
     quiet, force = running.quiet or shown, running.force
     engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
@@ -186,6 +189,8 @@ def run_jobs(
     if engine.address and running.number_of_jobs > 1:
         hint = "leave it out: a cluster that runs has as many workers as it has"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
+    by_index = indexing.up_to_date(stage, jobs, chosen) if not force else {}
+    results |= by_index
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
 
@@ -220,3 +225,5 @@ def run_jobs(
                 compiling.announced(quiet=quiet, interrupted=interrupt_came),
             ):
                 results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
+    opened = [job for job in jobs if job.output not in by_index and isinstance(results[job.output], Outcome)]
+    indexing.learn(opened, running.number_of_jobs if engine.name == engines.LOCAL else 1, quiet)

@@ -4,6 +4,7 @@ A program that calls `evetac ... --json` can always parse what it gets: the rows
 What nobody foresaw goes through all of this, so that tests see it as it was raised; only `run` calls it a defect.
 """
 
+import gc
 import os
 import sys
 import tempfile
@@ -135,6 +136,7 @@ def run(program: Callable[[], Any]) -> NoReturn:
     if code == INTERRUPTED_CODE and not _children():
         sys.stderr.flush()
         os._exit(code)  # Python takes a second to take torch apart, several on a busy computer
+    gc.freeze()  # or Python looks through all once more, to take apart what ends with the process anyway
     exec("")  # Python ends by SIGINT if the last `exec` was left by Ctrl-C, as it may be while modules are loaded
     sys.exit(code)
 

@@ -5,11 +5,14 @@ screen.
 """
 
 import inspect
+import os
+import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -18,6 +21,9 @@ from evetac_cli.cli import engines
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import RUNNING, flag_of
 
+UNREAD = object()
+WHOLE = re.compile("-?(0|[1-9][0-9]{0,17})")
+DECIMAL = re.compile("-?(0|[1-9][0-9]{0,17})([.][0-9]{1,17})?")
 # How to run, the same for every command that makes files; none of it changes the numbers. Of each flag: the type, the
 # default, the names, the help.
 OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
@@ -87,8 +93,8 @@ class Running:
         return cls(**{name: given.pop(name) for name in names})
 
 
-class PlainSwitches:
-    """Of a command or group: switches are shown without a type, for they take no value."""
+class PlainFlags:
+    """Of a command or group: switches are shown without a type, for they take no value; plain values are read here."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """All flags, `--help` among them."""
@@ -96,14 +102,53 @@ class PlainSwitches:
         for flag in params:
             if getattr(flag, "is_flag", False):
                 flag.metavar = ""
+            if not isinstance(flag.process_value, partial):
+                flag.process_value = partial(_processed, flag, flag.process_value)
         return params
 
 
-class Group(PlainSwitches, TyperGroup):
+def _processed(flag: Any, usual: Callable[[Any, Any], Any], ctx: Any, given: Any) -> Any:
+    """The value of a flag: here where it is plain, else as typer reads and refuses it.
+
+    Why so: typer has pydantic read every value. To load it takes a fifth of a command that has nothing to do.
+    """
+    described = getattr(flag, "type_descriptor", None)
+    kind = getattr(described, "annotation", None)
+    if kind is None or flag.value_is_missing(given) and flag.required:
+        return usual(ctx, given)
+    several = flag.multiple or flag.nargs == -1
+    if given is None:
+        value: Any = () if several else None
+    elif not several:
+        value = plain_value(kind, given)
+    elif get_origin(kind) is list:
+        value = [plain_value(get_args(kind)[0], item) for item in given]
+    else:
+        value = UNREAD
+    if value is UNREAD or several and UNREAD in value:
+        return usual(ctx, given)
+    return value if flag.callback is None else flag.callback(ctx, flag, value)
+
+
+def plain_value(kind: Any, given: Any) -> Any:
+    """What is given, a text or a default, as a value of its type; UNREAD where typer has to say what it is."""
+    if type(given) is kind:
+        return given
+    if isinstance(given, str):
+        if kind is int and WHOLE.fullmatch(given):
+            return int(given)
+        if kind is float and DECIMAL.fullmatch(given):
+            return float(given)
+        if kind is Path and (not os.path.exists(given) or os.access(given, os.R_OK)):
+            return Path(given)
+    return UNREAD
+
+
+class Group(PlainFlags, TyperGroup):
     """A group of commands."""
 
 
-class CommandOfFlags(PlainSwitches, TyperCommand):
+class CommandOfFlags(PlainFlags, TyperCommand):
     """A command that refuses a flag that is given twice, whose help leaves out the `--no-` of switches."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -169,8 +214,8 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
 
 
 def looking(name: str) -> Any:
-    """The option of one of OF_LOOKING, as typer reads it from the signature of a function."""
-    _, _, names, help_ = OF_LOOKING[name]
+    """The option of one of OF_STAGES, as typer reads it from the signature of a function."""
+    _, _, names, help_ = OF_STAGES[name]
     return typer.Option(*names.split("/"), help=help_)
 
 

@@ -1,45 +1,31 @@
 """The command line: pick a command, read its flags, run its jobs, print the result or the error.
 
-A stage is imported only when it is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba.
+A stage is imported only when it is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba. The
+flags of a command are made only when it is chosen, too: those of all of them are for `--help`, and for a name that is
+none.
 """
 
 import importlib
+import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from evetac_cli import __version__, console, interrupts, kernel_cache
-from evetac_cli.cli import config, execution, exit_codes, flags
+from evetac_cli import __version__, commands, console, interrupts, kernel_cache
+from evetac_cli.cli import config, execution, exit_codes, flags, indexing, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
-from evetac_cli.commands import (
-    DOCTOR,
-    EVALUATE,
-    EXPORT,
-    PIPELINE,
-    REPORT,
-    SHARE,
-    VIEW,
-)
 from evetac_cli.commands.command import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("index", "repair")  # inspectors that take folders, not the files in them
+OF_FOLDERS = ("repair",)  # inspectors that take folders, not the files in them
 AsJson = Annotated[bool, flags.looking("as_json")]
 Quiet = Annotated[bool, flags.looking("quiet")]
 Verbose = Annotated[bool, flags.looking("verbose")]
-
-app = typer.Typer(
-    cls=Commands,
-    help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-evaluate = typer.Typer(cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True)
 
 
 def _print_version(wanted: bool) -> None:
@@ -48,7 +34,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
@@ -130,7 +115,8 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
             result = module.run(chosen, running.out)
         elif chosen.speed:
             module = importlib.import_module("evetac_cli.inspect.doctor.speed")
-            result = module.run(chosen)
+            with console.progress_bar("measuring", "parts", quiet=running.quiet) as progress:
+                result = module.run(chosen, progress=progress)
         else:
             result = module.run(chosen)
         _show(title, module, result, running)
@@ -170,15 +156,6 @@ def _inspector(name: str, help_: str, files_help: str, unit: str = "files") -> C
     return call
 
 
-for _command in PIPELINE[:-1]:
-    _add(app, _command, _command.name, "Pipeline")
-for _command in EVALUATE:
-    _add(evaluate, _command, f"evaluate {_command.name}", "Subjects")
-app.add_typer(evaluate, name="evaluate", rich_help_panel="Pipeline")
-_add(app, PIPELINE[-1], PIPELINE[-1].name, "Pipeline")
-
-
-@app.command("info", rich_help_panel="Inspect", cls=flags.CommandOfFlags)
 def _info(
     files: Annotated[list[Path], typer.Argument(help="Stage files, or a folder of them.", show_default=False)],
     where: Annotated[
@@ -231,34 +208,108 @@ def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
         raise errors[0]
 
 
-app.command("index", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
-    _inspector(
-        "index", "Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it.", "Folders."
+def _index(
+    folders: Annotated[list[Path], typer.Argument(help="Folders.", show_default=False)],
+    number_of_jobs: Annotated[int, flags.looking("number_of_jobs")] = 1,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it."""
+    running = Running(number_of_jobs=number_of_jobs, as_json=as_json, quiet=quiet, verbose=verbose)
+    with CommandExit("index", running):
+        execution.require_jobs(running)
+        index = importlib.import_module("evetac_cli.inspect.index")
+        with console.progress_bar("index", "files", quiet=quiet) as progress:
+            result: Outcome = index.run(folders, progress, indexing.describer(number_of_jobs))
+        _show("index", index, result, running)
+
+
+def _add_evaluate(app: typer.Typer) -> None:
+    judging = typer.Typer(
+        cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True
     )
-)
-_add(app, VIEW, VIEW.name, "Inspect", _write_for_others, flags.OF_VIEW)
-_add(app, REPORT, REPORT.name, "Inspect", _write_for_others, flags.OF_REPORT)
-_add(app, EXPORT, EXPORT.name, "Inspect", _write_for_others, flags.OF_EXPORT)
-_add(app, SHARE, SHARE.name, "Inspect", _write_for_others, flags.OF_SHARE)
-app.command("validate", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
-    _inspector(
+    for command in commands.EVALUATE:
+        _add(judging, command, f"evaluate {command.name}", "Subjects")
+    app.add_typer(judging, name="evaluate", rich_help_panel="Pipeline")
+
+
+def _named(
+    name: str,
+    panel: str,
+    act: Callable[[Command, str, dict[str, Any]], None] | None = None,
+    running: dict[str, tuple[Any, Any, str, str]] = flags.OF_STAGES,
+) -> Callable[[typer.Typer], None]:
+    return lambda app: _add(app, commands.find(name), name, panel, act, running)
+
+
+def _inspecting(name: str, call: Callable[..., None]) -> Callable[[typer.Typer], None]:
+    def add(app: typer.Typer) -> None:
+        app.command(name, rich_help_panel="Inspect", cls=flags.CommandOfFlags)(call)
+
+    return add
+
+
+# What adds each command, in the order of `--help`.
+ADDED: dict[str, Callable[[typer.Typer], None]] = {
+    **{name: _named(name, "Pipeline") for name in commands.OF_PIPELINE},
+    "evaluate": _add_evaluate,
+    "info": _inspecting("info", _info),
+    "index": _inspecting("index", _index),
+    "view": _named("view", "Inspect", _write_for_others, flags.OF_VIEW),
+    "report": _named("report", "Inspect", _write_for_others, flags.OF_REPORT),
+    "export": _named("export", "Inspect", _write_for_others, flags.OF_EXPORT),
+    "share": _named("share", "Inspect", _write_for_others, flags.OF_SHARE),
+    "validate": _inspecting(
         "validate",
-        "Check stage files against their schema, their own numbers and their recipe id.",
-        "Stage files. A folder stands for all that are in it.",
-    )
-)
-
-
-app.command("repair", rich_help_panel="Inspect", cls=flags.CommandOfFlags)(
-    _inspector(
+        _inspector(
+            "validate",
+            "Check stage files against their schema, their own numbers and their recipe id.",
+            "Stage files. A folder stands for all that are in it.",
+        ),
+    ),
+    "repair": _inspecting(
         "repair",
-        "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "
-        "Prints what was kept.",
-        "Folders.",
-        "folders",
+        _inspector(
+            "repair",
+            "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "
+            "Prints what was kept.",
+            "Folders.",
+            "folders",
+        ),
+    ),
+    "doctor": _named("doctor", "Inspect", _doctor, flags.OF_DOCTOR),
+}
+
+
+def command_line(first: str = "") -> typer.Typer:
+    """What reads the command line: of a single command if its first word names one, else of all.
+
+    first: of the words that it will read.
+    """
+    app = typer.Typer(
+        cls=Commands,
+        help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
     )
-)
-_add(app, DOCTOR, DOCTOR.name, "Inspect", _doctor, flags.OF_DOCTOR)
+    app.callback()(_root)
+    for name in (first,) if first in ADDED else () if first == "--version" else ADDED:
+        ADDED[name](app)
+    return app
+
+
+@cache
+def _whole() -> typer.Typer:
+    return command_line()
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """`app`, of all commands, for whoever calls them from Python."""
+    if name == "app":
+        return _whole()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def main() -> None:
@@ -268,7 +319,8 @@ def main() -> None:
 
 
 def _program() -> None:
+    workers.compute_on_one_thread()
     with kernel_cache.settled_by_environment() as note:
         if note:
             console.say(f"note: {note}")
-        app()
+        command_line(*sys.argv[1:2])()

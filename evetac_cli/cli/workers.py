@@ -33,6 +33,16 @@ SAY_S = 0.2  # so often a worker tells how far it is
 GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
 
 
+def compute_on_one_thread() -> None:
+    """Have numerical libraries start no threads in this process and those that it starts, unless the user says so.
+
+    Why so: they start them when they are loaded, needed or not, which takes as long as loading numpy itself; threads of
+    several workers would fight over the cores; and one thread gives one result.
+    """
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
+
+
 def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
     """Run one job of a stage; an error in words is its result."""
     try:
@@ -206,10 +216,8 @@ def run_parallel(
     import multiprocessing
     from multiprocessing import resource_tracker
 
-    # Each worker computes on one core: threads of numerical libraries would fight over the cores. Spawned, not forked:
-    # HDF5 and a fork do not mix.
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")
+    compute_on_one_thread()
+    # Spawned, not forked: HDF5 and a fork do not mix.
     context = multiprocessing.get_context("spawn")
     waiting = deque(jobs)
     workers: list[_Worker] = []

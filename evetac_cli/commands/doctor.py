@@ -24,8 +24,8 @@ class Doctor:
     )
     speed: bool = parameter(
         False,
-        "Measure for some 10 s whether this computer is fast enough to record and to grasp in real time; writes a"
-        " temporary file in this folder. Nothing else is examined.",
+        "Measure for 20 to 50 s whether this computer is fast enough to record and to grasp in real time, and how many"
+        " events per second it can judge; writes temporary files in this folder. Nothing else is examined.",
         recipe=False,
     )
     gripper: str | None = parameter(

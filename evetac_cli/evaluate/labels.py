@@ -15,7 +15,6 @@ from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate import report, report_job
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
-from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
@@ -105,6 +104,8 @@ def true_onsets(recording: Recording) -> dict[str, int | None]:
 
     As for labels, a trial begins where the current starts to fall.
     """
+    from evetac_cli.sim.scenes.true_slip import SLIP_PX  # here, as `report` needs no simulator for the limits above
+
     start, onset = ramp_start(recording), true_onset(recording)
     return {
         "t_s_ms": onset,

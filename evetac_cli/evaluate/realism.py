@@ -191,11 +191,11 @@ def window_features(recording: Recording) -> Floats:
     for first, stop in rest_image.quiet_spells(counts):
         at_rest[first:stop] = True
     length = classifier.WINDOW_SLICES
-    rows = []
-    for begin in range(0, min(len(counts) - length + 1, MOST_WINDOWS * length), length):
-        starts = recording.starts[begin : begin + length + 1]
-        own, still = recording.between(begin, begin + length), at_rest[begin : begin + length]
-        rows.append(classifier.features(own, starts - starts[0], still, recording.frame_px))
+    whole = min(len(counts) // length, MOST_WINDOWS) * length
+    rows = [
+        classifier.features(block.events, block.starts, at_rest[block.first : block.stop], recording.frame_px)
+        for block in recording.blocks(length, stop=whole)
+    ]
     return np.array(rows, np.float64).reshape(-1, len(classifier.FEATURES))
 
 

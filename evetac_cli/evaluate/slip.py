@@ -35,8 +35,8 @@ from evetac_cli.evaluate.source import Source
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.resources import with_shipped
+from evetac_cli.stages.model_files import why_useless
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.stages.slip_detectors import why_useless
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"

@@ -23,14 +23,8 @@ from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.stages.slip_detectors import (
-    first_labelled,
-    first_needed,
-    load_detector,
-    probabilities,
-    read_horizon_ms,
-    read_series,
-)
+from evetac_cli.stages.model_files import read_horizon_ms
+from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
 from evetac_cli.stages.splits import check_disjoint, object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of

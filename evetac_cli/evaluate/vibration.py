@@ -194,8 +194,7 @@ def _read(
     tally = np.zeros((across * down, (last - first) * fine_hz // SLICES_PER_S), np.int16)
     bins = (last - first) * rate_hz // SLICES_PER_S
     counts = np.zeros(bins, np.int64)
-    for begin in range(first, last, READ_MS):
-        events = recording.between(begin, min(begin + READ_MS, last))
+    for begin, _, events in recording.blocks(READ_MS, first, last):
         vibration.add_events(tally, *events, first * SLICE_US, fine_hz, across)
         places = (events.t - first * SLICE_US) * rate_hz // 1_000_000
         counts += np.bincount(places[places < bins], minlength=bins)

@@ -11,10 +11,11 @@ from typing import Any
 from evetac_cli.console import print_table, say
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store.index import FOREIGN, Index, IndexRow, open_index
+from evetac_cli.store.index import FOREIGN, Describe, Index, IndexRow, one_by_one, open_index
 from evetac_cli.text_files import as_utf8
 
-NAMES = tuple(name for name in IndexRow._fields if name != "changed_ns")  # that --where knows, and a row shows
+HIDDEN = ("changed_ns", "inode", "dot_radius_px", "grid")  # what tells whether a row, or an output, is up to date
+NAMES = tuple(name for name in IndexRow._fields if name not in HIDDEN)  # that --where knows, and a row shows
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
 COUNTED = ("object", "sensor", "scene", "outcome")  # of each kind of file, a table each
 MOST_UNREADABLE = 20  # of the files that are named with their reasons
@@ -28,20 +29,20 @@ _TOTALS = f"SELECT COUNT(CASE WHEN {_OURS} THEN 1 END), COUNT(error), MAX(simula
 
 
 @contextmanager
-def indexed(folder: Path, progress: Progress) -> Iterator[Index]:
+def indexed(folder: Path, progress: Progress, describe_files: Describe = one_by_one) -> Iterator[Index]:
     """The index of a folder, up to date; what lies in its place and is none is said."""
-    with open_index(folder, progress) as index:
+    with open_index(folder, progress, describe_files) as index:
         if index.note:
             say(f"{folder}: {index.note}")
         yield index
 
 
-def run(folders: list[Path], progress: Progress = silent) -> Outcome:
+def run(folders: list[Path], progress: Progress = silent, describe_files: Describe = one_by_one) -> Outcome:
     """A row for every folder: how many files it has, and how many had to be read for that."""
     rows = []
     simulated = False
     for folder in folders:
-        with indexed(folder, progress) as index:
+        with indexed(folder, progress, describe_files) as index:
             files, unreadable, any_simulated = _one(index, _TOTALS)
             simulated |= bool(any_simulated)
             row = {"folder": str(folder), "files": files, "read": index.read, "removed": index.removed}

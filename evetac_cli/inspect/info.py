@@ -2,14 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evetac_cli.console import format_value, print_table, print_text
-from evetac_cli.devices import losses
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome
@@ -81,7 +80,8 @@ def _contents_in_words(path: Path) -> Iterator[None]:
 
 
 def _describe(path: Path) -> dict[str, Any]:
-    with StageFile(path) as file, _contents_in_words(path):
+    with _opened(path) as file, _contents_in_words(path):
+        file.check()  # what it says of a file holds for all of it
         header = file.header
         known: dict[str, Any] = {
             "file": str(path),
@@ -105,8 +105,16 @@ def _describe(path: Path) -> dict[str, Any]:
     return row
 
 
+def _opened(path: Path) -> StageFile:
+    """The file, as a recording where its name and its contents say so: it is opened once."""
+    if path.name.endswith(".recording.h5"):
+        with suppress(InputError):  # what it is else, or what is wrong with it, is said of any file alike
+            return Recording(path)
+    return StageFile(path)
+
+
 def _recording(file: StageFile) -> dict[str, Any]:
-    with Recording(file.path) as recording:
+    with nullcontext(file) if isinstance(file, Recording) else Recording(file.path) as recording:
         per_slice = np.diff(recording.starts)
         seconds = len(recording) / SLICES_PER_S
         bytes_s = EVENT_BYTES * recording.event_count / seconds if seconds else 0.0
@@ -158,6 +166,8 @@ def _streams(recording: Recording) -> dict[str, str]:
 
 def _capture(file: StageFile) -> dict[str, Any]:
     """How a recording from devices ended, what was lost, and rates and delays as far as they were recorded."""
+    from evetac_cli.devices import losses  # here, as most recordings are of no device
+
     known = file.contents()
     counted = {name.removeprefix(LOST): int(file.read(name)) for name in known if name.startswith(LOST)}
     gaps = file.read("capture/lost_slices") if "capture/lost_slices" in known else np.zeros((0, 2))

@@ -1,10 +1,12 @@
-"""An estimate with its 95 % interval, and the intervals of counts and shares."""
+"""An estimate with its 95 % interval, and the intervals of counts and shares.
+
+scipy.stats, which takes half a second to load, is imported where a distribution is asked for.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 LEVEL = 0.95
 BLOCKS = 20  # of time, over which a rate is seen to vary
@@ -20,6 +22,8 @@ class Estimate(NamedTuple):
 
 def poisson_rate(events: int, exposure: float) -> Estimate:
     """A rate from a Poisson count in an exposure (time, or pixels times time), with its exact interval."""
+    from scipy import stats
+
     tail = (1 - LEVEL) / 2
     low = stats.chi2.ppf(tail, 2 * events) / 2 if events else 0.0
     high = stats.chi2.ppf(1 - tail, 2 * events + 2) / 2
@@ -31,6 +35,8 @@ def rate_over_blocks(counts: NDArray[np.integer], exposure: float) -> Estimate:
 
     Poisson where the counts vary no more than that allows, else from their own spread (Student's t).
     """
+    from scipy import stats
+
     events = int(counts.sum())
     poisson = poisson_rate(events, exposure)
     degrees = len(counts) - 1
@@ -47,6 +53,8 @@ def share(hits: int, count: int) -> Estimate:
     """The share of `count` trials in which something holds, with Wilson's interval; 0 to 1 without trials."""
     if count == 0:
         return Estimate(float("nan"), 0.0, 1.0)
+    from scipy import stats
+
     interval = stats.binomtest(hits, count).proportion_ci(LEVEL, method="wilson")
     return Estimate(hits / count, float(interval.low), float(interval.high))
 

@@ -1,7 +1,6 @@
 """Logistic regression: weights of columns of numbers that make one of two labels likely, by Newton's method."""
 
 import numpy as np
-from scipy.special import expit
 
 from evetac_cli.arrays import Floats
 
@@ -15,6 +14,8 @@ def fit(columns: Floats, label: Floats, penalty: Floats, importance: Floats) -> 
     penalty (k,): half of it times the squared weight is added to what is least, minus the log likelihood;
     importance (n,): how often a row counts.
     """
+    from scipy.special import expit  # here, as modules that share this one need none of it
+
     weights = np.zeros(columns.shape[1])
     for _ in range(ROUNDS):
         probability = expit(columns @ weights)

@@ -27,12 +27,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import fft, special
 
 from evetac_cli.arrays import Floats, Singles
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 
 FINEST_HZ = 5000  # the rate of the camera's scans
 CELL_PX = 16  # a dot's two sides are 30 px apart

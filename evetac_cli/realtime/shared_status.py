@@ -3,6 +3,8 @@
 The slip signal is written by the detector at 1000 Hz and read by the controller at 500 Hz. Beside it stand the times by
 which the controller recognizes a detector that died and a camera that is silent, and knows how old the signal is.
 
+A slice with slip that is new rings a bell, for a controller that sleeps until its next step (early_answer.py).
+
 Recorder and controller leave a sign of life each, written by the loop that watches or commands, and by nothing else: a
 thread that did so would hide that the loop hangs.
 """
@@ -12,6 +14,7 @@ import multiprocessing
 from typing import NamedTuple
 
 from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
 
 REMEMBERED = 32  # slices with slip whose time is known
@@ -43,10 +46,12 @@ class SharedStatus:
 
     def __init__(self) -> None:
         self._block = multiprocessing.get_context("spawn").RawArray("B", _SIZE)
+        self.slip_bell = Bell()
         self._attach()
 
     def _attach(self) -> None:
         memory = memoryview(self._block).cast("B")
+        self._rung_slips = 0
         self._status = SharedRow(memory, 0, f"q3dq3d{REMEMBERED}d")
         self._stop = SharedRow(memory, _STOP_AT, "q")
         self._recorder = SharedRow(memory, _RECORDER_AT, "d")
@@ -54,17 +59,20 @@ class SharedStatus:
         self._open = SharedRow(memory, _OPEN_AT, "q")
 
     def __getstate__(self) -> dict[str, object]:
-        return {"_block": self._block}
+        return {"_block": self._block, "slip_bell": self.slip_bell}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state)
         self._attach()
 
     def publish(self, status: DetectorStatus) -> None:
-        """For the detector: replace the status that the controller sees."""
+        """For the detector: replace the status that the controller sees; new slip wakes it."""
         known = status.slip_us[-REMEMBERED:]
         unknown = (float("nan"),) * (REMEMBERED - len(known))
         self._status.write(*status.signal, *status[1:5], *unknown, *known)
+        if status.signal.slips > self._rung_slips:
+            self._rung_slips = status.signal.slips
+            self.slip_bell.ring()
 
     def latest(self) -> DetectorStatus | None:
         """For the controller: the latest status; None before the first."""

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
+from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
 
 PATIENCE_S = 2.0  # time stands still for no longer than this: then who is late may as well be dead
@@ -28,8 +29,8 @@ class TimeSource(Protocol):
     def now_s(self) -> float:
         """Time now, in s."""
 
-    def sleep(self, seconds: float) -> None:
-        """Wait until so much of this time has passed."""
+    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
+        """Wait until so much of this time has passed, or until the bell rings; whether it did."""
 
     def slices_read_until(self, now_s: float) -> None:
         """For the reader of a camera's slices: all that ended before this time were read."""
@@ -42,9 +43,12 @@ class HostTime:
         """Time now, in s, as time.monotonic."""
         return time.monotonic()
 
-    def sleep(self, seconds: float) -> None:
-        """Sleep for so many seconds, as time.sleep."""
+    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
+        """Sleep for so many seconds, as time.sleep, or until the bell rings; whether it did."""
+        if bell is not None:
+            return bell.wait(seconds)
         time.sleep(seconds)
+        return False
 
     def slices_read_until(self, now_s: float) -> None:
         """Without effect: the host's clock does not wait for readers."""
@@ -84,11 +88,13 @@ class SharedTime:
         host_s = time.monotonic()
         return host_s - self._behind_s(host_s)
 
-    def sleep(self, seconds: float) -> None:
-        """Wait until so much of this time has passed."""
+    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
+        """Wait until so much of this time has passed, or until the bell rings; whether it did."""
         until_s = self.now_s() + seconds
         while (left_s := until_s - self.now_s()) > 0:
-            time.sleep(max(left_s, SHORTEST_SLEEP_S))
+            if HOST_TIME.sleep(max(left_s, SHORTEST_SLEEP_S), bell):
+                return True
+        return False
 
     def limit(self, until_s: float) -> None:
         """Let it run until then, inf: for good. It never goes back, and what was waited is not made up for.

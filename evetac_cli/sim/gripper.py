@@ -23,10 +23,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
 from evetac_cli.sim.setup.sensor import SensorGripper
 
@@ -230,7 +230,7 @@ def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _move(
     place: tuple[float, float],
     speed: float,
@@ -314,7 +314,7 @@ def _move_on(
     return motors, fingers
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _follow(motor: float, finger: float, half_play: float) -> float:
     """Where a finger comes to be that its motor leaves where it is, if that is within half the lost motion."""
     return min(max(finger, motor - half_play), motor + half_play)

@@ -20,7 +20,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.stages import one_file
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.hdf5.disk import existing_folder
-from evetac_cli.store.layout import contents
+from evetac_cli.store.layout import rules
 from evetac_cli.store.layout.provenance import ContentDigest, Recipe
 from evetac_cli.store.recordings import streams
 from evetac_cli.store.recordings.read import Recording, open_recording
@@ -111,7 +111,7 @@ def _blocks(
     """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
     old = _with_rows(recording)
     done, total = 0, sum(shape[0] for shape in old.values()) + sum(sum(one.lengths().values()) for one in added)
-    pieces = ({path: rows} for path, shape in old.items() for rows in contents.blocks(recording, path, shape))
+    pieces = ({path: rows} for path, shape in old.items() for rows in rules.blocks(recording, path, shape))
     for block in chain(pieces, *(one.blocks() for one in added)):
         yield block
         done += sum(map(len, block.values()))

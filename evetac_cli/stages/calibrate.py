@@ -5,7 +5,6 @@ one. Places and size of the dots need not be known (kernels/calibration); which 
 decided in calibrated_gel.py.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.calibration import dot_search, gel_layout, grid, rest_image
+from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import Grid
-from evetac_cli.kernels.calibration.rest_image import RestImage
-from evetac_cli.sim.camera.gel_camera import dot_grid
-from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages import calibrated_gel
@@ -33,11 +29,8 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
 METHOD = 2
-BLOCK_SLICES = 200
-LONGEST_STROKE = 5000  # slices; a first run is over long before that
 LEAST_DOTS = 4
 WORST_JITTER_PX = 1.0
-PRESS = "press over the whole gel, and lift off between strokes"
 
 
 def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
@@ -76,8 +69,11 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         recipe = Recipe(OUTPUT, METHOD, parameters, parents=(recording.header,))
         if up_to_date(job.output, recipe, force=force):
             return _outcome(job, recipe, made_now=False)
+        from evetac_cli.kernels.calibration import dot_search
+        from evetac_cli.stages import gel_at_rest
+
         where = str(recording.path)
-        halves = rest_images(recording, progress)
+        halves = gel_at_rest.rest_images(recording, progress)
         picture = halves[0].joined(halves[1])
         places = dot_search.find(picture)
         if len(places.radius_px) < LEAST_DOTS:
@@ -88,7 +84,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
                 expected=f"{LEAST_DOTS} or more, dark and round, of {dot_search.SMALLEST_RADIUS_PX} to {largest:.0f} px"
                 " radius",
                 found=str(len(places.radius_px)),
-                hint=PRESS,
+                hint=calibrated_gel.PRESS,
             )
         radius = float(np.median(places.radius_px))
         if default is None:
@@ -97,61 +93,19 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         else:
             dots, from_default = _refined(default.dot_xy_px, places.centre_xy_px, where)
             window = default.window_px
-        jitter = jitter_px(halves, dots, radius)
+        jitter = gel_at_rest.jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
             raise InputError(
                 "the dots come to rest at different places after each stroke",
                 where=where,
                 expected=f"jitter of at most {WORST_JITTER_PX:g} px rms",
                 found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to measure it",
-                hint=PRESS,
+                hint=calibrated_gel.PRESS,
             )
         figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **_against_stored(recording, dots)}
         calibration = Calibration(recording.frame_px, dots, radius, window)
     _write(job, calibration, recipe, figures)
     return _outcome(job, recipe, made_now=True)
-
-
-def rest_images(recording: Recording, progress: Progress = silent) -> tuple[RestImage, RestImage]:
-    """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
-    if not strokes(recording):
-        moved = dot_search.contrast(seen(recording, 0, len(recording))) > 0
-        message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
-        raise InputError(message, where=str(recording.path), hint=PRESS)
-    nothing = np.zeros(recording.frame_px[::-1], np.uint8)
-    halves = [RestImage(nothing, nothing), RestImage(nothing, nothing)]
-    for half, (_, stop), (before, after) in stroke_images(recording):
-        halves[half] = halves[half].joined(before).joined(after)
-        progress(stop, len(recording))
-    return halves[0], halves[1]
-
-
-def stroke_images(recording: Recording) -> Iterator[tuple[int, tuple[int, int], tuple[RestImage, RestImage]]]:
-    """Each stroke: which half of the strokes it is of, 0 or 1, its slices, and the gel at rest before and after it."""
-    for stroke, (start, stop) in enumerate(strokes(recording)):
-        half = stroke // 2 % 2  # two strokes each: there and back
-        yield half, (start, stop), (seen(recording, start, stop), seen(recording, start, stop, backwards=True))
-
-
-def strokes(recording: Recording) -> list[tuple[int, int]]:
-    """Slices [start, stop) of each stroke, from the middle of the rest before it to that of the rest after it."""
-    rests = [(first + stop) // 2 for first, stop in rest_image.quiet_spells(np.diff(recording.starts))]
-    return list(zip(rests, rests[1:], strict=False))
-
-
-def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
-    """The gel at rest before the slices [start, stop), as their events show it; backwards: at rest after them."""
-    if backwards:
-        edges = range(stop, max(start, stop - LONGEST_STROKE), -BLOCK_SLICES)
-        blocks = [(max(start, edge - BLOCK_SLICES), edge) for edge in edges]
-    else:
-        edges = range(start, min(stop, start + LONGEST_STROKE), BLOCK_SLICES)
-        blocks = [(edge, min(stop, edge + BLOCK_SLICES)) for edge in edges]
-    state = rest_image.start(recording.frame_px)
-    for first, last in blocks:
-        events = recording.between(first, last)
-        rest_image.step(state, events.x, events.y, events.p, backwards=backwards)
-    return rest_image.image(state)
 
 
 def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
@@ -186,6 +140,9 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
 
 def _of_sensor(source: Path, params: Calibrate) -> Calibration:
     """The dots of a sensor's file as its camera sees them, and how strongly it answers contact."""
+    from evetac_cli.sim.camera.gel_camera import dot_grid
+    from evetac_cli.sim.camera.lens import Lens
+
     _, sensor = sensor_file.read(source, one_sensor)
     cut = params.gel != "closed"
     dots, lens = dot_grid(sensor, cut), Lens.of_sensor(sensor)
@@ -204,7 +161,7 @@ def _found(recording: Recording, places: Grid, radius_px: float) -> FoundDots:
     gel = None if recording.dot_xy_px is None else "closed" if window is None else "cut"
     if window is not None and gel_layout.touches(window, places, radius_px):
         gel = window = None  # it was recorded with the calibration of another gel
-    return FoundDots(places, radius_px, recording.frame_px, str(recording.path), PRESS, gel, window)
+    return FoundDots(places, radius_px, recording.frame_px, str(recording.path), calibrated_gel.PRESS, gel, window)
 
 
 def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
@@ -255,17 +212,6 @@ def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
     refined = default.reshape(-1, 2) + shift
     refined[near] = measured[nearest[near]]
     return refined.reshape(default.shape), int(np.isfinite(default[..., 0]).sum()) - len(near)
-
-
-def jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
-    """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
-    present = dots[np.isfinite(dots[..., 0])]
-    if any(dot_search.contrast(half) == 0.0 for half in halves):
-        return float("nan")
-    first, second = (dot_search.fit(half, present, radius).centre_xy_px for half in halves)
-    apart = np.sum((first - second) ** 2, axis=1)
-    apart = apart[np.isfinite(apart)]
-    return float(np.sqrt(apart.mean() / 2)) if len(apart) else float("nan")
 
 
 def _against_stored(recording: Recording, dots: Grid) -> dict[str, float]:

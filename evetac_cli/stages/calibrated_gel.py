@@ -22,6 +22,7 @@ LEAST_ON_GRID = 0.9  # of the dots: with so many in rows and columns they are a 
 SIZES = {"closed": (ROWS, CLOSED_COLUMNS), "cut": (ROWS, CUT_COLUMNS)}
 REFINE = "--refine takes the others from a default grid"
 IRREGULAR = "--irregular takes dots that are in no grid"
+PRESS = "press over the whole gel, and lift off between strokes"
 BY_HAND = "or write window_px into the JSON by hand, docs/recordings.md"
 
 

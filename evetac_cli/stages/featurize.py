@@ -4,7 +4,7 @@ Reads the recording, its tracks, and its labels where there are any; they lie be
 may be a folder. Event images, which only the image baselines need, are added on request: they are half of the file.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,12 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.index.known import Known
+from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
@@ -48,6 +48,18 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
         inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
         made.append(Job(inputs, output_path(file, OUTPUT, out)))
     return made
+
+
+def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
+    return Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(parents))
+
+
+def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
+    """The recipe of the features, where an index knows all that they are made from."""
+    kinds = ("recording", "tracks", "labels")
+    parents = [known.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
+    every = [parent for parent in parents if parent is not None]
+    return _recipe(params, every) if len(every) == len(parents) else None
 
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -79,7 +91,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
                 parents.append(labels.header)
                 arrays["label"] = labels.read("label")
                 arrays["onset_slice"] = labels.read("onset_slice")
-        recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(parents))
+        recipe = _recipe(params, parents)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
@@ -104,6 +116,8 @@ def _blocks(
     recording: Recording, tracks: StageFile, rest_xy_px: NDArray[Any], window: Any, images: bool, progress: Progress
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """The features in blocks of slices; `images` grow with the pixels that had events."""
+    from evetac_cli.kernels.slip import features
+
     slices = len(recording)
     blank = np.zeros(GEL_PX[::-1], np.int8)
     pixels = 0
@@ -138,4 +152,4 @@ def _named(recording: Path, kind: str, given: Path | None) -> Path:
     return given if given is not None and not given.is_dir() else output_path(recording, kind, given)
 
 
-STAGE = Stage(jobs, run)
+STAGE = Stage(jobs, run, recipe=known_recipe)

@@ -17,11 +17,12 @@ from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.labelling import event_flow, flow
+from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.index.known import Known
+from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start
 
 OUTPUT = "labels"
@@ -36,10 +37,20 @@ def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
     return per_file(files, OUTPUT, out)
 
 
+def _recipe(params: Label, recording: Header) -> Recipe:
+    return Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording,))
+
+
+def known_recipe(job: Job, params: Label, known: Known) -> Recipe | None:
+    """The recipe of the labels, where an index knows the recording."""
+    recording = known.header(job.inputs[0], "recording")
+    return None if recording is None else _recipe(params, recording)
+
+
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Find the onset by the method that is chosen, and label every slice."""
     with open_recording(job.inputs[0]) as recording:
-        recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording.header,))
+        recipe = _recipe(params, recording.header)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
@@ -62,12 +73,6 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         onset_ms=labels.onset if labels.onset >= 0 else None,
         confidence=labels.confidence if labels.onset >= 0 else None,
         flow_pairs=labels.flow_pairs if params.method in flow.METHODS else None,
-    )
-
-
-def _event_flow(params: Label) -> event_flow.EventFlowConstants:
-    return event_flow.EventFlowConstants(
-        slip_distance_px=params.slip_distance_px, edge_events=params.edge_events, after_ms=params.after_ms
     )
 
 
@@ -95,7 +100,11 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
                     hint=f"{MAKE_GRID} to evetac record, or label with --method farneback",
                 )
             radius = float(recording.read("sensor/dot_radius_px"))
-            constants = _event_flow(params)
+            from evetac_cli.kernels.labelling import event_flow
+
+            constants = event_flow.EventFlowConstants(
+                slip_distance_px=params.slip_distance_px, edge_events=params.edge_events, after_ms=params.after_ms
+            )
             return event_flow.label(between, slices, window, gel, dots.reshape(-1, 2), radius, constants, start)
         names = flow.FlowConstants.__dataclass_fields__
         chosen = {name: value for name, value in recipe_of(params).items() if name in names}
@@ -161,4 +170,4 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
     return flow.Labels(labels, np.full(len(slips), np.nan, np.float32), onset, confidence, 0)
 
 
-STAGE = Stage(jobs, run)
+STAGE = Stage(jobs, run, recipe=known_recipe)

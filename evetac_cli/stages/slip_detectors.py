@@ -1,33 +1,29 @@
 """Slip detectors from model files, their inputs from features files, and their predictions."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import features, inputs, onnx_graphs
+from evetac_cli.kernels.slip import features, inputs, onnx_graphs, sampling
 from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.stages.model_files import read_weights
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.hdf5.disk import joined_on_disk
-from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header
-
-USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
+from evetac_cli.store.layout.rules import named_architecture
 
 
 def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
     """The inputs of an architecture from a labelled features file, and the labels; InputError if they are missing."""
-    with StageFile(path, "features") as file:
-        if not file.has("label"):
-            raise InputError("the features have no labels", where=str(path), hint="evetac label, then evetac featurize")
+    with _labelled(path) as file:
         return Trajectory(
             read_series(file, architecture),
             file.read("events_outside"),
@@ -35,6 +31,21 @@ def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
             int(file.read("onset_slice")),
             file.read("visible_slip_share") if file.has("visible_slip_share") else None,
         )
+
+
+def read_pool_sizes(path: Path, architecture: Architecture, horizon_ms: int) -> sampling.PoolSizes:
+    """How many samples a labelled features file has for each pool; InputError if it has no labels."""
+    with _labelled(path) as file:
+        labels = file.read("label"), int(file.read("onset_slice")), file.read("events_outside")
+    return sampling.pool_sizes(*labels, architecture, horizon_ms)
+
+
+@contextmanager
+def _labelled(path: Path) -> Iterator[StageFile]:
+    with StageFile(path, "features") as file:
+        if not file.has("label"):
+            raise InputError("the features have no labels", where=str(path), hint="evetac label, then evetac featurize")
+        yield file
 
 
 def read_series(file: StageFile, architecture: Architecture, start: int = 0, stop: int | None = None) -> inputs.Series:
@@ -50,7 +61,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
         pixels = (file.read(f"image/{name}", int(begin[0]), int(begin[-1])) for name in ("pixel", "sign"))
         return features.EventImages(begin - begin[0], *pixels)
     displacement_xy_px = None
-    if {"x", "y"} & {view.channel for view in architecture.views}:
+    if architecture.sees_direction:
         if not file.has("displacement_xy_px"):
             raise InputError(
                 f"{architecture.name} needs displacements with their direction, and the features have none",
@@ -64,25 +75,6 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
         displacement_xy_px,
         architecture.factors(file.sensitivity),
     )
-
-
-def join_on_disk(folder: Path, parts: Iterable[inputs.Series]) -> inputs.Series:
-    """What `inputs.join` does, in files without a name in `folder`: thousands of trajectories do not fit into memory.
-
-    Of event images, where each slice starts stays in memory.
-    """
-    starts = [np.zeros(1, np.int64)]
-
-    def columns() -> Iterator[tuple[NDArray[Any], ...]]:
-        for part in parts:
-            if isinstance(part, features.EventImages):
-                starts.append(starts[-1][-1] + part.start[1:])
-                yield part.pixel, part.sign
-            else:
-                yield (part,)
-
-    joined = joined_on_disk(folder, columns())
-    return joined[0] if len(joined) == 1 else features.EventImages(np.concatenate(starts), *joined)
 
 
 def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> Prediction:
@@ -117,33 +109,6 @@ def probabilities(detector: Detector, series: inputs.Series, first: int) -> NDAr
     return detector.over(series, begin)[first - begin :]
 
 
-def why_useless(model: StageFile) -> str:
-    """Why a model detects nothing, in a sentence: at its threshold all slices are slip, or none is; "" if it may do.
-
-    Models of an older evetac do not say how many validation slices they detect; a threshold of 0 is known to be useless
-    without that.
-    """
-    share = float(model.read("validation/detected_share")) if model.has("validation/detected_share") else None
-    if share not in (0.0, 1.0) and float(model.read("threshold")) > 0.0:
-        return ""
-    if model.has("validation/slip_share") and float(model.read("validation/slip_share")) == 1.0:
-        return "its validation trajectories have no slice without slip, so that no threshold could be chosen"
-    which = "no slice" if share == 0.0 else "every slice"
-    return f"at its threshold, {float(model.read('threshold')):g}, it calls {which} of its validation trajectories slip"
-
-
-def require_useful(model: StageFile) -> None:
-    """InputError for a model that detects nothing, before it is let at a gripper."""
-    why = why_useless(model)
-    if why:
-        raise InputError("this model is no slip detector", where=str(model.path), found=why, hint=USELESS_HINT)
-
-
-def read_horizon_ms(model: StageFile) -> int:
-    """How far ahead a model predicts slip, in ms; 0 for detection."""
-    return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
-
-
 def load_detector(model: StageFile) -> Detector:
     """The detector in a model file; InputError as `check_graph`."""
     graph = check_graph(model)
@@ -163,12 +128,6 @@ def check_graph(model: StageFile) -> bytes:
     except ValueError as error:
         raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
     return graph
-
-
-def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
-    """The weights in a model file by their names in the detector; those of several networks begin with a number."""
-    names = [name for name in model.contents() if name.startswith("weights/")]
-    return {name.removeprefix("weights/"): model.read(name) for name in names}
 
 
 def check_checkpoints(model: StageFile) -> None:

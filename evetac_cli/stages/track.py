@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.stages import per_file, row_blocks
-from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration
+from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration, stored_calibration
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.index.known import Known
+from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
+
+if TYPE_CHECKING:
+    from evetac_cli.kernels.tracking.tracker import TrackerState, Tracks
 
 OUTPUT = "tracks"
 METHOD = 4
@@ -29,10 +32,10 @@ def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
     return per_file(files, OUTPUT, out)
 
 
-def constants(preset: str, **overrides: Any) -> tuple[str, tracker.TrackerConstants]:
+def constants(preset: str, **overrides: Any) -> tuple[str, presets.TrackerConstants]:
     """Name and constants of a preset; with overrides the name is `custom from PRESET`. InputError if invalid."""
     chosen = {name: value for name, value in overrides.items() if value is not None}
-    base = tracker.PRESETS[preset]
+    base = presets.PRESETS[preset]
     try:
         custom = dataclasses.replace(base, **chosen)
     except ValueError as error:
@@ -40,26 +43,48 @@ def constants(preset: str, **overrides: Any) -> tuple[str, tracker.TrackerConsta
     return (preset if custom == base else f"custom from {preset}"), custom
 
 
-def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Track the dots of a recording, slice by slice."""
-    name, chosen = constants(
+def _constants(params: Track) -> tuple[str, presets.TrackerConstants]:
+    return constants(
         params.preset,
         step_size=params.step_size,
         regulariser_weight=params.regulariser,
         min_events=params.min_events,
     )
+
+
+def _recipe(
+    preset: str, chosen: presets.TrackerConstants, dot_radius_px: float, grid: str, recording: Header
+) -> Recipe:
+    parameters = {
+        "preset": preset,
+        "constants": dataclasses.asdict(chosen),  # as the preset has them, so that two sensors have one preset
+        "dot_radius_px": dot_radius_px,
+        "grid": grid,
+    }
+    return Recipe(OUTPUT, METHOD, parameters, parents=(recording,))
+
+
+def known_recipe(job: Job, params: Track, known: Known) -> Recipe | None:
+    """The recipe of the tracks, where an index knows the recording, and the grid is that of the recording."""
+    row = known.row(job.inputs[0], "recording")
+    recording = known.header(job.inputs[0], "recording")
+    if params.calibration is not None or row is None or row.dot_radius_px is None or not row.grid or recording is None:
+        return None
+    return _recipe(*_constants(params), row.dot_radius_px, row.grid, recording)
+
+
+def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Track the dots of a recording, slice by slice."""
+    name, chosen = _constants(params)
     with open_recording(job.inputs[0]) as recording:
         calibration = _calibration(recording, params.calibration)
-        parameters = {
-            "preset": name,
-            "constants": dataclasses.asdict(chosen),  # as the preset has them, so that two sensors have one preset
-            "dot_radius_px": calibration.dot_radius_px,
-            "grid": calibration.digest(),
-        }
-        recipe = Recipe(OUTPUT, METHOD, parameters, parents=(recording.header,))
+        recipe = _recipe(name, chosen, calibration.dot_radius_px, calibration.digest(), recording.header)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
+        from evetac_cli.kernels.slip import features
+        from evetac_cli.kernels.tracking import tracker
+
         rows, columns = calibration.dot_xy_px.shape[:2]
         try:
             fitting = chosen.for_dots(calibration.dot_radius_px)
@@ -93,11 +118,13 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
     )
 
 
-def _tracked(recording: Recording, state: tracker.TrackerState, progress: Progress) -> Iterator[tracker.Tracks]:
+def _tracked(recording: Recording, state: "TrackerState", progress: Progress) -> Iterator["Tracks"]:
     """Where the dots are in every slice, in blocks of slices; the state of the tracker goes along.
 
     Times are not read: the tracker takes the events of a slice in any order.
     """
+    from evetac_cli.kernels.tracking import tracker
+
     slices = len(recording)
     columns = "xyp" if state.constants.fit else "xy"
     for first, stop in row_blocks(slices):
@@ -111,15 +138,13 @@ def _calibration(recording: Recording, given: Path | None) -> Calibration:
     """The dot grid given by hand, or the one in the recording."""
     if given is not None:
         return read_calibration(given, recording.frame_px)
-    dots = recording.dot_xy_px
-    if dots is None:
+    if recording.dot_xy_px is None:
         raise InputError(
             "the recording has no dot grid",
             where=str(recording.path),
             hint=MAKE_GRID,
         )
-    radius = float(recording.read("sensor/dot_radius_px"))
-    return Calibration(recording.frame_px, dots, radius, recording.window_px)
+    return stored_calibration(recording)
 
 
-STAGE = Stage(jobs, run)
+STAGE = Stage(jobs, run, recipe=known_recipe)

@@ -22,8 +22,8 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.layout import schema
-from evetac_cli.store.layout.contents import BLOCK_VALUES
 from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.rules import BLOCK_VALUES
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "recording"

@@ -11,7 +11,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe, content_digest, first_difference, other_recipe
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
+
+if TYPE_CHECKING:
+    from evetac_cli.store.files import StageFile
 
 MAKE_GRID = "evetac calibrate makes one from a press recording or a file; give it with --calibration GRID.json"
 MOST_PX = 65536  # events count columns and rows in uint16
@@ -65,6 +68,17 @@ class Calibration:
     def digest(self) -> str:
         """What stands for this calibration in a recipe."""
         return content_digest(self.arrays())
+
+
+def stored_calibration(recording: "StageFile") -> Calibration:
+    """The grid of dots in a recording that has one, at rest; of its sensitivity nothing, which tracks do not need."""
+    width, height = recording.read("sensor/frame_px")
+    window = None
+    if recording.has("sensor/window_px"):
+        x0, y0, x1, y1 = recording.read("sensor/window_px").tolist()
+        window = (x0, y0, x1, y1)
+    radius = float(recording.read("sensor/dot_radius_px"))
+    return Calibration((int(width), int(height)), recording.read("sensor/dot_xy_px"), radius, window)
 
 
 def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Calibration:

@@ -1,41 +1,46 @@
 """Open, check, skip and write stage files.
 
-A file is opened only if it is what the caller expects, and written all-or-nothing: into a temporary file beside the
-target, which is renamed when it is complete. Two writers of the same target do not disturb each other: the later
-rename wins, and with the same recipe both wrote the same arrays.
+A file is opened only if it is what the caller expects: its kind, version, header, names, dtypes and shapes are looked
+at, and that nothing in it leads elsewhere. Each dataset is looked at before it is first read: where its bytes lie, how
+they are packed, whether values make sense and fit those of others. Why not all of them at once: of a recording, whose
+32 take ten times as long, most commands read a few. Whoever vouches for a whole file asks for `check`.
+
+A file is written all-or-nothing: into a temporary file beside the target, which is renamed when it is complete. Two
+writers of the same target do not disturb each other: the later rename wins, and with the same recipe both wrote the
+same arrays.
 """
 
 import json
 import math
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from types import NoneType
 from typing import Any, Self
 
 import h5py
+import numpy as np
+from h5py import h5s
 
-from evetac_cli.errors import EvetacError, ForeignFile, InputError, SchemaError, made_by
+from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.kernels.sensitivity import DATASETS, Sensitivity, sensitivity_of
-from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, MOST_TEXT_BYTES, CheckedHdf5, damage_in_words
+from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
 from evetac_cli.store.hdf5.disk import existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.layout import contents, netcdf, schema
+from evetac_cli.store.layout.header import FOREIGN, check_kind, read_header
 from evetac_cli.store.layout.new_contents import NewContents
 from evetac_cli.store.layout.provenance import (
     Header,
     Recipe,
-    canonical,
     first_difference,
     folded,
     identity_fault,
     other_recipe,
-    unfolded,
 )
-from evetac_cli.text_files import SEED_BITS, parse_json
+from evetac_cli.store.layout.rules import Rule, Shapes
 
 
 class StageFile:
@@ -46,25 +51,24 @@ class StageFile:
         self.path = Path(path)
         self._file = CheckedHdf5(self.path, "an evetac stage file", FOREIGN)
         try:
-            self.header = _read_header(self._file)
-            _check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
+            self.header = read_header(self._file)
+            check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
             fault = identity_fault(self.header)
             if fault:
                 raise SchemaError(fault, where=str(self.path))
-            self._datasets = self._file.datasets()
+            self._found = self._file.survey(partial(netcdf.is_dimension, self.kind))
             self._readers: dict[str, RowReader] = {}
+            self._looked_at: set[str] = set()
+            self._passed: set[Rule] = set()
             with damage_in_words(self.path, "its contents"):
-                stored = self.contents()
-                lines = schema.problems(schema.load(self.kind), stored)
-                dimensions = self._file.dimensions
-                lines += [f"{path} is not in the schema" for path in netcdf.strays(self.kind, dimensions)]
-            major, minor = (int(part) for part in self.header["version"].split("."))
-            known_minor = int(schema.load(self.kind).version.split(".")[1])
-            if major == schema.MAJOR and minor > known_minor:  # a newer minor version only adds
-                lines = [line for line in lines if "is not in the schema" not in line]
-            lines = lines or netcdf.dimension_problems(self.kind, stored, dimensions)
-            schema.refuse(self.kind, lines, str(self.path))
-            contents.check_small(self, stored)
+                self._shapes: Shapes = {
+                    name: (schema.describe_stored(one), one.shape or ()) for name, one in self._found.items()
+                }
+                lines = schema.problems(schema.load(self.kind), self._shapes)
+                strays = [path for path in self._file.dimensions if not netcdf.is_place(self.kind, path)]
+                lines += [f"{path} is not in the schema" for path in strays]
+            self._refuse_if(lines)
+            contents.check_shapes(self.kind, self.path, self._shapes)
         except BaseException:
             self._file.close()
             raise
@@ -77,6 +81,8 @@ class StageFile:
 
     def close(self) -> None:
         """Close the file; arrays already read stay valid."""
+        self._found.clear()  # h5py looks for whatever is still open of a file, which takes as long as opening it
+        self._readers.clear()
         self._file.close()
 
     @property
@@ -86,33 +92,70 @@ class StageFile:
 
     def has(self, path: str) -> bool:
         """Whether the file holds a dataset, or datasets in a group, of this path."""
-        return path in self._datasets or any(name.startswith(f"{path}/") for name in self._datasets)
+        return path in self._shapes or any(name.startswith(f"{path}/") for name in self._shapes)
 
     @property
     def sensitivity(self) -> Sensitivity:
         """What is known of how strongly the sensor answers contact."""
         return sensitivity_of({path: self.read(path) for path in DATASETS.values() if self.has(path)})
 
+    def check(self) -> None:
+        """Look at every dataset as reading it does; InputError where one is damaged or makes no sense.
+
+        Values are read of those that are small, or have to fit others: `evetac validate` reads all. Dimensions, which
+        other programs read, are as long as the datasets.
+        """
+        with damage_in_words(self.path, "its contents"):
+            self._refuse_if([f"{path} is not in the schema" for path in self._file.check_left()])
+        lines = netcdf.dimension_problems(self.kind, self._shapes, self._file.dimensions)
+        schema.refuse(self.kind, lines, str(self.path))
+        for path in self._shapes:
+            self._look_at(path)
+
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
         """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.
 
-        SchemaError where values are not what the schema allows.
+        SchemaError where values are not what the schema allows, or do not fit those of others.
         """
-        dataset = self._datasets.get(path)
-        if dataset is None:
-            raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
+        self._look_at(path)
         with damage_in_words(self.path, path):
-            values = self._values(path, dataset, start, stop)
+            values = self._values(path, start, stop)
         contents.check_values(self, path, values, start)
         return values
 
-    def _values(self, path: str, dataset: h5py.Dataset, start: int, stop: int | None) -> Any:
-        if schema.describe_stored(dataset) == "utf8":
-            return self._file.text(path, dataset)
-        if dataset.shape == ():
-            return dataset[()]
-        start, stop, _ = slice(start, stop).indices(len(dataset))
-        size = max(0, stop - start) * math.prod(dataset.shape[1:]) * dataset.dtype.itemsize
+    def _refuse_if(self, lines: list[str]) -> None:
+        """SchemaError if there is any difference to the schema; a newer minor version only adds."""
+        major, minor = (int(part) for part in self.header["version"].split("."))
+        known_minor = int(schema.load(self.kind).version.split(".")[1])
+        if major == schema.MAJOR and minor > known_minor:
+            lines = [line for line in lines if "is not in the schema" not in line]
+        schema.refuse(self.kind, lines, str(self.path))
+
+    def _look_at(self, path: str) -> None:
+        """Check a dataset before anything of it is handed out; InputError if it is none, or harms."""
+        if path in self._looked_at:
+            return
+        if path not in self._shapes:
+            raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
+        with damage_in_words(self.path, path):
+            self._file.check(path, self._found[path])
+        self._looked_at.add(path)  # before its values are checked, which are read for that
+        try:
+            contents.check_first(self, path, self._shapes, self._passed)
+        except BaseException:
+            self._looked_at.clear()  # those too that a rule has read, which it concerns
+            raise
+
+    def _values(self, path: str, start: int, stop: int | None) -> Any:
+        found = self._found[path]
+        if not found.shape:
+            if found.is_text:
+                return self._file.text(path, h5py.Dataset(found.id))
+            value = np.empty((), found.dtype)
+            found.id.read(h5s.ALL, h5s.ALL, value)
+            return (value if found.dtype.isnative else value.astype(found.dtype.newbyteorder("=")))[()]
+        start, stop, _ = slice(start, stop).indices(found.shape[0])
+        size = max(0, stop - start) * math.prod(found.shape[1:]) * found.dtype.itemsize
         if size > MOST_READ_BYTES:
             raise InputError(
                 f"{path} is too long to be read at once",
@@ -122,77 +165,19 @@ class StageFile:
                 hint="cut the recording with `evetac trim`",
             )
         if path not in self._readers:
-            self._readers[path] = RowReader(dataset)
+            self._readers[path] = RowReader(found.id, found.dtype)
         array = self._readers[path].read(start, stop)
         return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
     def length(self, path: str) -> int:
-        """Number of rows of a dataset, without reading it."""
-        return int(self._datasets[path].shape[0])
+        """Number of rows of a dataset, all of which are there, without reading it."""
+        self._look_at(path)
+        rows: int = self._shapes[path][1][0]
+        return rows
 
     def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
         """Path -> (dtype, shape) of every dataset; dimensions are none, as they hold no values."""
-        return {name: (schema.describe_stored(item), item.shape or ()) for name, item in self._datasets.items()}
-
-
-FOREIGN = "event files of other programs are read with `evetac record --from FILE`"
-
-# What every header says, and as what.
-HEADER: dict[str, tuple[type, ...]] = {
-    "kind": (str,),
-    "version": (str,),
-    "method": (int,),
-    "parameters": (dict,),
-    "seed": (int, NoneType),
-    "parents": (list,),
-    "content": (str, NoneType),
-    "id": (str,),
-    "simulated": (bool,),
-    "history": (dict,),
-}
-
-
-def _read_header(file: CheckedHdf5) -> Header:
-    path, text = file.path, file.text_attribute("header")
-    if text is None:
-        raise ForeignFile("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
-    try:
-        header = dict(parse_json(text, most_values=math.inf, whole_bits=SEED_BITS))
-        canonical(header)
-        header = unfolded(header, MOST_TEXT_BYTES)
-    except (KeyError, ValueError, TypeError):
-        raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
-    number = header.get("version")
-    version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None
-    if version and (int(version[1]), int(version[2])) < (schema.MAJOR, schema.OLDEST_MINOR):
-        raise InputError(
-            "written by an earlier version of evetac and cannot be read",
-            where=str(path),
-            expected=f"version {schema.MAJOR}.{schema.OLDEST_MINOR} or newer",
-            found=f"{header.get('kind')} version {version[0]}",
-            hint="make it again from its recipe: names of datasets and parameters have changed",
-        )
-    if version and int(version[1]) > schema.MAJOR:  # said first: such a header may look different
-        raise InputError(
-            f"made by a newer evetac: {header.get('kind')} version {version[0]}",
-            where=str(path),
-            expected=f"version {schema.MAJOR}.x",
-            hint="update evetac",
-        )
-    missing = [key for key in HEADER if key not in header]
-    if missing:
-        raise SchemaError("its header is incomplete", where=str(path), found=f"no {', '.join(missing)}")
-    wrong = [key for key, types in HEADER.items() if not isinstance(header[key], types)]
-    wrong += [] if version or "version" in wrong else ["version"]
-    if not wrong:
-        ancestors = header["history"].values()
-        wrong += [] if all(isinstance(parent, str) for parent in header["parents"]) else ["parents"]
-        wrong += [] if all(isinstance(ancestor, dict) and "kind" in ancestor for ancestor in ancestors) else ["history"]
-    if wrong:
-        raise SchemaError(
-            f"its header is not valid: {', '.join(wrong)}", where=str(path), expected="schemas/header.v1.json"
-        )
-    return header
+        return dict(self._shapes)
 
 
 def header_of(path: Path, kind: str | None = None) -> Header:
@@ -210,19 +195,6 @@ def is_foreign(path: Path) -> bool:
         return False
 
 
-def _check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
-    if wanted and header["kind"] not in wanted:
-        raise InputError(
-            "wrong kind of file",
-            where=str(path),
-            expected=" or ".join(wanted),
-            found=str(header["kind"]),
-            hint="; ".join(map(made_by, wanted)),
-        )
-    if header["kind"] not in schema.KINDS:
-        raise SchemaError("unknown kind", where=str(path), expected=", ".join(schema.KINDS), found=str(header["kind"]))
-
-
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     """Whether `path` already holds the result of this recipe.
 
@@ -236,6 +208,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         return False
     try:
         with StageFile(path) as existing:
+            existing.check()
             header = existing.header
             of_devices = existing.has("capture/ended") and header["content"] is not None and not header["parents"]
     except InputError as error:

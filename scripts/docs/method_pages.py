@@ -16,8 +16,8 @@ from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, MOST_FIXED_TICKS
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, weight_shapes
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
-from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import TrackerConstants
+from evetac_cli.kernels.tracking import presets
+from evetac_cli.kernels.tracking.presets import TrackerConstants
 from evetac_cli.resources import FORCE_MODEL, MODEL
 
 ROWS, COLUMNS = 7, 8  # of the cut gel, for which numbers of weights are counted
@@ -107,9 +107,9 @@ def _presets() -> str:
         "## Tracker\n",
         "`evetac track --preset NAME`, `evetac grasp --tracker NAME`, `evetac.DotTracker(gel, preset=NAME)`.\n",
     ]
-    for name in tracker.PRESETS:
+    for name in presets.PRESETS:
         said += [f"### Tracker preset {name}\n", TRACKERS[name] + "\n"]
-    constants = {name: asdict(each) for name, each in tracker.PRESETS.items()}
+    constants = {name: asdict(each) for name, each in presets.PRESETS.items()}
     said += ["### Constants of the tracker\n", "Lengths in px.\n", _constants(constants, comments(TrackerConstants))]
     said += ["## Training\n", "`evetac train --preset NAME`.\n"]
     trainings = {**PRESETS, ADAPT.name: ADAPT}

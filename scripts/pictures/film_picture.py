@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from evetac_cli.events import Events
-from evetac_cli.kernels.slip.features import event_image
+from evetac_cli.kernels.event_image import event_image
 from evetac_cli.pages.view.film import ARROWS
 
 FINE = 2  # drawn so many times larger

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.virtual import device_model
 from evetac_cli.devices.virtual.word_sources import due_us
+from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_time import TimeSource
 
 
@@ -21,9 +22,10 @@ class StepClock:
         """The time, in s."""
         return self.s
 
-    def sleep(self, seconds: float) -> None:
-        """So much of it passes."""
+    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
+        """So much of it passes; no bell rings."""
         self.s += max(seconds, 0.0)
+        return False
 
     def slices_read_until(self, now_s: float) -> None:
         """Without effect: it waits for nobody."""

@@ -8,7 +8,7 @@ import pytest
 
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.events import Events
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
@@ -32,7 +32,7 @@ def test_dense_frames_make_the_same_events() -> None:
 def test_the_numpy_tracker_is_the_paper_preset() -> None:
     """Assert that plain numpy moves the dots as the preset `paper` does; ours sums pulls in small units."""
     rng = np.random.default_rng(3)
-    state, plain = tracker.start(DOTS_PX, tracker.PRESETS["paper"]), NumpyTracker(DOTS_PX)
+    state, plain = tracker.start(DOTS_PX, presets.PRESETS["paper"]), NumpyTracker(DOTS_PX)
     for _ in range(20):
         x, y, p = rim_events(rng, 2000)
         tracker.step(state, x, y, p)

@@ -15,7 +15,7 @@ from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, make_law
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.sim.parts import rows_of
 from evetac_cli.store.layout import schema
 from tests import small_files
@@ -50,7 +50,8 @@ def choices(of: type, name: str) -> set[str]:
 def test_every_command_and_option_has_a_place(every: dict[str, str]) -> None:
     """Assert that each command of the program has a page that names all of its options and files."""
     alone = {command.name for command in main.app.registered_commands}
-    judging = {f"evaluate {command.name}" for command in main.evaluate.registered_commands}
+    (judged,) = (group.typer_instance for group in main.app.registered_groups)
+    judging = {f"evaluate {command.name}" for command in judged.registered_commands}
     assert set(command_pages.every_command()) == alone | judging
     for name, command in command_pages.every_command().items():
         text = every[f"commands/{command_pages.page_name(name)}"]
@@ -84,7 +85,7 @@ def test_every_kind_of_file_and_dataset_has_a_place(every: dict[str, str]) -> No
     [
         ("scenes.md", {path.stem for path in resources.SCENES.glob("*.toml")}),
         ("sensors.md", set(resources.table("sensors"))),
-        ("presets.md", {*tracker.PRESETS, *PRESETS, ADAPT.name, *choices(Label, "method")}),
+        ("presets.md", {*presets.PRESETS, *PRESETS, ADAPT.name, *choices(Label, "method")}),
         ("controllers.md", {*LAWS, "none", "fixed:N"}),
         ("models.md", {*ARCHITECTURES, *choices(TrainForce, "method"), "slip-10ms"}),
     ],

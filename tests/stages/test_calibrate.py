@@ -22,7 +22,7 @@ from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera import gel_camera
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages import calibrate, featurize, track
+from evetac_cli.stages import calibrate, calibrated_gel, featurize, gel_at_rest, track
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -87,7 +87,7 @@ def selected(events: Events, keep: NDArray[np.bool_]) -> Events:
 @pytest.fixture(scope="module")
 def halves(pressed: Path) -> tuple[RestImage, RestImage]:
     with open_recording(pressed) as recording:
-        return calibrate.rest_images(recording)
+        return gel_at_rest.rest_images(recording)
 
 
 @pytest.fixture
@@ -280,7 +280,7 @@ def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
         assert f"{rows} rows and {columns} columns" in refused.value.expected
         assert "7 rows and 4 columns, 0 dots missing" in refused.value.found
         assert "--rows 7 --columns 4 --gel closed" in refused.value.hint
-        assert (calibrate.PRESS in refused.value.hint) == (rows > 7 or columns > 4)
+        assert (calibrated_gel.PRESS in refused.value.hint) == (rows > 7 or columns > 4)
     assert not made.exists()
 
 

@@ -6,7 +6,10 @@ tests of their own.
 
 import dataclasses
 import json
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -31,6 +34,7 @@ from evetac_cli.commands.evaluate import (
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
+from evetac_cli.commands.parameter import flag_of
 from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
@@ -48,6 +52,7 @@ from evetac_cli.evaluate import slip as evaluate_slip
 from evetac_cli.evaluate import tracking as evaluate_tracking
 from evetac_cli.evaluate import vibration as evaluate_vibration
 from evetac_cli.inspect import validate
+from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import (
     attach,
     featurize,
@@ -63,6 +68,7 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.trials import grasp, record
 from tests.conftest import Made
 from tests.make import run_stage
+from tests.patience import PATIENCE_S
 
 
 class Stage(NamedTuple):
@@ -122,6 +128,7 @@ def force_model(folder: Path) -> Path:
     return folder / "dots.force-model.h5"
 
 
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
 POSE = "t_s,z_m\n" + "".join(f"{at / 100},{at}\n" for at in range(10))  # of an arm, for the first tenth of a second
 
 
@@ -316,6 +323,46 @@ def test_another_recipe_is_refused(stage: Stage, folder: Path, tmp_path: Path, f
     _, outcome = run_stage(stage.module, inputs, chosen, target, force=True)
     assert outcome.made
     assert header(target)["id"] != first_id
+
+
+HEAVY = ("numba", "scipy", "cv2", "torch", "onnx", "pandas", "pydantic")
+LOADED = """
+import runpy, sys
+try:
+    runpy.run_module("evetac_cli", run_name="__main__", alter_sys=True)
+except SystemExit as end:
+    print("exit", end.code, file=sys.stderr)
+print(*sorted({name.split(".")[0] for name in sys.modules}), file=sys.stderr)
+"""
+
+
+def flags_of(params: Any) -> list[str]:
+    """The flags that give a command these parameters."""
+    words: list[str] = []
+    for item in dataclasses.fields(params):
+        value, flag = getattr(params, item.name), flag_of(item)
+        if value != item.default:
+            values = value if isinstance(value, list) else [value]
+            words += [flag] if value is True else [word for one in values for word in (flag, str(one))]
+    return words
+
+
+# These measure, or load the network that their recipe names, before they know that there is nothing to do.
+KNOW_LATE = ("grasp", *(f"evaluate {subject}" for subject in ("slip", "labels", "vibration", "grasp", "realism")))
+
+
+@each([stage for stage in STAGES if stage.name not in KNOW_LATE])
+def test_nothing_to_do_loads_no_kernel(stage: Stage, folder: Path, tmp_path: Path, first_run: FirstRun) -> None:
+    """Assert that a command whose output is up to date loads no compiled code, and none of what takes long to load."""
+    target = tmp_path / "target.h5"
+    shutil.copy(first_run(stage)[0], target)
+    inputs, flags = map(str, stage.inputs(folder)), flags_of(stage.params(folder))
+    words = [*stage.name.split(), *inputs, *flags, "-o", str(target)]
+    run = [sys.executable, "-P", "-c", LOADED, *words]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=PATIENCE_S, check=True, env=ENVIRONMENT)
+    *said, end, loaded = done.stderr.splitlines()
+    assert (end, "nothing to do" in "".join(said)) == ("exit 0", True), done.stderr
+    assert [name for name in HEAVY if name in loaded.split()] == []
 
 
 def test_every_stage_takes_part() -> None:

@@ -9,8 +9,8 @@ import pytest
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
+from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
-from evetac_cli.kernels.slip.features import event_image
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series
 from evetac_cli.store.files import StageFile

@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import PRESETS
+from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording

@@ -119,7 +119,7 @@ OURS: dict[str, Callable[[Path], None]] = {
         f"INSERT INTO files WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many LIMIT 120000)"
         f" SELECT n || '.h5', {', '.join('NULL' for _ in index.IndexRow._fields[1:])} FROM many"
     ),
-    "another format": changed("PRAGMA user_version = 3"),
+    "another format": changed("PRAGMA user_version = 4"),
     "an index of before": instead(
         "CREATE TABLE files (path, size_bytes, changed_ns, kind, PRIMARY KEY (path)) WITHOUT ROWID",
         "INSERT INTO files VALUES ('a.recording.h5', 1, 2, 'recording')",
@@ -177,7 +177,9 @@ def test_an_index_of_ours_with_senseless_contents_is_made_again(name: str, folde
 def test_rows_of_files_that_are_not_there_are_not_believed(folder: Path) -> None:
     """Assert that a row for a file elsewhere, or for one that is gone, is in no answer."""
     right = rows(folder)
-    values = ", ".join("1" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.IndexRow._fields[1:])
+    values = ", ".join(
+        "1" if name in ("size_bytes", "changed_ns", "inode") else "NULL" for name in index.IndexRow._fields[1:]
+    )
     changed(f"INSERT INTO files ({COLUMNS}) VALUES ('../../../etc/passwd', {values})")(folder / index.NAME)
     with index.open_index(folder) as opened:
         assert (opened.read, opened.removed, opened.rows()) == (0, 1, right)

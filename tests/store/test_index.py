@@ -15,6 +15,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store import index
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5 import disk
+from evetac_cli.store.index import rows
 from tests.conftest import Made
 
 
@@ -142,8 +143,8 @@ def test_what_could_not_be_read_is_tried_again(folder: Path, monkeypatch: pytest
     """Assert that a reason that passed leaves the index though the file did not change; no other file is read."""
     name, reads = next(folder.glob("*.tracks.h5")).name, index.describe
 
-    def refuse(folder: Path, name: str, size_bytes: int, changed_ns: int) -> index.IndexRow:
-        return index.IndexRow(name, size_bytes, changed_ns, error="cannot be opened: Permission denied")
+    def refuse(folder: Path, name: str, *seen: int) -> index.IndexRow:
+        return index.IndexRow(name, *seen, error="cannot be opened: Permission denied")
 
     right = table(folder)
     (folder / name).touch()
@@ -243,8 +244,8 @@ def test_a_file_is_no_data_set(made: Made) -> None:
 
 def test_seeds_that_sqlite_cannot_hold(tmp_path: Path) -> None:
     """Assert that a whole number of more than 64 bits is kept as text."""
-    assert index._plain(2**63) == str(2**63)
-    assert [index._plain(value) for value in (2**63 - 1, -5, "a", True, 1.5, [1], None)] == [
+    assert rows._plain(2**63) == str(2**63)
+    assert [rows._plain(value) for value in (2**63 - 1, -5, "a", True, 1.5, [1], None)] == [
         2**63 - 1,
         -5,
         "a",

@@ -6,10 +6,10 @@ of the last column; pol is 1 for darker. COLUMN `0 00001 .. SOF[21] us[20:11] . 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX, SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 WIDTH = FRAME_PX[0]
 GROUPS = FRAME_PX[1] // 8

@@ -4,7 +4,8 @@ In current mode the goal is a motor current; in position mode (the maker's curre
 reached with P gain and a largest current. Closing is positive in both. Limits are read from the device; a command
 beyond them is clamped to them, and counted. One cycle is a read of current, speed and position, and a command that is
 not answered; every 100th command is, which proves that commands arrive. Beside others of each hundred it is asked
-whether torque is still on, and whether supply and temperature can be (measurements.py).
+whether torque is still on, and whether supply and temperature can be (measurements.py). A second command in a cycle, as
+where slip is answered between two steps of a loop, is only sent: it asks nothing that the next read would wait for.
 
 Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
 current 0 and torque off, and `release_words` say what was read back. What no program can handle (SIGKILL, a pulled
@@ -101,7 +102,8 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._mode, self._settings = mode, settings
         self._closed = False
         self._is_ours = False  # the model that this driver is for
-        self._clamped = self._commands = 0
+        self._clamped = self._commands = 0  # of the commands those that are the first in their cycle
+        self._in_cycle = 0  # commands since the last reading, up to the next that counts
         self._alone = threading.RLock()  # at the end of a program another thread may be in the middle of a command
         self._process = os.getpid()  # a child process that inherits this object must not touch the gripper
         self._spoken_s = time.monotonic()
@@ -138,6 +140,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     def read(self) -> GripperReading:
         """Present current (mA) and position (ticks), in one transaction; DeviceError where they cannot be."""
+        self._in_cycle = 0
         return self._attempt(self._measured.read)
 
     def write_current(self, current_ma: int) -> None:
@@ -262,19 +265,25 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             raise DeviceError(f"a {mode} for a gripper opened in {self._mode} mode", where=self._where)
         goal = min(max(operator.index(value), low), high)
         self._clamped += goal != value
-        self._attempt(lambda: self._command_once(goal))
-        self._commands += 1
+        self._in_cycle += 1
+        between = self._in_cycle == 2  # of more without a reading the others count: who never reads is checked too
+        self._attempt(lambda: self._command_once(goal, between=between))
+        self._commands += not between
 
-    def _command_once(self, goal: int) -> None:
-        """A command; with an answer every so often, and after a silence that may have tripped the watchdog."""
+    def _command_once(self, goal: int, *, between: bool) -> None:
+        """A command; with an answer every so often, and after a silence that may have tripped the watchdog.
+
+        between: the second one in a cycle.
+        """
         name = _GOAL[self._mode]
+        spoke = self._silent_ms < 0.5 * self._settings.watchdog_ms
         if not self._torque.is_on:
             self._put({name: goal} if self._mode == "current" else {name: goal, "Goal Current": self._limit_ma})
-        elif self._commands % CHECK_EVERY and self._silent_ms < 0.5 * self._settings.watchdog_ms:
+        elif (between or self._commands % CHECK_EVERY) and spoke:
             self._bus.send(name, goal)
         else:
             self._put({name: goal})
-        place = self._commands % CHECK_EVERY
+        place = 0 if between else self._commands % CHECK_EVERY
         if place == TORQUE_AT:
             self._measured.require_torque()
         elif place == SUPPLY_AT:

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.scanning.camera import CameraState
 
 TOLERANCE_US = 10.0

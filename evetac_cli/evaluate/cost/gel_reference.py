@@ -3,11 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
 from scipy.fft import dctn, idctn
 
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import GelMotion, GelTrial, follow
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.pad_equation import PadConstants, spring
 

@@ -32,10 +32,10 @@ from evetac_cli.evaluate.slip_tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.files import StageFile
 
-TRACKER = tracker.PRESETS[Grasp().tracker]
+TRACKER = presets.PRESETS[Grasp().tracker]
 EVENTS = 500  # of a slice in a step
 DISTINCT = 20  # slices that are timed in turn
 REPEATS = 3000  # inferences and steps timed, fewer where that would take longer than

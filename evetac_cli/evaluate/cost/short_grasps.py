@@ -19,7 +19,7 @@ from evetac_cli.devices.simulated import rig
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.store.files import StageFile
@@ -133,7 +133,7 @@ def run_short_grasp(
         with StageFile(model or resources.MODEL, "model") as file:
             detector = TimedDetector(
                 wrap_detector(
-                    open_detector(file, devices.camera.sensor, tracker.PRESETS[Grasp.tracker], Grasp.slip_threshold),
+                    open_detector(file, devices.camera.sensor, presets.PRESETS[Grasp.tracker], Grasp.slip_threshold),
                     devices,
                 )
             )

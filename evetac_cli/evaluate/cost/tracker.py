@@ -25,7 +25,7 @@ from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
+from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 

@@ -30,7 +30,7 @@ from evetac_cli.evaluate.stability.extreme_scenes import SLIP_SOON, SLIPS, merge
 from evetac_cli.events import FRAME_PX, Events, Slicer
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants
+from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.trials.record.simulated import play
 from evetac_cli.trials.trial import SimulatedTrial

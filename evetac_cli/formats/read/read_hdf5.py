@@ -23,7 +23,8 @@ from evetac_cli.formats.read.event_validation import (
     check_lengths,
     choose_frame,
 )
-from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, EVENT_FILE_FILTERS, CheckedHdf5, damage_in_words
+from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, CheckedHdf5, damage_in_words
+from evetac_cli.store.hdf5.packed_bytes import EVENT_FILE_FILTERS
 
 BATCH_ROWS = 1 << 20
 OFFSETS = ("t_offset", "events/t_offset")

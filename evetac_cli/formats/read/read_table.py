@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.formats.arrow_columns import is_known, to_numpy
 from evetac_cli.formats.read.parquet_pages import MAGIC, RowGroup, footer_bytes, row_groups, unpacked_bytes
 from evetac_cli.formats.read.unpacked_size import refuse_too_much
 from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
@@ -123,7 +124,7 @@ class _Rows:
         self._refuse("an impossible time", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
         columns = []
         for place, at in enumerate(self._numbers, count):
-            values = batch.column(place).cast("float64", safe=False).to_numpy(zero_copy_only=False)
+            values = to_numpy(batch.column(place).cast("float64", safe=False))
             if np.isinf(values).any():
                 self._refuse(f"an infinite value in the column {self._names[at]}", np.isinf(values), values)
             columns.append(values)
@@ -136,19 +137,18 @@ class _Rows:
 
         for column in columns:
             if column.null_count:
-                missing = ~column.is_valid().to_numpy(zero_copy_only=False)
-                self._refuse("a row without a time", missing, np.full(len(column), "nothing"))
+                self._refuse("a row without a time", ~is_known(column), np.full(len(column), "nothing"))
         if pyarrow.types.is_timestamp(columns[0].type):
             self.clock = f"{self._times.clock}, whose type says its unit"
             us = pyarrow.timestamp("us", columns[0].type.tz)
             stamps = columns[0].cast(options=compute.CastOptions(us, allow_time_truncate=True))
-            return np.asarray(stamps.cast("int64").to_numpy(zero_copy_only=False))
+            return to_numpy(stamps.cast("int64"))
         if len(columns) > 1:
-            seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
+            seconds, nanoseconds = (to_numpy(column.cast("int64")) for column in columns)
             self._refuse("an impossible time", (seconds < -MOST_S) | (seconds > MOST_S), seconds)
             self._refuse("nanoseconds beyond a second", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds)
             return np.asarray(seconds * 10**6 + nanoseconds // 1000)
-        values = columns[0].to_numpy(zero_copy_only=False)
+        values = to_numpy(columns[0])
         if values.dtype.kind == "f":
             self._refuse("a time that is no number", ~np.isfinite(values), values)
         if not self._unit and len(values):

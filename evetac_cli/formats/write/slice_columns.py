@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import describe
+from evetac_cli.store.index.rows import NOT_THERE, describe
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.schema import Dataset
 from evetac_cli.store.recordings import streams
@@ -73,7 +73,7 @@ class TrialFiles(NamedTuple):
 
     def _described(self, kind: str) -> Any:
         path = self.by_kind[kind].path
-        return describe(path.parent, path.name, 0, 0)
+        return describe(path.parent, path.name, *NOT_THERE)
 
 
 Opener = Callable[[Path], AbstractContextManager[TrialFiles]]

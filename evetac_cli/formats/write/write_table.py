@@ -23,6 +23,7 @@ from urllib.parse import quote
 import numpy as np
 
 from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.formats.arrow_columns import repeated, to_arrow
 from evetac_cli.formats.write.slice_columns import (
     Opener,
     SliceColumns,
@@ -33,7 +34,7 @@ from evetac_cli.formats.write.slice_columns import (
 )
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
-from evetac_cli.store.index import LARGEST
+from evetac_cli.store.index.rows import LARGEST
 from evetac_cli.text_files import csv_text, open_regular, parse_json
 
 BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
@@ -186,17 +187,16 @@ def _batches(
     for first in range(0, slices, at_once):
         stop = min(first + at_once, slices)
         progress(first, slices, "slices")
-        made = {"t_ms": arrow.array(np.arange(first, stop))}
+        made = {"t_ms": to_arrow(arrow, np.arange(first, stop))}
         for group in columns:
             values = group.read(first, stop)
             mask = np.ma.getmaskarray(values)
             for at, name in enumerate(group.names):
-                made[name] = arrow.array(values.data[:, at], mask=mask[:, at])
+                made[name] = to_arrow(arrow, values.data[:, at], mask[:, at])
         for name in facts:
             if name in table.names:
                 type_ = table.field(name).type
-                value = str(facts[name]) if type_ == arrow.string() and facts[name] is not None else facts[name]
-                made[name] = arrow.repeat(arrow.scalar(value, type_), stop - first)
+                made[name] = repeated(arrow, facts[name], type_, stop - first)
         rows = [made[field.name] if field.name in made else arrow.nulls(stop - first, field.type) for field in table]
         yield arrow.record_batch(rows, schema=table)
     progress(slices, slices, "slices")

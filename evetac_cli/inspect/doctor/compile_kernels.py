@@ -1,7 +1,9 @@
 """doctor --compile: have numba compile what the commands need, so that none of them waits for it later.
 
-Why so: the commands themselves are run, on three short trials in a folder that is thrown away. A list of functions and
-their types would have to be kept by hand, and be wrong with the next change of a kernel.
+Why so: the commands themselves are run, on short trials in a folder that is thrown away. A list of functions and their
+types would have to be kept by hand, and be wrong with the next change of a kernel. Two processes share the work
+(compile_worker.py): camera and detector, which commands come to last, are compiled by one while the other is at the
+tracker and the gel.
 """
 
 import json
@@ -9,8 +11,10 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
@@ -22,74 +26,115 @@ from evetac_cli import console
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, silent
 
-# Commands of a step are chains that run side by side; what one step makes, the next ones read. The chain of the
-# tracker begins with an import, which compiles nothing, so that it need not wait until the simulator is compiled.
-# Three trials: to learn from, to choose a threshold on, to be judged on.
-TRIALS = [f"slip-obj03-s0-{number:03d}" for number in range(3)]
-RECORDINGS = " ".join(f"{name}.recording.h5" for name in TRIALS)
 EVENTS, GRID = "events.txt", "grid.json"
 Chain = Sequence[str]
-AGAIN_S = 20.0  # after which it is said what still runs: the longest of the commands takes a minute or two
+AGAIN_S = 10.0  # after which it is said what still runs: the longest takes half a minute or more
+# Chains of a step run side by side, each in a process; what one step makes and compiles, the next ones use. The chain
+# of the tracker begins with an import, which compiles nothing: so it need not wait until the simulator is compiled.
 STEPS: tuple[tuple[Chain, ...], ...] = (
     (
-        ("record --scene slip --object 3 --count 3 --out .",),
         (
             f"record --from {EVENTS} --frame-size 640x480 --calibration {GRID} --out a.recording.h5",
             "track a.recording.h5",
             "label a.recording.h5",
             "featurize a.recording.h5",
+            "record --scene slip --object 3 --out b.recording.h5",
         ),
+        ("camera", "detector"),
     ),
-    (
-        (
-            f"track {RECORDINGS}",
-            f"label {RECORDINGS}",
-            f"featurize {RECORDINGS}",
-            f"train {TRIALS[0]}.features.h5 --validate {TRIALS[1]}.features.h5 --epochs 1 --max-steps 1"
-            " --out a.model.h5",
-            f"evaluate slip {TRIALS[2]}.features.h5 --model a.model.h5 --out a.report.h5",
-        ),
-        ("grasp --object 11 --lift-s 1 --balance-s 0.1 --out b.recording.h5",),
-    ),
+    (("grasp --object 11 --lift-s 1 --balance-s 0.1 --out c.recording.h5",),),
 )
 
 
 class Course:
-    """Which of the commands have begun and ended, said line by line: a newcomer can tell work from a hang."""
+    """Which parts have begun and ended, said line by line: a newcomer can tell work from a hang."""
 
-    def __init__(self, commands: int, progress: Progress, say: Callable[[str], None]) -> None:
-        self.commands, self.progress, self.say = commands, progress, say
-        self.begun = 0
+    def __init__(self, parts: int, progress: Progress, say: Callable[[str], None]) -> None:
+        self.parts, self.progress, self.say = parts, progress, say
+        self.begun = self.functions = 0
         self.rows: list[dict[str, Any]] = []
-        self.running: dict[int, tuple[str, float]] = {}  # a command's number: its name, and when it began
+        self.running: dict[int, tuple[str, float]] = {}  # a part's number: its name, and when it began
         self._lock = Lock()
-        progress(0, commands)
+        progress(0, parts)
         say(
-            f"compiling for this computer, once after installing: {commands} commands, one to two minutes on two quiet"
-            " cores, several on a slow or busy computer"
+            f"compiling for this computer, once after installing: {parts} parts, one minute on two quiet cores, several"
+            " on a slow or busy computer"
         )
 
-    def run(self, command: str, folder: Path) -> None:
-        """Run a command, and say that it begins."""
-        name = name_of(command)
+    def run(self, line: str, worker: "Worker") -> None:
+        """Have a worker run a part, and say that it begins."""
+        name = name_of(line)
         started = time.monotonic()
         with self._lock:
             self.begun += 1
             number = self.begun
             self.running[number] = name, started
-            self.say(f"compiling {number} of {self.commands}: {name} ...")
-        _run(command, folder)
+            self.say(f"compiling {number} of {self.parts}: {name} ...")
+        functions = 0
+        for more in worker.run(line):
+            with self._lock:
+                functions += more
+                self.functions += more
         with self._lock:
             del self.running[number]
-            self.rows.append({"command": name, "time_s": time.monotonic() - started})
-            self.progress(len(self.rows), self.commands)
+            self.rows.append({"part": name, "functions": functions, "time_s": time.monotonic() - started})
+            self.progress(len(self.rows), self.parts)
 
     def say_what_runs(self) -> None:
-        """Say which commands are at work, and for how long."""
+        """Say which parts are at work, and for how long."""
         with self._lock:
             now = time.monotonic()
-            names = (f"{name} for {now - began:.0f} s" for name, began in self.running.values())
-            self.say(f"{len(self.rows)} of {self.commands} are compiled; at work: {', '.join(names)}")
+            names = ", ".join(f"{name} for {now - began:.0f} s" for name, began in self.running.values())
+            self.say(f"{len(self.rows)} of {self.parts} are compiled, {self.functions} functions; at work: {names}")
+
+
+class Worker:
+    """A process of compile_worker.py in some folder."""
+
+    def __init__(self, folder: Path) -> None:
+        # Of this very package, also where it is not the one that is installed.
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        arguments = [sys.executable, "-P", "-m", "evetac_cli.inspect.doctor.compile_worker"]
+        self._process = subprocess.Popen(
+            arguments,
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,  # words of what ends the process itself; those of a command are in its answer
+            text=True,
+        )
+        self._functions = 0
+
+    def run(self, line: str) -> Iterator[int]:
+        """Run a part, and yield how many functions more are compiled; EvetacError with the words of one that fails."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with suppress(BrokenPipeError):  # why it has ended is said below
+            print(line, file=self._process.stdin, flush=True)
+        for answer in map(json.loads, self._process.stdout):
+            if answer.get("failed"):
+                raise _failed(line, answer["failed"])
+            yield answer["functions"] - self._functions
+            self._functions = answer["functions"]
+            if "failed" in answer:
+                return
+        assert self._process.stderr is not None
+        words = self._process.stderr.read()
+        raise _failed(line, words or f"its process ended with exit code {self._process.wait()}")
+
+    def stop(self) -> None:
+        """Let the process do nothing more; whoever reads its answers is told that it has ended."""
+        self._process.kill()
+
+    def end(self) -> None:
+        """Stop the process and let go of what it held."""
+        self.stop()
+        with suppress(BrokenPipeError), self._process:  # a line may be left that it has not read
+            pass
+
+
+def _failed(line: str, words: str) -> EvetacError:
+    return EvetacError("a part that is compiled has failed", where=line, found=words.strip())
 
 
 def run(
@@ -98,36 +143,53 @@ def run(
     say: Callable[[str], None] = console.say,
     again_s: float = AGAIN_S,
 ) -> Outcome:
-    """Run the commands, a row each; EvetacError with the words of one that fails.
+    """Compile all parts, a row each; EvetacError with the words of one that fails.
 
-    say: takes a line where a command begins, and every again_s seconds while none ends.
+    say: takes a line where a part begins, and every again_s seconds while none ends.
     """
     course = Course(sum(len(chain) for step in steps for chain in step), progress, say)
-    with (
-        TemporaryDirectory(prefix="evetac-compile-") as folder,
-        ThreadPoolExecutor(max_workers=os.cpu_count()) as pool,
-    ):
+    with TemporaryDirectory(prefix="evetac-compile-") as folder:
         _write_events(Path(folder))
-
-        def run_chain(chain: Chain) -> None:
-            for command in chain:
-                course.run(command, Path(folder))
-
-        for step in steps:
-            waiting = {pool.submit(run_chain, chain) for chain in step}
-            while waiting:
-                done, waiting = wait(waiting, timeout=again_s)
-                for ended in done:
-                    ended.result()
-                if not done:
-                    course.say_what_runs()
-    return Outcome(course.rows, False, {"commands": course.commands})
+        workers = [Worker(Path(folder)) for _ in range(min(os.cpu_count() or 1, max(map(len, steps))))]
+        try:
+            _run_steps(steps, workers, course, again_s)
+        finally:
+            for worker in workers:
+                worker.end()
+    return Outcome(course.rows, False, {"functions": course.functions})
 
 
-def name_of(command: str) -> str:
-    """What a command line runs, as in `track` and `evaluate slip`."""
-    first, second, *_ = command.split()
-    return f"{first} {second}" if first == "evaluate" else first
+def _run_steps(steps: Sequence[Sequence[Chain]], workers: Sequence[Worker], course: Course, again_s: float) -> None:
+    """Run the chains of each step side by side; where one fails, or Ctrl-C comes, no other is waited for."""
+    idle = deque(workers)
+
+    def run_chain(chain: Chain) -> None:
+        worker = idle.popleft()
+        for line in chain:
+            course.run(line, worker)
+        idle.append(worker)
+
+    with ThreadPoolExecutor(max_workers=len(workers)) as pool:
+        try:
+            for step in steps:
+                waiting = {pool.submit(run_chain, chain) for chain in step}
+                while waiting:
+                    done, waiting = wait(waiting, timeout=again_s)
+                    for ended in done:
+                        ended.result()
+                    if not done:
+                        course.say_what_runs()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.stop()
+            raise
+
+
+def name_of(line: str) -> str:
+    """What a part runs, as in `track`, `evaluate slip` and `camera`."""
+    first, *more = line.split()
+    return f"{first} {more[0]}" if first == "evaluate" else first
 
 
 def _write_events(folder: Path) -> None:
@@ -141,12 +203,3 @@ def _write_events(folder: Path) -> None:
     dots = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
     grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots.tolist(), "window_px": [540, 0, 640, 480]}
     (folder / GRID).write_text(json.dumps(grid))
-
-
-def _run(command: str, folder: Path) -> None:
-    # The commands of this very package, also where it is not the one that is installed.
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    arguments = [sys.executable, "-P", "-m", "evetac_cli", *command.split(), "--quiet"]
-    done = subprocess.run(arguments, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise EvetacError("a command that compiles has failed", where=f"evetac {command}", found=done.stderr.strip())

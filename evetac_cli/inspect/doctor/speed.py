@@ -1,8 +1,8 @@
-"""doctor --speed: is this computer fast enough to record and to grasp in real time? Measured in some 10 s.
+"""doctor --speed: is this computer fast enough to record and to grasp in real time? Measured in 20 to 50 s.
 
 Each part of what runs in real time is measured by itself, with the parts that `record` and `grasp` use: waking on time,
-the online step of the shipped detector, decoding of a camera's words, writing of segments. One after the other: a
-computer that passes has still to do all of it at once, on two cores or more.
+the online step of the shipped detector, decoding of a camera's words, writing of segments. Then all of them at once,
+which is what a computer has to do: a grasp with virtual devices (chain.py).
 
 Measuring goes through one object, so that tests put a computer of their own in the place of this one.
 """
@@ -26,9 +26,9 @@ from evetac_cli.devices.dvxplorer.usb_reader import READ_BYTES
 from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.inspect.doctor import check, show
-from evetac_cli.jobs import Outcome, Row
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.inspect.doctor import chain, check, show
+from evetac_cli.jobs import Outcome, Progress, Row, silent
+from evetac_cli.kernels.tracking import presets
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.segments import RecordingWriter
@@ -52,8 +52,10 @@ SEGMENTS, SEGMENT_SLICES = 12, 250
 SLICE_EVENTS = 1000
 LEAST_CORES = 2
 GOVERNOR = "performance"
+PARTS = 4  # of what is measured
 DOT_RADIUS_PX = 11.0
 DOTS_PX = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
+ELSEWHERE = "run it in a folder where recordings are to be"
 CLOSE = "close other programs; on a laptop, plug it in"
 SET_GOVERNOR = f"sudo cpupower frequency-set -g {GOVERNOR}"
 PERMIT = "for `ulimit -r` of 50: `@realtime - rtprio 50` in /etc/security/limits.d/, be in that group, log in again"
@@ -114,7 +116,7 @@ class Computer:
         """Times of online steps of the shipped detector, on slices of so many events at the rims of the dots."""
         sensor = {"sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
         with StageFile(resources.MODEL, "model") as model:
-            detector = open_detector(model, sensor, tracker.PRESETS["stable"], 0.3)
+            detector = open_detector(model, sensor, presets.PRESETS["stable"], 0.3)
         rng = np.random.default_rng(0)
         slices = [_rim_events(rng, events) for _ in range(DIFFERENT_SLICES)]
         times_us = []
@@ -158,6 +160,11 @@ class Computer:
                 writer.discard()
         return Written(SEGMENTS * SEGMENT_SLICES * SLICE_EVENTS / sum(times_s), 1e3 * max(times_s))
 
+    def grasped(self, events_per_s: int, folder: Path, progress: Callable[[float], None]) -> chain.Tried:
+        """What becomes of a grasp with virtual devices at so many events a second; progress: takes the seconds."""
+        dots = {"dot_xy_px": DOTS_PX.tolist(), "radius_px": DOT_RADIUS_PX}
+        return chain.attempt(events_per_s, folder, dots, progress)
+
 
 def _rim_events(rng: np.random.Generator, count: int) -> Events:
     """A slice of events near the rims of dots at rest."""
@@ -168,15 +175,34 @@ def _rim_events(rng: np.random.Generator, count: int) -> Events:
     return Events(np.sort(rng.integers(0, SLICE_US, count)), x.astype(np.uint16), y.astype(np.uint16), p)
 
 
-def run(params: Doctor, computer: Computer | None = None, folder: Path | None = None) -> Outcome:
+def run(
+    params: Doctor, computer: Computer | None = None, folder: Path | None = None, progress: Progress = silent
+) -> Outcome:
     """A row for each part: what was measured, the limit that it has to keep, and what to do where it does not.
 
-    folder: on the disk that is written to; None: the current one.
+    folder: on the disk that is written to; None: the current one. The summary says how many events a second are judged
+    in time, 0 for none, and None where that cannot be tried.
     """
     computer = computer or Computer()
     folder = folder or Path.cwd()
-    rows = [*_waking(computer), *_computing(computer), *_writing(computer, folder)]
-    return Outcome(rows, False, {"wrong": sum(row["ok"] is False for row in rows)})
+    progress(0, PARTS, "wakes in time?")
+    rows = _waking(computer)
+    progress(1, PARTS, "detects and decodes fast enough?")
+    rows += _computing(computer)
+    progress(2, PARTS, "writes fast enough?")
+    rows += _writing(computer, folder)
+    grasped, judged = _grasping(computer, folder, progress)
+    rows += grasped
+    return Outcome(rows, False, {"wrong": sum(row["ok"] is False for row in rows), "judged_events_per_s": judged})
+
+
+def _grasping(computer: Computer, folder: Path, progress: Progress) -> tuple[list[Row], int | None]:
+    """All parts at once; how many events a second are judged, None where nothing can be written in the folder."""
+    try:
+        return chain.rows(lambda rate, passed: computer.grasped(rate, folder, passed), progress, CLOSE)
+    except (InputError, OSError) as error:
+        reason = f"not tried: {' '.join(str(error).split())}"
+        return [check("grasp", "judges in time", None, reason, "a folder to write in", ELSEWHERE)], None
 
 
 def _waking(computer: Computer) -> list[Row]:
@@ -228,8 +254,7 @@ def _writing(computer: Computer, folder: Path) -> list[Row]:
     try:
         events_per_s, longest_ms = computer.written(folder)
     except (InputError, OSError) as error:
-        fix = "run it in a folder where recordings are to be"
-        return [check("disk", "writes", False, " ".join(str(error).split()), "a folder to write in", fix)]
+        return [check("disk", "writes", False, " ".join(str(error).split()), "a folder to write in", ELSEWHERE)]
     elsewhere = "record to a disk in this computer: -o"
     speed, limit = (f"{per_s * 1e-6:.1f} million events a second" for per_s in (events_per_s, WRITTEN_PER_S))
     fine, quick = events_per_s >= WRITTEN_PER_S, longest_ms <= RECORDER_MS

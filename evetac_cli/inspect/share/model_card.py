@@ -9,7 +9,7 @@ from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.inspect import info, validate
-from evetac_cli.stages.slip_detectors import why_useless
+from evetac_cli.stages.model_files import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.index import recording_of, scene_words

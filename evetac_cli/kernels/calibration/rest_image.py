@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from evetac_cli.kernels.compiled import njit
 
 Pixels = NDArray[np.uint8]
 

@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
-from scipy.special import expit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels import logistic
@@ -104,6 +102,8 @@ def shear_terms(shear_mm2: Floats, creep_time_s: Floats, step_s: float = SLICE_S
 
     They are itself, its parts faster than each creep time, and 1. Samples without a value (NaN) move no slow part.
     """
+    from scipy import signal  # here, as it takes most of a second and a file that exists needs none of it
+
     known = np.asarray(np.isfinite(shear_mm2).all(axis=1))
     last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1)) if len(known) else np.empty(0, int)
     held = np.where((last >= 0)[:, None], shear_mm2[last], 0.0)
@@ -279,6 +279,8 @@ def contact_signs(field_mm: Floats, normal_mm2: Floats) -> Floats:
 
 def contact_probability(signs: Floats, weights: Floats) -> Floats:
     """Probability of contact (n,) from its signs (n, 3); NaN where they are."""
+    from scipy.special import expit
+
     probability: Floats = expit(signs @ weights)
     return probability
 

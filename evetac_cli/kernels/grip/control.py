@@ -6,6 +6,7 @@ The paper's law with both readings of its latch, ours (`load-proportional`), and
 paper's control experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
 """
 
+import copy
 import math
 import operator
 from dataclasses import dataclass, field, replace
@@ -162,6 +163,21 @@ class Control:
                 return position_ticks
             return min(int(self._state.x_ref) + self.law.beyond, paper.PAPER.last_tick)
         return paper.step(self._state, phase, self.slip, position_ticks, self._law)
+
+    def copy(self) -> "Control":
+        """A controller in the same state, whose steps change nothing here.
+
+        EvetacError for another package's state that cannot be copied; ours hold nothing that a step changes in place.
+        """
+        other = copy.copy(self)
+        if not isinstance(self.law, PluginLaw):
+            other._state = copy.copy(self._state)
+            return other
+        try:
+            other._state = copy.deepcopy(self._state)
+        except Exception:
+            raise self._fault("its state cannot be copied", self._state) from None
+        return other
 
     def _step_other(self, law: PluginLaw, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
         """A step of another package's law, whose goal is clipped; EvetacError where it or the state is none."""

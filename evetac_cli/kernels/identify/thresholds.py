@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
 from evetac_cli.arrays import Floats, Ints
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.estimates import Estimate, of_samples
 
 SCAN_US = 200.0  # of a DVXplorer

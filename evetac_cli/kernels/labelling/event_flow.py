@@ -37,12 +37,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region
 
 BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices
@@ -371,7 +371,9 @@ def _follow(
             moved = -step if brighter else step
             centre[dot, 0] += moved * right / distance
             centre[dot, 1] += moved * down / distance
-        dot_px[slice_ + 1 - first] = centre - rest
+        for dot in range(len(rest)):  # a whole row at once would have numba compile words about shapes
+            for axis in range(2):
+                dot_px[slice_ + 1 - first, dot, axis] = centre[dot, axis] - rest[dot, axis]
 
 
 @njit(cache=True)

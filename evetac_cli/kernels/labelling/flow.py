@@ -23,7 +23,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -94,6 +93,8 @@ def region_flow(
 
     By `farneback` or `dis`, on images `shrink` times smaller. Zero without events, and for images that are too small.
     """
+    import cv2  # here, as event_flow.py, which shares the types of this module, does without
+
     if shrink > 1:
         size = (now.shape[1] // shrink, now.shape[0] // shrink)
         now, later = (cv2.resize(drawn, size, interpolation=cv2.INTER_AREA) for drawn in (now, later))

@@ -95,6 +95,11 @@ class DotArchitecture:
         """Length of the vector that describes one dot, l_i in the paper's table."""
         return sum(view.recent + view.means for view in self.views)
 
+    @property
+    def sees_direction(self) -> bool:
+        """Whether it needs displacements with their direction."""
+        return not {"x", "y"}.isdisjoint(view.channel for view in self.views)
+
     def channel_columns(self, channel: str) -> slice:
         """Columns of a channel among the inputs of a dot; an empty slice if the network does not see it."""
         first = 0

@@ -10,9 +10,9 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip import dot_network, features, inputs, onnx_graphs
 from evetac_cli.kernels.slip.architectures import (

@@ -19,9 +19,9 @@ from math import exp
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.slip.architectures import CONV1, CONV2, FC3, FC4, DotArchitecture, parted
 
 _NAMES = ("fc1", "fc2", "conv1", "conv2", "fc3", "fc4", "fc5")  # layers in the order in which they are packed

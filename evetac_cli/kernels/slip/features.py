@@ -15,17 +15,15 @@ Why so:
   turns undo one, and four give back the square in its place.
 """
 
-from collections.abc import Sequence
 from math import isnan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
-from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX, Factors
 
@@ -130,14 +128,15 @@ def series(
     displacement_xy_px: NDArray[np.float32] | None = None,
     factors: Factors = UNSCALED,
 ) -> NDArray[np.float32]:
-    """All channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
+    """The channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
 
-    Without displacement_xy_px its two channels are 0; all are multiplied by factors. ValueError where the
-    shapes differ.
+    Without displacement_xy_px there are the first two channels alone; all are multiplied by factors. ValueError where
+    the shapes differ.
     """
     if displacement_px.ndim != 2 or displacement_px.shape != events_per_dot.shape:
         raise ValueError(f"expected (slices, n) twice, found {displacement_px.shape} and {events_per_dot.shape}")
-    result = np.zeros((*displacement_px.shape, len(CHANNELS)), np.float32)
+    channels = len(CHANNELS) if displacement_xy_px is not None else 2
+    result = np.empty((*displacement_px.shape, channels), np.float32)
     result[..., 0] = factors.displacement * displacement_px
     result[..., 1] = factors.events * events_per_dot
     if displacement_xy_px is not None:
@@ -213,21 +212,6 @@ def events_outside(
     return outside
 
 
-def event_image(
-    x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], frame_px: tuple[int, int] = FRAME_PX
-) -> NDArray[np.int8]:
-    """Draw events, given in the order of time: (height, width), +1 brighter, -1 darker, 0 none; the last event wins.
-
-    frame_px is (width, height); events outside it are left out. ValueError if the columns differ in length.
-    Source: paper, "Evetac Touch Features", the set of events in image form.
-    """
-    if x.ndim != 1 or not x.shape == y.shape == p.shape:
-        raise ValueError(f"expected three columns of equal length, found {x.shape}, {y.shape} and {p.shape}")
-    image = np.zeros((frame_px[1], frame_px[0]), np.int8)
-    _draw(x, y, p, image)
-    return image
-
-
 class EventImages(NamedTuple):
     """The event image of every slice as its pixels that are not 0, in any order within a slice."""
 
@@ -239,17 +223,6 @@ class EventImages(NamedTuple):
         """The slices [first, last); pixels are views."""
         start = self.start[first : last + 1]
         return EventImages(start - start[0], self.pixel[start[0] : start[-1]], self.sign[start[0] : start[-1]])
-
-
-def join_images(parts: Sequence[EventImages]) -> EventImages:
-    """Put runs of slices end to end."""
-    ends = np.cumsum([0, *(len(part.pixel) for part in parts)])
-    starts = [part.start[:-1] + end for part, end in zip(parts, ends, strict=False)]
-    return EventImages(
-        np.concatenate([*starts, ends[-1:]]).astype(np.int64),
-        np.concatenate([np.empty(0, np.uint32), *(part.pixel for part in parts)]),
-        np.concatenate([np.empty(0, np.int8), *(part.sign for part in parts)]),
-    )
 
 
 def gel_image(

@@ -6,12 +6,12 @@ series of slices and the slices at which inputs end. The online detector gives i
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
@@ -44,12 +44,47 @@ def part(series: Series, first: int, last: int) -> Series:
     return series[first:last].copy()
 
 
+class _EndToEnd:
+    """Arrays put end to end as they come, which memory never holds twice."""
+
+    def __init__(self, first: NDArray[Any]) -> None:
+        self._rows, self._count = first.copy(), len(first)
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Put these at the end."""
+        count = self._count + len(rows)
+        if count > len(self._rows):
+            self._room_for(max(count, len(self._rows) * 9 // 8))
+        self._rows[self._count : count] = rows
+        self._count = count
+
+    def joined(self) -> NDArray[Any]:
+        """All of them; nothing is added after that."""
+        self._room_for(self._count)
+        return self._rows
+
+    def _room_for(self, rows: int) -> None:
+        """Grow or shrink where the rows lie: of large arrays the system moves the pages, not what is in them."""
+        self._rows.resize((rows, *self._rows.shape[1:]), refcheck=False)
+
+
 def join(parts: Iterable[Series]) -> Series:
-    """Put at least one series of one sort end to end."""
-    given = list(parts)
-    if isinstance(given[0], EventImages):
-        return features.join_images([images for images in given if isinstance(images, EventImages)])
-    return np.concatenate([dots for dots in given if not isinstance(dots, EventImages)])
+    """Put at least one series of one sort end to end; they are taken one by one, and none of them is kept."""
+    left = iter(parts)
+    first = next(left)
+    columns = [_EndToEnd(column) for column in _columns(first)]
+    for part in left:
+        for column, rows in zip(columns, _columns(part), strict=True):
+            column.add(rows)
+    if not isinstance(first, EventImages):
+        return columns[0].joined()
+    pixels, pixel, sign = (column.joined() for column in columns)
+    return EventImages(np.concatenate([np.zeros(1, np.int64), np.cumsum(pixels)]), pixel, sign)
+
+
+def _columns(series: Series) -> Sequence[NDArray[Any]]:
+    """What of a series can be put end to end: dots, or pixels of each slice, where they are, and their signs."""
+    return (np.diff(series.start), series.pixel, series.sign) if isinstance(series, EventImages) else (series,)
 
 
 def length(series: Series) -> int:
@@ -60,7 +95,8 @@ def length(series: Series) -> int:
 def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) -> NDArray[np.float32]:
     """Network inputs of the samples that end at these slices of a series.
 
-    Dots: (slices, n, channels) as from `features.series` -> (samples, n, inputs_per_dot). Images: `EventImages` ->
+    Dots: (slices, n, channels) as from `features.series`, which has to hold the channels that are viewed -> (samples,
+    n, inputs_per_dot). Images: `EventImages` ->
     (samples, history, height, width), the newest first. ValueError if the series is of the other sort, or if a slice
     is outside of it or has fewer than history - 1 slices before it.
     """
@@ -71,11 +107,12 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
         images = np.zeros((len(ends), *architecture.input_shape), np.float32)
         _images(*series, ends, GEL_PX[0], architecture.pool_px, images)
         return images
-    if isinstance(series, EventImages) or series.ndim != 3 or series.shape[2] != len(CHANNELS):
+    views = view_table(architecture.views)
+    if isinstance(series, EventImages) or series.ndim != 3 or not views[:, 0].max() < series.shape[2] <= len(CHANNELS):
         given = "event images" if isinstance(series, EventImages) else str(series.shape)
-        raise ValueError(f"{architecture.name}: expected (slices, n, {len(CHANNELS)}), found {given}")
+        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found {given}")
     dots = np.empty((len(ends), series.shape[1], architecture.inputs_per_dot), np.float32)
-    fill(series, ends, view_table(architecture.views), dots)
+    fill(series, ends, views, dots)
     return dots
 
 

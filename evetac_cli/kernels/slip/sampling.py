@@ -11,7 +11,7 @@ Selection):
 32, 32 and 8 of them, and an epoch is one pass over the busy pool.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import inputs
-from evetac_cli.kernels.slip.architectures import CHANNELS, Architecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import check_labels, shift_labels
@@ -63,18 +63,18 @@ def gather(
     rows: int = 7,
     columns: int = 8,
     horizon_ms: int = 0,
-    join: Callable[[Iterable[inputs.Series]], inputs.Series] = inputs.join,
 ) -> SlipSamples:
     """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
     50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
-    labelled as by `shift_labels`. `join` puts series end to end, taking them one by one. ValueError where shapes,
-    values or the onset do not fit, or where the slip or the busy pool would be empty; the quiet pool may be.
+    labelled as by `shift_labels`. Trajectories are taken one by one, and what is not needed is not kept. ValueError
+    where shapes, values or the onset do not fit, or where the slip or the busy pool would be empty; the quiet pool may
+    be.
     """
     pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
     shares: list[NDArray[np.float32]] = []
-    series = join(_sorted(trajectories, architecture, rows * columns, horizon_ms, pools, shares))
+    series = inputs.join(_sorted(trajectories, architecture, rows * columns, horizon_ms, pools, shares))
     ends = {name: np.concatenate(pool) for name, pool in pools.items()}
     return SlipSamples(architecture, rows, columns, series, **ends, slip_share=np.concatenate(shares))
 
@@ -94,20 +94,15 @@ def _sorted(
         count += 1
         try:
             _check(trajectory, dots)
-            shifted = shift_labels(trajectory.label, horizon_ms)
+            members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
-        slices = len(shifted)
-        if trajectory.onset >= 0:
-            slices = min(slices, trajectory.onset + architecture.train_cut_ms)
-        label = shifted[:slices]
-        drawn = (np.arange(slices) >= history - 1) & (label >= 0)
+        drawn = np.logical_or.reduce([*members.values()])
         if not drawn.any():
             continue
-        busy = trajectory.events_outside[:slices] > BUSY_EVENTS
-        first = int(np.argmax(drawn)) - (history - 1)
-        for name, members in (("slip", label == 1), ("busy", (label == 0) & busy), ("quiet", (label == 0) & ~busy)):
-            pools[name].append(begin - first + np.flatnonzero(drawn & members))
+        slices, first = len(drawn), int(np.argmax(drawn)) - (history - 1)
+        for name, mask in members.items():
+            pools[name].append(begin - first + np.flatnonzero(mask))
         shares.append(_share_ahead(trajectory, horizon_ms)[first:slices])
         begin += slices - first
         yield inputs.part(trajectory.series, first, slices)
@@ -118,6 +113,51 @@ def _sorted(
                 f"the {name} pool is empty: expected at least one slice {meaning} with a full history of "
                 f"{history}, found none in {count} trajectories"
             )
+
+
+def _members(
+    label: NDArray[np.int8],
+    onset: int,
+    events_outside: NDArray[np.int32],
+    architecture: Architecture,
+    horizon_ms: int,
+) -> dict[str, NDArray[np.bool_]]:
+    """Of each pool, which slices of a trajectory are its samples, up to where the trajectory is cut."""
+    shifted = shift_labels(label, horizon_ms)
+    slices = len(shifted) if onset < 0 else min(len(shifted), onset + architecture.train_cut_ms)
+    full, shifted = np.arange(slices) >= architecture.history - 1, shifted[:slices]
+    busy = events_outside[:slices] > BUSY_EVENTS
+    return {
+        "slip": full & (shifted == 1),
+        "busy": full & (shifted == 0) & busy,
+        "quiet": full & (shifted == 0) & ~busy,
+    }
+
+
+class PoolSizes(NamedTuple):
+    """How many samples each pool has."""
+
+    slip: int
+    busy: int
+    quiet: int
+
+    @property
+    def steps(self) -> int:
+        """Batches in one pass over the busy pool."""
+        return -(-self.busy // _busy_share(self.quiet))
+
+
+def pool_sizes(
+    label: NDArray[np.int8],
+    onset: int,
+    events_outside: NDArray[np.int32],
+    architecture: Architecture,
+    horizon_ms: int = 0,
+) -> PoolSizes:
+    """How many samples a trajectory adds to each pool, as `gather` sorts them; ValueError for impossible labels."""
+    check_labels(label, onset)
+    members = _members(label, onset, events_outside, architecture, horizon_ms)
+    return PoolSizes(*(int(np.count_nonzero(mask)) for mask in members.values()))
 
 
 def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]:
@@ -140,7 +180,7 @@ class Batch(NamedTuple):
 
 def steps_per_epoch(samples: SlipSamples) -> int:
     """Batches in one pass over the busy pool."""
-    return -(-len(samples.busy) // _busy_share(samples))
+    return PoolSizes(len(samples.slip), len(samples.busy), len(samples.quiet)).steps
 
 
 def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
@@ -150,7 +190,7 @@ def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
     borders of epochs. The last batch of an epoch holds what is left of the busy pool, and the other shares shrink with
     it (rounded up), so that the proportions hold. An empty quiet pool leaves its share to the busy pool.
     """
-    share = _busy_share(samples)
+    share = _busy_share(len(samples.quiet))
     slip_deck = _deal(samples.slip, rng)
     quiet_deck = _deal(samples.quiet, rng)
     quiet_share = QUIET_SHARE if len(samples.quiet) else 0
@@ -186,7 +226,7 @@ def channel_stats(samples: SlipSamples) -> tuple[NDArray[np.float64], NDArray[np
     axes = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
     at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
-    shares = np.array([SLIP_SHARE, _busy_share(samples), QUIET_SHARE if len(samples.quiet) else 0])
+    shares = np.array([SLIP_SHARE, _busy_share(len(samples.quiet)), QUIET_SHARE if len(samples.quiet) else 0])
     mean = square = np.zeros(1)
     for share, pool in zip(shares / shares.sum(), (samples.slip, samples.busy, samples.quiet), strict=True):
         spaced = pool[:: -(-len(pool) // most)] if len(pool) else pool
@@ -203,14 +243,14 @@ def pool_shares(samples: SlipSamples) -> list[tuple[int, NDArray[np.int64], floa
     """Of each pool that is not empty its share of a batch, its slices, and their label."""
     pools = (
         (SLIP_SHARE, samples.slip, 1.0),
-        (_busy_share(samples), samples.busy, 0.0),
+        (_busy_share(len(samples.quiet)), samples.busy, 0.0),
         (QUIET_SHARE, samples.quiet, 0.0),
     )
     return [pool for pool in pools if len(pool[1])]
 
 
-def _busy_share(samples: SlipSamples) -> int:
-    return BUSY_SHARE if len(samples.quiet) else BUSY_SHARE + QUIET_SHARE
+def _busy_share(quiet: int) -> int:
+    return BUSY_SHARE if quiet else BUSY_SHARE + QUIET_SHARE
 
 
 def _deal(pool: NDArray[np.int64], rng: np.random.Generator) -> Iterator[np.int64]:
@@ -239,7 +279,7 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         )
     if isinstance(trajectory.series, EventImages):
         return
-    if trajectory.series.shape[1:] != (dots, len(CHANNELS)):
+    if trajectory.series.ndim != 3 or trajectory.series.shape[1] != dots:
         raise ValueError(f"series: expected {dots} dots, found shape {trajectory.series.shape}")
     if not np.isfinite(trajectory.series).all():
         raise ValueError("series: expected finite numbers")

@@ -14,14 +14,13 @@ from torch.nn import functional
 
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
+from evetac_cli.kernels.slip.sample_groups import SampleGroups
 from evetac_cli.kernels.slip.sampling import (
     SlipSamples,
     augment,
-    batches,
     channel_stats,
     pool_shares,
     quarter_turns,
-    steps_per_epoch,
 )
 
 CURVE_POINTS = 100
@@ -143,7 +142,7 @@ NO_LIMITS, NO_HOOKS = TrainingLimits(), Hooks()
 
 
 def train(
-    samples: SlipSamples,
+    samples: SlipSamples | SampleGroups,
     preset: Preset,
     rng: np.random.Generator,
     limits: TrainingLimits = NO_LIMITS,
@@ -159,6 +158,7 @@ def train(
     are spread evenly over its steps, and the result's `cut` is True. The result depends on the generator's state alone
     (on one kind of machine and number of torch threads, which is the caller's to set).
 
+    Of samples in groups, the first says how inputs are normalised, and an epoch goes through all of them.
     `start` holds weights and normalisation of a trained network to go on from, as `networks.weights` gives them.
     With a state that was saved as `resume_from` and all other arguments as before, the run goes on from that step to
     the same result: the random generators draw again, and discard, what had been drawn. ValueError when the loss stops
@@ -169,7 +169,8 @@ def train(
     epochs = preset.epochs if epochs is None else epochs
     check_range("epochs", epochs, 1)
     check_range("max_steps", 1 if max_steps is None else max_steps, 1)
-    per_epoch = steps_per_epoch(samples)
+    groups = samples if isinstance(samples, SampleGroups) else SampleGroups.alone(samples)
+    per_epoch = groups.steps_per_epoch
     planned = epochs * per_epoch
     steps = planned if max_steps is None else min(planned, max_steps)
     checkpoint_epochs = sorted({*range(preset.checkpoint_every, epochs + 1, preset.checkpoint_every), epochs})
@@ -179,13 +180,14 @@ def train(
     points = set(_evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains = rng.spawn(4)
-    run = _TrainingRun(*_network(samples, preset, int(seeds.integers(2**63)), start), preset, device, steps, planned)
+    network = _network(groups.first, preset, int(seeds.integers(2**63)), start)
+    run = _TrainingRun(*network, preset, device, steps, planned)
     if resume_from is not None:
         run.restore(resume_from)
         if on_point:
             for done, loss in zip(run.curve_step, run.curve_loss, strict=True):
                 on_point(done, loss, None)
-    for step, batch in enumerate(islice(batches(samples, draws), steps), start=1):
+    for step, batch in enumerate(islice(groups.batches(draws), steps), start=1):
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
         factor = factors(preset, len(ends), gains)
@@ -193,8 +195,8 @@ def train(
             continue  # done before the interruption
         target = torch.zeros(len(ends))
         target[: len(batch.slip)] = 1
-        varied = augment(samples, samples.inputs(ends), turned, factor)
-        run.advance(varied, target, samples.slip_share[ends], (step - 1) / steps)
+        varied = augment(groups.now, groups.now.inputs(ends), turned, factor)
+        run.advance(varied, target, groups.now.slip_share[ends], (step - 1) / steps)
         if on_progress and (step % PROGRESS_STEPS == 0 or step == steps):
             on_progress(step, steps)
         if step in points:

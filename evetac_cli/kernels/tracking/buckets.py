@@ -17,10 +17,10 @@ Why so:
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.tracking import hot_pixels
 
 MARGIN_PX = 4.0

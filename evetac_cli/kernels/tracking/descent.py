@@ -13,10 +13,10 @@ Why so:
 from math import sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.tracking import buckets
 from evetac_cli.kernels.tracking.buckets import RING_EVENT, UNITS
 

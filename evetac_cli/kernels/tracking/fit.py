@@ -35,10 +35,10 @@ Measured on simulated slip, shear and rubbing edges. The paper's preset stands s
 from math import sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.tracking import buckets
 from evetac_cli.kernels.tracking.buckets import RING_EVENT, UNITS
 

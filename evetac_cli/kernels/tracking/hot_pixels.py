@@ -10,10 +10,10 @@ over the frame do not wait for each other. While no pixel is hot, the counts are
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.compiled import njit
 
 HOT_RATIO = 4
 FADE_SLICES = 4

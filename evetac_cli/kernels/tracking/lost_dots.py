@@ -6,11 +6,11 @@ that the paper's presets stay what they are).
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
+from evetac_cli.kernels.compiled import njit
 
 LOST_PX = 40.0  # with the paper's constants, no event of a dot's own edge is in its ring from 35 px on
 AT_REST_PX = 3.0  # neighbours displaced by less than this, in the mean, are at rest

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Progress
+from evetac_cli.kernels.event_image import event_image
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.store.files import StageFile
@@ -96,8 +97,6 @@ def draw_pictures(view: ViewData, trial: OpenTrial, progress: Progress) -> None:
 def picture(recording: Recording, start: int, shown_ms: int, largest_px: int = LARGEST_IMAGE_PX) -> tuple[bytes, int]:
     """Events of a few ms as the paper draws them (white brighter, black darker, grey none) as PNG, and their number."""
     from PIL import Image
-
-    from evetac_cli.kernels.slip.features import event_image
 
     first, last = (int(recording.starts[at]) for at in (start, min(start + shown_ms, len(recording))))
     events = recording.events(max(first, last - MOST_EVENTS), last)

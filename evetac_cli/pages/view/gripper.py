@@ -14,7 +14,6 @@ from evetac_cli.pages.view.event_images import read_rows
 from evetac_cli.pages.view.time_series import decimated, first_row, own_clock, rows_of, timed
 from evetac_cli.pages.view.trial_files import OpenTrial, inner
 from evetac_cli.pages.view.view_data import Lane, Panel, Series, SideView
-from evetac_cli.sim.gripper import gap_m
 from evetac_cli.store.recordings.read import Recording
 
 TOUCH_N = 0.03  # normal force that is contact, as in `evaluate data-rate`
@@ -37,6 +36,8 @@ def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
     measured = own_clock(t_s, {"measured": ORANGE, "target": INK}, currents)
     current = Panel("Gripper, current", "mA", measured, {}, simulated)
     if not recording.has("control"):
+        from evetac_cli.sim.gripper import gap_m
+
         width = [
             Series("width", line.colour, line.t_s, np.array([1000 * gap_m(value) for value in line.value]))
             for line in position

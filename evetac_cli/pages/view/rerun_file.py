@@ -122,12 +122,10 @@ class _File:
         start, stop = span
         first, last = (int(recording.starts[at]) for at in span)
         every, step = max(1, -(-(last - first) // MOST_EVENTS)), max(1, -(-(stop - start) // MOST_ROWS))
-        block = step * max(1, BLOCK_SLICES // step)
         self._classes("gel/events", EVENT_COLOURS)
-        for begin in range(start, stop, block):
-            end = min(begin + block, stop)
+        for block in recording.blocks(step * max(1, BLOCK_SLICES // step), start, stop):
+            begin, end, events = block.first, block.stop, block.events
             rows = np.arange(begin, end, step)
-            events = recording.between(begin, end)
             kept = slice(-int(recording.starts[begin]) % every, None, every)
             lengths = np.diff(-(-recording.starts[np.append(rows, end)] // every))
             places = np.stack((events.x[kept], events.y[kept]), axis=1).astype(np.float32)

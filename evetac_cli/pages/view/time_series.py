@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.pages.shared import (
     BLUE,
@@ -267,6 +266,8 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
         time = f"in {look_ahead} ms" if isinstance(look_ahead, int) else "over the look-ahead"
         says = f"Motion of the window against the gel {time}; more than {level:g} px is slip."
     else:
+        from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
+
         says = (
             f"Motion of the window in the next {EventFlowConstants.look_ahead_ms} ms, less that of the dot that follows"
             f" it best. Slip begins where this slide, summed while no dot follows, exceeds {level:g} px."

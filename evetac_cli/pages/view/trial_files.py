@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import MAKE_MODEL, InputError, UnavailableError, made_by
-from evetac_cli.stages.slip_detectors import why_useless
+from evetac_cli.stages.model_files import why_useless
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import recording_of
 from evetac_cli.store.recordings.read import Recording

@@ -6,11 +6,11 @@ ValueError with expected and found on anything else, before a camera changes.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMotion, check_place
 
 FARTHEST_PX = 1e6
@@ -72,7 +72,7 @@ def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
     return given.shape == shape and given.dtype == np.float64 and given.flags.c_contiguous
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _fill_ends(
     dots_start: Floats, dots_end: Floats, object_start: Floats, object_end: Floats, path: Floats, ends: Floats
 ) -> bool:

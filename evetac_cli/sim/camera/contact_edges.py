@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 
 # An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
 EDGE_SIGMAS = 3.5
@@ -188,7 +188,7 @@ def check_place(name: str, contact_edges: ContactEdges, place: EdgePlace) -> Edg
     return EdgePlace(corner, float(place.strength), cut_x)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _all_within(places: Floats, limit: float) -> bool:
     within = True
     for place in places:
@@ -196,7 +196,7 @@ def _all_within(places: Floats, limit: float) -> bool:
     return within
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def farthest(places: Floats, others: Floats) -> float:
     """The greatest distance between places and others of the same number; 0 without any."""
     farthest = 0.0
@@ -277,7 +277,7 @@ def _runs(picture: NDArray[np.float32]) -> NDArray[np.int64]:
     return runs
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def outline_moved(
     outline_slope: float, outline_height: float, seen: Floats, x: float, y: float, strength: float
 ) -> bool:
@@ -290,7 +290,7 @@ def outline_moved(
     return gone or faded + moved >= LEVEL_RESOLUTION
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def outline_rows(rows: int, height: int, y_a: float, y_b: float) -> tuple[int, int]:
     """The rows of a frame that an outline of so many rows touches with its corner at y_a or y_b: from, up to."""
     first = max(0, math.floor(min(y_a, y_b)) - 1)
@@ -298,7 +298,7 @@ def outline_rows(rows: int, height: int, y_a: float, y_b: float) -> tuple[int, i
     return first, max(first, end)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def outline_runs(
     runs: NDArray[np.int64],
     columns: int,
@@ -339,7 +339,7 @@ def outline_runs(
     return left, left_end, right, right_end
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def sample_row(
     picture: NDArray[np.float32],
     corner_x: float,
@@ -374,13 +374,13 @@ def sample_row(
         out[k] = upper_left * above[k] + upper_right * above[k + 1] + lower_left * below[k] + lower_right * below[k + 1]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def cut_moved(contrast: float, half: float, seen_x: float, x: float) -> bool:
     """Whether the cut edge has moved in a row by so much that some level can have changed by LEVEL_RESOLUTION."""
     return abs(x - seen_x) * contrast * STEEPEST >= LEVEL_RESOLUTION * half
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def cut_run(half: float, width: int, x_a: float, x_b: float) -> tuple[int, int]:
     """The pixels of a row whose level can differ while the cut edge goes from x_a to x_b: from, up to."""
     first = min(max(math.ceil(min(x_a, x_b) - half), 0), width)
@@ -388,7 +388,7 @@ def cut_run(half: float, width: int, x_a: float, x_b: float) -> tuple[int, int]:
     return first, end
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def sample_cut(contrast: float, half: float, cut_x: float, first: int, end: int, line: NDArray[np.float32]) -> None:
     """Fill line[: end - first] with what the cut edge, where it crosses the row at cut_x, adds to those pixels."""
     for k in range(end - first):

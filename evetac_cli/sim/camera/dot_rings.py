@@ -8,17 +8,16 @@ a dot that shakes to and fro does not use it up. A box is (centre x, centre y, h
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 
 
-@njit(cache=True)
-def boxes(path: Floats, seen_xy: Floats) -> Floats:
-    """Boxes round each dot's path (dots, vertices, 2) and where it was last (dots, 2), shape (dots, 4)."""
+@njit(cache=True, _nrt=False)
+def boxes(path: Floats, seen_xy: Floats, box: Floats) -> None:
+    """Fill boxes (dots, 4) round each dot's path (dots, vertices, 2) and where it was last (dots, 2)."""
     dots, vertices, _ = path.shape
-    box = np.empty((dots, 4))
     for dot in range(dots):
         for axis in range(2):
             low = seen_xy[dot, axis]
@@ -28,10 +27,9 @@ def boxes(path: Floats, seen_xy: Floats) -> Floats:
                 high = max(high, path[dot, vertex, axis])
             box[dot, axis] = 0.5 * (low + high)
             box[dot, 2 + axis] = 0.5 * (high - low)
-    return box
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floats, near_box: Floats) -> int:
     """Collect the dots that may be the nearest one of a pixel in this dot's ring; returns their number.
 
@@ -51,22 +49,27 @@ def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floa
     return near
 
 
-@njit(cache=True)
-def crowded(box: Floats, outer: float) -> NDArray[np.bool_]:
-    """Which dots have others near, by the measure of `dots_near`, for boxes (dots, 4)."""
+@njit(cache=True, _nrt=False)
+def crowded(box: Floats, outer: float, has_near: NDArray[np.uint8]) -> bool:
+    """Mark in `has_near` (dots,) those with others near, by the measure of `dots_near`, for boxes (dots, 4).
+
+    Returns whether there are any.
+    """
     dots = len(box)
-    has_near = np.zeros(dots, np.bool_)
+    has_near[:] = 0
+    found = False
     for dot in range(dots):
         for other in range(dot):
             near_x = abs(box[dot, 0] - box[other, 0]) <= box[dot, 2] + box[other, 2] + 2.0 * outer
             near_y = abs(box[dot, 1] - box[other, 1]) <= box[dot, 3] + box[other, 3] + 2.0 * outer
             if near_x & near_y:
-                has_near[dot] = True
-                has_near[other] = True
-    return has_near
+                has_near[dot] = 1
+                has_near[other] = 1
+                found = True
+    return found
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def bounds(x: int, y: int, near_box: Floats) -> tuple[float, float]:
     """Least and greatest square of a pixel's distance to the nearest dot, each anywhere in its box (near, 4)."""
     least2 = np.inf
@@ -79,14 +82,14 @@ def bounds(x: int, y: int, near_box: Floats) -> tuple[float, float]:
     return least2, greatest2
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def ring_rows(box: Floats, outer: float, height: int) -> tuple[int, int]:
     """The rows of a frame that the ring of a dot in a box (4,) can touch: from, up to."""
     first = max(0, math.ceil(box[1] - box[3] - outer))
     return first, max(first, min(height, math.floor(box[1] + box[3] + outer) + 1))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def ring_runs(box: Floats, inner: float, outer: float, y: int, width: int) -> tuple[int, int, int, int]:
     """The pixels of such a row that are ever between `inner` and `outer` from a dot in a box (4,).
 

@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.optics import DotProfile, draw_dots, gel_level, profile_level, profile_position
 
 
@@ -55,7 +55,7 @@ def shaped_level(
     return picture
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def differing_row(
     dot_xy_px: NDArray[np.float64],
     inner: NDArray[np.float64],

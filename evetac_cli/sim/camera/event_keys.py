@@ -4,10 +4,10 @@ Why so: while a slice is made its events come pixel after pixel; one integer is 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 # From the highest bits down: time in the slice, column, row, polarity.
 TIME_SHIFT = 33
@@ -16,7 +16,7 @@ ROW_SHIFT = 1
 COORDINATE_MASK = 0xFFFF
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def event_key(time_us: int, x: int, y: int, brighter: bool) -> int:
     """The integer of an event, `time_us` after the start of its slice."""
     return (time_us << TIME_SHIFT) | (x << COLUMN_SHIFT) | (y << ROW_SHIFT) | int(brighter)

@@ -4,11 +4,11 @@ Three tables of a scene are the camera's: `light` (see scanning/light), `vanishi
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import Events
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.ideal import camera as ideal

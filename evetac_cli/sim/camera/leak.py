@@ -8,10 +8,10 @@ reference keeps what has leaked since the crossing, or the rate would fall.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
@@ -27,7 +27,7 @@ def drift(leak_hz: float) -> float:
     return leak_hz * LEAK_SLICES * SLICE_US * 1e-6
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def leak_in_scans(
     first_row: int,
     drift: np.float32,
@@ -41,14 +41,14 @@ def leak_in_scans(
     dot_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us, candidates = gel.reference, gel.threshold, gel.release_us, gel.candidates
-    shifted, nothing = gel.middle_shift.size > 0, np.empty(0, np.float32)
+    line = candidates.line
+    shifted, nothing = gel.middle_shift.size > 0, line[:0]
     shapes = gel.shapes
     first_x, first_y, object_seen, texture = window.first_x, window.first_y, window.seen_object, window.texture
     readout_us, t0_us, refractory_us = times
     height, width = reference.shape
     window_rows, window_columns = window.reference.shape
     scans = len(readout_us)
-    line = np.empty(width, np.float32)
     candidates.list_box[:] = np.nan
     for row in range(first_row, height, LEAK_SLICES):
         scan = (row // LEAK_SLICES) % scans
@@ -73,7 +73,7 @@ def leak_in_scans(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _leak_row(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
@@ -110,7 +110,7 @@ def _leak_row(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def draw_leaking_rows(
     dot_xy: NDArray[np.float64],
     inner: float,
@@ -126,7 +126,7 @@ def draw_leaking_rows(
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, y, 0, width, level[y])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def leak_in_rows(
     level: NDArray[np.float32],
     first_row: int,

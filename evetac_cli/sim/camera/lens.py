@@ -8,10 +8,10 @@ they are seen. Left out: dots and outlines keep their shape, and a texture moves
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.setup.sensor import Sensor
 
 FARTHEST = 1.1  # up to where distances must grow, in distances of a corner

@@ -17,11 +17,11 @@ is earlier, the dark one later.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 # Still and this near to where it belongs a point has arrived; a ten-thousandth of an edge changes no pixel's event, and
 # without an end what once moved would be visited in every slice.
@@ -78,7 +78,7 @@ class LowPass:
         return seen
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _follow(path: Floats, parts: int, tau_us: Floats, now: Floats, seen: Floats) -> None:
     """The exact answer to straight pieces: a lag of velocity * tau, and what is left of the start dies away."""
     pieces = len(path) - 1

@@ -12,10 +12,10 @@ the median). The polarity of an event depends on that before: most pixels altern
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
@@ -97,7 +97,7 @@ class HotPixels:
         return int(_hot_events(self._rng, places, self._law, state, float(t0_us), width, step_us, keys, made))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _whose(
     place_hz: float,
     background_hz: float,
@@ -112,7 +112,7 @@ def _whose(
     return int(hot_pixel[min(hot, len(hot_pixel) - 1)])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _place(
     uniform: NDArray[np.float64],
     background_hz: float,
@@ -133,7 +133,7 @@ def _place(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _grid_time(time_us: float, x: int, width: int, step_us: float) -> float:
     """The first time at or after `time_us` at which column x is read out, if time stamps come in steps."""
     if step_us == 0.0:
@@ -142,7 +142,7 @@ def _grid_time(time_us: float, x: int, width: int, step_us: float) -> float:
     return float(np.ceil((time_us - phase_us) / step_us) * step_us + phase_us)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _place_in_steps(
     uniform: NDArray[np.float64],
     background_hz: float,

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 
 LOG_CONTRAST = 1.61  # ln(gel / dot), brightness 5 : 1
 EDGE_SIGMA_PX = 1.2
@@ -68,14 +68,14 @@ def dot_profile(radius_px: float, sigma_px: float = EDGE_SIGMA_PX, log_contrast:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def profile_position(distance2_px2: np.float32, inner_px: np.float32, steps_per_px: np.float32) -> np.float32:
     """Where in a profile's table a squared distance from the dot's centre lies, within 0 to PROFILE_STEPS."""
     position = (np.sqrt(distance2_px2) - inner_px) * steps_per_px
     return min(max(position, np.float32(0.0)), np.float32(PROFILE_STEPS))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float32:
     """Log brightness at a position in a profile's table, linear between its entries."""
     index = np.int32(position)
@@ -84,7 +84,7 @@ def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float3
     return below + (position - np.float32(index)) * (level[entry + np.uint32(1)] - below)  # type: ignore[no-any-return]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def level_at(distance_px: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32]) -> float:
     """Log brightness at a distance from the nearest dot's centre, in double precision."""
     position = min(max((distance_px - inner_px) * steps_per_px, 0.0), np.float64(PROFILE_STEPS))
@@ -104,7 +104,7 @@ def level_index(profile: DotProfile) -> NDArray[np.int16]:
     return index.astype(np.int16)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def squared_radius(
     target: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32], index: NDArray[np.int16]
 ) -> float:
@@ -140,7 +140,7 @@ def squared_radius(
     return radius * radius if radius >= 0.0 else -1.0
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def quiet_radii(
     reference: float,
     threshold: float,
@@ -175,7 +175,7 @@ def gel_level(frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile
     return picture
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def draw_dots(
     picture: NDArray[np.float32],
     dot_xy_px: NDArray[np.float64],
@@ -198,7 +198,7 @@ def draw_dots(
                 picture[y, x] = min(picture[y, x], profile_level(position, level))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def dot_row(
     dot_xy_px: NDArray[np.float64],
     inner_px: float,
@@ -250,7 +250,7 @@ def texture(
     return scaled
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def sample_texture(
     texture: NDArray[np.float32],
     first_x: int,
@@ -271,7 +271,7 @@ def sample_texture(
         sample_texture_run(texture, place, row, 0, columns, level[row])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def texture_place(
     texture: NDArray[np.float32],
     first_x: int,
@@ -302,7 +302,7 @@ def texture_place(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def sample_texture_run(
     texture: NDArray[np.float32], place: TexturePlace, row: int, first: int, end: int, level: NDArray[np.float32]
 ) -> None:

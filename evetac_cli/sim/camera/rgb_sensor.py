@@ -12,16 +12,14 @@ there, the errors of all steps before: they add up.
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.checks import check_range
-from evetac_cli.sim.camera.optics import dot_profile, gel_level
 
 WINDOW_PX = (15, 15)
 LEVELS = 2  # of the pyramid, beside the frame itself
-STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.03)
+MOST_ROUNDS, CLOSE_ENOUGH_PX = 10, 0.03  # in which a dot is searched
 
 
 @dataclass(frozen=True)
@@ -46,6 +44,8 @@ def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.ran
 
     ValueError on a radius that is not positive or dots that are nowhere.
     """
+    from evetac_cli.sim.camera.optics import dot_profile, gel_level  # here, as a recipe names the camera alone
+
     dots = np.ascontiguousarray(dot_xy_px, np.float64)
     if dots.ndim != 2 or dots.shape[1] != 2 or not np.isfinite(dots).all():
         raise ValueError(f"dot_xy_px: expected finite places (dots, 2), found shape {dots.shape}")
@@ -80,11 +80,14 @@ def start_tracker(frame: NDArray[np.uint8], dot_xy_px: ArrayLike) -> FrameTracke
 
 def track(state: FrameTracker, frame: NDArray[np.uint8]) -> None:
     """Follow the dots to the next frame; ValueError if it is of another size."""
+    import cv2
+
     if frame.shape != state.frame.shape or frame.dtype != np.uint8:
         raise ValueError(f"frame: expected uint8 {state.frame.shape}, found {frame.dtype} {frame.shape}")
     places = state.dot_xy_px[:, None]
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, MOST_ROUNDS, CLOSE_ENOUGH_PX)
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
-        state.frame, frame, places, np.empty_like(places), winSize=WINDOW_PX, maxLevel=LEVELS, criteria=STOP
+        state.frame, frame, places, np.empty_like(places), winSize=WINDOW_PX, maxLevel=LEVELS, criteria=stop
     )
     state.lost = status[:, 0] == 0
     state.dot_xy_px = np.where(state.lost[:, None], state.dot_xy_px, moved[:, 0])

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
@@ -118,7 +118,18 @@ class Stepper:
         return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
+def _nodal_forces(memory: Floats, shares: Floats, normal_n: float) -> Floats:
+    """Shares of nodes (rows, columns) of a normal force, in the memory of their pad."""
+    rows, columns = shares.shape
+    nodal_n = memory[-3 - rows * columns : -3].reshape(rows, columns)
+    for row in range(rows):
+        for column in range(columns):
+            nodal_n[row, column] = shares[row, column] * normal_n
+    return nodal_n
+
+
+@njit(cache=True, _nrt=False)
 def _step_slice(
     arrays: NodeArrays,
     load: tuple[Floats, float, float, Floats, bool, Floats],
@@ -143,11 +154,12 @@ def _step_slice(
         share = 1.0 / fixed_steps if fixed_steps else math.ldexp(1.0, -halved)
         dt_s = share * slice_s
         normal_n = first_n + (progress[0] + theta * share) * (last_n - first_n)
-        nodal_n = shares * normal_n
-        if second is None:  # noqa: SIM108, numba leaves out a branch, not half of an expression
+        nodal_n = _nodal_forces(arrays[13], shares, normal_n)
+        if second is None:
             second_pad = None
         else:
-            second_pad = (second[0], second[1] * normal_n, second[2])
+            fields_2, shares_2, constants_2 = second
+            second_pad = (fields_2, _nodal_forces(fields_2[10], shares_2, normal_n), constants_2)
         most_m, steepest, shortest = math.inf, math.inf, True
         if not fixed_steps and halved < MOST_HALVINGS:
             most_m, steepest, shortest = allowed_m, math.inf if prescribed else STEEPEST, halved >= halvings

@@ -10,10 +10,10 @@ centre of the view.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.setup.object_file import Shape
 
 
@@ -161,7 +161,7 @@ def closing_at(curve: ForceCurve, force_n: float) -> float:
     return float(curve.step_ticks * np.interp(force_n, curve.force_n, np.arange(len(curve.force_n))))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def lookup(table: Floats, step_ticks: float, closing_ticks: float) -> float:
     """Value of a ForceCurve's table at a closing: linear between entries, 0 before touch, the last entry beyond."""
     if closing_ticks <= 0.0:

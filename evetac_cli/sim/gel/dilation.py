@@ -13,9 +13,9 @@ The shape of the first is derived; its share under a sticking face and Z are gue
 import math
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.gel import DECAY_M
 
 SQUEEZE = 0.75

@@ -9,10 +9,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Flags, Floats
+from evetac_cli.kernels.compiled import njit
 
+Three = tuple[float, float, float]  # along x, along y, and about the axis across both
 ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
 
 
@@ -29,6 +30,8 @@ class Stencil(NamedTuple):
 
 class Work(NamedTuple):
     """Memory for one step, (rows, columns[, 2]); `velocity` and `loose` have a border of zeros all around.
+
+    It is the pad's from step to step (see `work_memory`), as making it anew took a tenth of a step.
 
     right, slip, ease and object_velocity have two columns more, so that in memory they run along with `velocity`.
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
@@ -53,19 +56,50 @@ class Work(NamedTuple):
     object_velocity: Floats
 
 
+def work_memory(rows: int, columns: int) -> Floats:
+    """Zeros (numbers,) for the `Work` of a pad of so many nodes, their normal forces, and the object's twist."""
+    bordered, longer, plain = (rows + 2) * (columns + 2), rows * (columns + 2), rows * columns
+    return np.zeros(3 * bordered + 8 * longer + 10 * plain + 3)
+
+
+@njit(cache=True, _nrt=False, inline="always")
+def work_in(memory: Floats, rows: int, columns: int) -> Work:
+    """The memory of a pad (see `work_memory`) by its parts."""
+    border = 2 * (rows + 2) * (columns + 2)
+    long = 2 * rows * (columns + 2)
+    pair = 2 * rows * columns
+    longs = border + border // 2
+    pairs = longs + 4 * long
+    singles = pairs + 3 * pair
+    return Work(
+        velocity=memory[:border].reshape(rows + 2, columns + 2, 2),
+        right=memory[longs : longs + long].reshape(rows, columns + 2, 2),
+        lever=memory[pairs : pairs + pair].reshape(rows, columns, 2),
+        bound=memory[singles : singles + pair // 2].reshape(rows, columns),
+        diagonal=memory[singles + pair // 2 : singles + pair].reshape(rows, columns),
+        pull=memory[pairs + pair : pairs + 2 * pair].reshape(rows, columns, 2),
+        slip=memory[longs + long : longs + 2 * long].reshape(rows, columns + 2, 2),
+        speed=memory[singles + pair : singles + pair + pair // 2].reshape(rows, columns),
+        loose=memory[border:longs].reshape(rows + 2, columns + 2),
+        search_direction=memory[pairs + 2 * pair : singles].reshape(rows, columns, 2),
+        ease=memory[longs + 2 * long : longs + 3 * long].reshape(rows, columns + 2, 2),
+        object_velocity=memory[longs + 3 * long : pairs].reshape(rows, columns + 2, 2),
+    )
+
+
 # numba takes an index that may be negative from the end of an array, and tests each for that; these are none.
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
 _FOUR = np.uint64(4)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def links(index: int, count: int) -> int:
     """How many neighbours a node has along a line of count nodes."""
     return min(index, 1) + min(count - 1 - index, 1)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, _nrt=False, error_model="numpy")
 def friction_projection(x: float, y: float, bound: float) -> float:
     """The share of a vector (x, y) that is left when its length is made less by `bound`; 0 where it is not longer.
 
@@ -76,7 +110,7 @@ def friction_projection(x: float, y: float, bound: float) -> float:
     return 1.0 - bound / math.sqrt(square) if square > bound * bound else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def set_object_velocity(work: Work, twist: Floats) -> None:
     """Fill `object_velocity` for the object's twist."""
     rows, columns = work.bound.shape
@@ -86,7 +120,7 @@ def set_object_velocity(work: Work, twist: Floats) -> None:
             work.object_velocity[row, column, 1] = twist[1] + twist[2] * work.lever[row, column, 0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, _nrt=False, error_model="numpy")
 def _slip_alone(
     above: Floats,
     here: Floats,
@@ -107,7 +141,7 @@ def _slip_alone(
         slip[k] = keep * here[k + 2] + ease[k] * total - object_velocity[k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, _nrt=False, error_model="numpy")
 def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
     """One sweep of projected over-relaxation over the nodes, with the object's velocity as in `object_velocity`.
 
@@ -154,12 +188,9 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
                 node += _TWO
 
 
-@njit(cache=True, error_model="numpy")
-def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, friction_wrench: Floats) -> float:
-    """Largest force left unbalanced at a node.
-
-    Fills pull, slip, speed, and friction_wrench (3,): force and moment of a pad on the object.
-    """
+@njit(cache=True, _nrt=False, error_model="numpy")
+def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags) -> tuple[float, Three]:
+    """Largest force left unbalanced at a node; force and moment of a pad on the object. Fills pull, slip, speed."""
     velocity = work.velocity
     rows, columns = work.bound.shape
     worst = wrench_x = wrench_y = moment = 0.0  # sums in memory, not in registers, would wait for each other
@@ -201,5 +232,4 @@ def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags, frictio
             wrench_x += force_x
             wrench_y += force_y
             moment += x * force_y - y * force_x
-    friction_wrench[0], friction_wrench[1], friction_wrench[2] = wrench_x, wrench_y, moment
-    return worst
+    return worst, (wrench_x, wrench_y, moment)

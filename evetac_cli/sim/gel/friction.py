@@ -16,15 +16,15 @@ Over a gel friction need not be even: `varied` gives each node a factor on both 
 import math
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 
 WAVES = 256  # that make up a smooth random field
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def coefficient_after(
     coefficient: float, slip_speed: float, seconds: float, static: float, kinetic: float, stribeck: float, memory: float
 ) -> float:

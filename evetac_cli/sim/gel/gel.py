@@ -31,12 +31,13 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.contact import cell_area
+from evetac_cli.sim.gel.force_balance import work_memory
 from evetac_cli.sim.gel.friction import half_wavelength_m
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, PadConstants, spring
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
@@ -174,6 +175,8 @@ class GelState:
     _creep_arms: Floats
     layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
     info: Floats
+    _memory: Floats
+    _stuck_before: Flags
     friction_factor: Floats | None = None
 
     def gripping(self, normal: Floats) -> Floats:
@@ -201,6 +204,8 @@ class GelState:
             self.node_xy_m,
             self.creep_n,
             self._creep_arms,
+            self._memory,
+            self._stuck_before,
         )
 
     @property
@@ -309,6 +314,8 @@ def start(
         _creep_arms=np.array([material.creep_share, material.creep_time_s]).T.copy(),
         layer_constants=tuple(layer),
         info=np.zeros(INFO_SIZE),
+        _memory=work_memory(rows, columns),
+        _stuck_before=np.zeros(grid, dtype=np.bool_),
         friction_factor=friction_factor,
     )
 

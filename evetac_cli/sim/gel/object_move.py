@@ -11,21 +11,21 @@ fails on other[0].
 
 import math
 
-import numpy as np
-from numba import njit
-
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.sim.gel.force_balance import Stencil, Work, links
+from evetac_cli.kernels.compiled import njit
+from evetac_cli.sim.gel.force_balance import Stencil, Three, Work, links
 
 Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
 
+# The upper triangle of a symmetric 3 x 3 matrix, row by row.
+Matrix = tuple[float, float, float, float, float, float]
 REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
 WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
 
 
-@njit(cache=True)
-def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
-    """Set curvature, (3, 3), to a pad's stiffness against moves of the object; only the upper triangle is kept.
+@njit(cache=True, _nrt=False)
+def _curvature(work: Work, stencil: Stencil) -> Matrix:
+    """A pad's stiffness against moves of the object.
 
     Nodes that are not loose move along, and bring their springs. A loose node lags behind: its friction resists a turn
     of the slip, in series with the node's own diagonal.
@@ -62,12 +62,11 @@ def _curvature(work: Work, stencil: Stencil, curvature: Floats) -> None:
                 turn_of_x -= stiff * along_y * arm
                 turn_of_y += stiff * along_x * arm
                 turn += stiff * arm * arm
-    curvature[0, 0], curvature[0, 1], curvature[0, 2] = along_x2, cross, turn_of_x
-    curvature[1, 1], curvature[1, 2], curvature[2, 2] = along_y2, turn_of_y, turn
+    return along_x2, cross, turn_of_x, along_y2, turn_of_y, turn
 
 
-@njit(cache=True)
-def _follow(work: Work, move: Floats, reach: float) -> int:
+@njit(cache=True, _nrt=False)
+def _follow(work: Work, move: Three, reach: float) -> int:
     """Fill search_direction, how each node answers a move of the object; returns how many nodes it would bring to rest.
 
     Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
@@ -99,7 +98,7 @@ def _follow(work: Work, move: Floats, reach: float) -> int:
     return caught
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
     """Slope and curvature, along search_direction, of one pad's potential without friction."""
     direction = work.search_direction
@@ -118,8 +117,8 @@ def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
     return slope, stencil.own * own + stencil.link_x * across + stencil.link_y * down
 
 
-@njit(cache=True, error_model="numpy")
-def _rubbing(work: Work, move: Floats, part: float) -> float:
+@njit(cache=True, _nrt=False, error_model="numpy")
+def _rubbing(work: Work, move: Three, part: float) -> float:
     """Slope of one pad's friction potential, the sum of bound * |slip|, after a part of a move of object and nodes."""
     rows, columns = work.bound.shape
     slope = 0.0
@@ -136,28 +135,29 @@ def _rubbing(work: Work, move: Floats, part: float) -> float:
     return slope
 
 
-@njit(cache=True)
-def _solve3(matrix: Floats, right: Floats, least: Floats) -> Floats:
+@njit(cache=True, _nrt=False)
+def _solve3(matrix: Matrix, right: Three, least: Three) -> Three:
     """Solution of a symmetric 3 x 3 system of which the upper triangle is given, and of which the pivots are >= least.
 
     That they are follows from the diagonal least being one positive summand of the matrix; rounding may forget it.
     """
-    pivot_0 = max(matrix[0, 0], least[0])
-    low_10 = matrix[0, 1] / pivot_0
-    low_20 = matrix[0, 2] / pivot_0
-    pivot_1 = max(matrix[1, 1] - low_10 * matrix[0, 1], least[1])
-    cross = matrix[1, 2] - low_10 * matrix[0, 2]
+    m00, m01, m02, m11, m12, m22 = matrix
+    pivot_0 = max(m00, least[0])
+    low_10 = m01 / pivot_0
+    low_20 = m02 / pivot_0
+    pivot_1 = max(m11 - low_10 * m01, least[1])
+    cross = m12 - low_10 * m02
     low_21 = cross / pivot_1
-    pivot_2 = max(matrix[2, 2] - low_20 * matrix[0, 2] - low_21 * cross, least[2])
+    pivot_2 = max(m22 - low_20 * m02 - low_21 * cross, least[2])
     half_1 = right[1] - low_10 * right[0]
     half_2 = right[2] - low_20 * right[0] - low_21 * half_1
     third = half_2 / pivot_2
     second = half_1 / pivot_1 - low_21 * third
     first = right[0] / pivot_0 - low_10 * second - low_20 * third
-    return np.array([first, second, third])
+    return first, second, third
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _loosen(work: Work, stuck: Flags) -> None:
     """Begin with all nodes loose that do not stick."""
     rows, columns = stuck.shape
@@ -166,17 +166,17 @@ def _loosen(work: Work, stuck: Flags) -> None:
             work.loose[row + 1, column + 1] = 0.0 if stuck[row, column] else 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _find_move(
     work: Work,
     stencil: Stencil,
-    weight: Floats,
-    inertial: Floats,
-    pads_wrench: Floats,
+    weight: Three,
+    inertial: Three,
+    pads_wrench: Three,
     stuck: Flags,
     reach: float,
     other: Other,
-) -> Floats:
+) -> Three:
     """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest.
 
     Fills search_direction.
@@ -185,18 +185,18 @@ def _find_move(
     if other is not None:
         work_2, stencil_2, stuck_2 = other
         _loosen(work_2, stuck_2)
-    curvature = np.zeros((3, 3))
-    move = np.zeros(3)
+    pads = stencil.pads
+    left = (-inertial[0] - pads_wrench[0], -inertial[1] - pads_wrench[1], -inertial[2] - pads_wrench[2])
+    move = (0.0, 0.0, 0.0)
     for _ in range(4):
-        _curvature(work, stencil, curvature)
-        curvature *= stencil.pads
+        c00, c01, c02, c11, c12, c22 = _curvature(work, stencil)
+        c00, c01, c02, c11, c12, c22 = pads * c00, pads * c01, pads * c02, pads * c11, pads * c12, pads * c22
         if other is not None:
-            more = np.zeros((3, 3))
-            _curvature(work_2, stencil_2, more)
-            curvature += stencil_2.pads * more
-        for axis in range(3):
-            curvature[axis, axis] += weight[axis]
-        move = _solve3(curvature, -inertial - pads_wrench, weight)
+            m00, m01, m02, m11, m12, m22 = _curvature(work_2, stencil_2)
+            more = stencil_2.pads
+            c00, c01, c02 = c00 + more * m00, c01 + more * m01, c02 + more * m02
+            c11, c12, c22 = c11 + more * m11, c12 + more * m12, c22 + more * m22
+        move = _solve3((c00 + weight[0], c01, c02, c11 + weight[1], c12, c22 + weight[2]), left, weight)
         caught = _follow(work, move, reach)
         if other is not None:
             caught += _follow(work_2, move, reach)
@@ -205,8 +205,8 @@ def _find_move(
     return move
 
 
-@njit(cache=True)
-def _rubbing_of_all(work: Work, stencil: Stencil, move: Floats, part: float, other: Other) -> float:
+@njit(cache=True, _nrt=False)
+def _rubbing_of_all(work: Work, stencil: Stencil, move: Three, part: float, other: Other) -> float:
     """Slope of the friction potential of all pads."""
     slope: float = stencil.pads * _rubbing(work, move, part)
     if other is not None:
@@ -215,15 +215,16 @@ def _rubbing_of_all(work: Work, stencil: Stencil, move: Floats, part: float, oth
     return slope
 
 
-@njit(cache=True)
-def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial: Floats, other: Other) -> float:
+@njit(cache=True, _nrt=False)
+def _search(work: Work, stencil: Stencil, move: Three, weight: Three, inertial: Three, other: Other) -> float:
     """Exact line search: the part, 0 to 1, of a move at which the potential is least; 0 if it only rises.
 
     The nodes move along search_direction.
     """
     slope, bend = _smooth(work, stencil)
-    slope = stencil.pads * slope + (inertial * move).sum()
-    bend = stencil.pads * bend + (weight * move * move).sum()
+    x, y, turn = move
+    slope = stencil.pads * slope + (inertial[0] * x + inertial[1] * y + inertial[2] * turn)
+    bend = stencil.pads * bend + (weight[0] * x * x + weight[1] * y * y + weight[2] * turn * turn)
     if other is not None:
         work_2, stencil_2, _ = other
         slope_2, bend_2 = _smooth(work_2, stencil_2)
@@ -245,7 +246,7 @@ def _search(work: Work, stencil: Stencil, move: Floats, weight: Floats, inertial
     return low if start < 0.0 else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _answer(work: Work, part: float) -> None:
     """Move the nodes by a part of search_direction."""
     rows, columns = work.bound.shape
@@ -255,14 +256,14 @@ def _answer(work: Work, part: float) -> None:
                 work.velocity[row + 1, column + 1, axis] += part * work.search_direction[row, column, axis]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def move_object(
     work: Work,
     stencil: Stencil,
     twist: Floats,
-    weight: Floats,
-    inertial: Floats,
-    pads_wrench: Floats,
+    weight: Three,
+    inertial: Three,
+    pads_wrench: Three,
     stuck: Flags,
     other: Other,
 ) -> None:
@@ -272,7 +273,7 @@ def move_object(
     To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
     the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
     """
-    move = np.zeros(3)
+    move = (0.0, 0.0, 0.0)
     part = 0.0
     for reach in REACHES:
         move = _find_move(work, stencil, weight, inertial, pads_wrench, stuck, reach, other)

@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Flags, Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work, links
 from evetac_cli.sim.gel.friction import coefficient_after
 
@@ -32,14 +32,23 @@ class PadConstants(NamedTuple):
 
 # Plain tuples, as named ones take longer to hand over. Of a pad: displacement, velocity, maxwell, mean (velocity over
 # the last step), slip_speed, friction coefficient, stuck, nodes, force of each slow arm (arms, rows, columns, 2), and
-# their shares and times in s (arms, 2)
-Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats]
+# their shares and times in s (arms, 2); then scratch: memory of its `Work`, and which nodes stuck before
+Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Flags]
 # static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
 FrictionLaw = tuple[float, float, float, float]
-LayerConstants = tuple[float, ...]  # a Layer
+LayerConstants = tuple[float, ...]  # a PadConstants
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
+def named_constants(constants: LayerConstants) -> PadConstants:
+    """Constants of a pad by their names."""
+    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
+    return PadConstants(
+        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
+    )
+
+
+@njit(cache=True, _nrt=False)
 def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, answer: Floats) -> None:
     """Set answer to K field, both (rows, columns, 2); the edges of the pad are free."""
     rows, columns, _ = field.shape
@@ -59,17 +68,12 @@ def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, an
                 answer[row, column, axis] = pull
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def begin(
-    state: Fields, nodal: Floats, pose: Floats, friction: FrictionLaw, h: float, constants: LayerConstants
-) -> tuple[int, float, float, PadConstants, Stencil, Work, float]:
-    """The equation of a pad's nodes over h: what `_set_up` returns, constants, and the factor of over-relaxation."""
-    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
-    layer = PadConstants(
-        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
-    )
+    state: Fields, nodal: Floats, pose: Floats, friction: FrictionLaw, h: float, layer: PadConstants, work: Work
+) -> tuple[int, float, float, Stencil, float]:
+    """The equation of a pad's nodes over h: what `_set_up` returns, and the factor of over-relaxation."""
     arms = state[9]
-    rows, columns = nodal.shape
     # the Maxwell arm by its exact exponential update: what it keeps of its force, and gains per unit of K velocity
     keep = math.exp(-h / layer.maxwell_time)
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
@@ -84,32 +88,16 @@ def begin(
         layer.pitch_y,
         layer.pads,
     )
-    grid = (rows, columns)
-    longer = (rows, columns + 2, 2)
-    work = Work(  # made anew: ten arrays handed over from Python took 5 us more, of 12 for a step of one node
-        np.zeros((rows + 2, columns + 2, 2)),
-        np.zeros(longer),
-        np.empty((rows, columns, 2)),
-        np.empty(grid),
-        np.empty(grid),
-        np.empty((rows, columns, 2)),
-        np.empty(longer),
-        np.empty(grid),
-        np.zeros((rows + 2, columns + 2)),
-        np.empty((rows, columns, 2)),
-        np.zeros(longer),
-        np.zeros(longer),
-    )
     # the factor of over-relaxation that is best for a smooth pattern on this grid
     ring = 2.0 * (stencil.link_x + stencil.link_y)
     smoothness = ring / (stencil.own + ring)
     factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
     factors = (h, layer.node_mass / h, keep, factor)
     fault, scale, square = _set_up(state, nodal, pose, friction, factors, layer, stencil, work)
-    return fault, scale, square, layer, stencil, work, factor
+    return fault, scale, square, stencil, factor
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def let_go(
     work: Work,
     nodal: Floats,
@@ -143,7 +131,7 @@ def let_go(
     return change, change * hardest / layer.shear, fall * released, fall * hardest
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, _nrt=False, error_model="numpy")
 def _set_up(
     state: Fields,
     nodal: Floats,
@@ -160,7 +148,7 @@ def _set_up(
     Returns the number of what is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their
     levers.
     """
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes, creep, arms = state
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes, creep, arms = state[:10]
     static, kinetic, _, _ = friction
     h, momentum, keep, factor = factors
     rows, columns = nodal.shape
@@ -203,7 +191,7 @@ def _set_up(
     return 0, layer.pads * scale, square
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) -> float:
     """A node's coefficient after so many seconds at a slip speed; at rest it is often static, and then stays so."""
     static, kinetic, stribeck, memory = friction
@@ -212,7 +200,7 @@ def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) 
     return float(coefficient_after(mu, slip_speed, seconds, static, kinetic, stribeck, memory))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def refresh(
     work: Work, nodal: Floats, coefficient: Floats, twist: Floats, stuck: Flags, h: float, friction: FrictionLaw
 ) -> None:
@@ -232,7 +220,7 @@ def refresh(
                 work.bound[row, column] = normal * _after(mu, speed, h, friction)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, _nrt=False, error_model="numpy")
 def advance(
     state: Fields,
     nodal: Floats,
@@ -244,7 +232,7 @@ def advance(
     info: Floats,
 ) -> None:
     """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms = state
+    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms = state[:10]
     static, kinetic, _, _ = friction
     rows, columns = nodal.shape
     for row in range(rows):

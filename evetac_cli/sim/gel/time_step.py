@@ -9,13 +9,20 @@ coefficient is exceeded: where friction falls with speed both may be solutions.
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numba import njit
-
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.sim.gel.force_balance import imbalance, relax, set_object_velocity
+from evetac_cli.kernels.compiled import njit
+from evetac_cli.sim.gel.force_balance import imbalance, relax, set_object_velocity, work_in
 from evetac_cli.sim.gel.object_move import move_object
-from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, advance, begin, let_go, refresh
+from evetac_cli.sim.gel.pad_equation import (
+    Fields,
+    FrictionLaw,
+    LayerConstants,
+    advance,
+    begin,
+    let_go,
+    named_constants,
+    refresh,
+)
 
 # Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us a step, on 24 x 18 nodes under a
 # tilted cylinder that begins to slip.
@@ -43,9 +50,24 @@ class Allowed(NamedTuple):
 # The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
 # step of 14 x 10 nodes.
 # displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
-# twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), and their shares and times in s (arms, 2)
+# twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), their shares and times in s (arms, 2), and
+# scratch: memory of its `Work`, and which nodes stuck before
 NodeArrays = tuple[
-    Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Floats, Floats
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Flags,
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Floats,
+    Flags,
 ]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
 Load = tuple[Floats, Floats, bool, Floats]
@@ -55,7 +77,7 @@ StepSettings = tuple[float, float, float, int, float, float, bool]
 Second = tuple[Fields, Floats, LayerConstants] | None
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def step_nodes(
     arrays: NodeArrays,
     load: Load,
@@ -70,9 +92,9 @@ def step_nodes(
     second: the second finger's pad, where it is simulated, too. Fills `info`: sweeps, residual, and the rest of
     `gel.StepInfo` in its order; then the force of the object on the second pad and its moment.
     """
-    displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, pose, twist, inertia, nodes, creep, arms = (
-        arrays
-    )
+    stuck, pose, twist, inertia = arrays[6:10]
+    memory, stuck_before = arrays[13:]
+    coefficient = arrays[5]
     nodal, force, prescribed, wanted = load
     dt, theta, tolerance, max_sweeps, allowed_m, steepest, shortest = settings
     for axis in range(3):
@@ -83,33 +105,37 @@ def step_nodes(
         if not (math.isfinite(pose[axis]) and math.isfinite(twist[axis])):
             return 4
     h = theta * dt
-    state = (displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms)
-    fault, scale, square, layer, stencil, work, factor = begin(state, nodal, pose, friction, h, constants)
+    state = (*arrays[:7], *arrays[10:])
+    rows, columns = nodal.shape
+    work = work_in(memory, rows, columns)
+    layer = named_constants(constants)
+    fault, scale, square, stencil, factor = begin(state, nodal, pose, friction, h, layer, work)
     if fault:
         return int(fault)
     if second is None:
         other = None
     else:
         state_2, nodal_2, constants_2 = second
-        coefficient_2, stuck_2 = state_2[5], state_2[6]
-        fault, scale_2, _, layer_2, stencil_2, work_2, factor_2 = begin(
-            state_2, nodal_2, pose, friction, h, constants_2
-        )
+        coefficient_2, stuck_2, memory_2, stuck_before_2 = state_2[5], state_2[6], state_2[10], state_2[11]
+        rows_2, columns_2 = nodal_2.shape
+        work_2 = work_in(memory_2, rows_2, columns_2)
+        layer_2 = named_constants(constants_2)
+        fault, scale_2, _, stencil_2, factor_2 = begin(state_2, nodal_2, pose, friction, h, layer_2, work_2)
         if fault:
             return int(fault)
         scale += scale_2
         other = (work_2, stencil_2, stuck_2)
-        stuck_before_2 = stuck_2.copy()
-        wrench_2 = np.zeros(3)
+        _set_flags(stuck_before_2, stuck_2)
     falls = friction[1] < friction[0]
     scale += abs(force[0]) + abs(force[1])
     # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
     scale = max(scale + abs(force[2]) / reach, 1e-300)
-    body = wanted.copy()
-    weight = inertia / h
-    friction_wrench = np.zeros(3)
-    stuck_before = stuck.copy()
+    body = memory[-3:]
+    for axis in range(3):
+        body[axis] = wanted[axis]
+    weight = (inertia[0] / h, inertia[1] / h, inertia[2] / h)
+    _set_flags(stuck_before, stuck)
     sweeps = 0
     rounds = 0
     while True:
@@ -127,18 +153,28 @@ def step_nodes(
             if second is not None:
                 refresh(work_2, nodal_2, coefficient_2, body, stuck_2, h, friction)
         rounds += 1
-        worst = imbalance(work, stencil, body, stuck, friction_wrench)
-        pads_wrench = layer.pads * friction_wrench
+        worst, wrench = imbalance(work, stencil, body, stuck)
+        pads_x, pads_y, pads_turn = layer.pads * wrench[0], layer.pads * wrench[1], layer.pads * wrench[2]
         if second is not None:
-            worst = max(worst, imbalance(work_2, stencil_2, body, stuck_2, wrench_2))
-            pads_wrench += layer_2.pads * wrench_2
-        inertial = weight * (body - twist) - force
+            worst_2, wrench_2 = imbalance(work_2, stencil_2, body, stuck_2)
+            worst = max(worst, worst_2)
+            pads_x += layer_2.pads * wrench_2[0]
+            pads_y += layer_2.pads * wrench_2[1]
+            pads_turn += layer_2.pads * wrench_2[2]
+        inertial_x = weight[0] * (body[0] - twist[0]) - force[0]
+        inertial_y = weight[1] * (body[1] - twist[1]) - force[1]
+        inertial_turn = weight[2] * (body[2] - twist[2]) - force[2]
         if not prescribed:
-            left = np.abs(inertial + pads_wrench)
-            worst = max(worst, left[0], left[1], left[2] / reach)
+            worst = max(
+                worst,
+                abs(inertial_x + pads_x),
+                abs(inertial_y + pads_y),
+                abs(inertial_turn + pads_turn) / reach,
+            )
         if worst <= tolerance * scale or sweeps >= max_sweeps:
             break
         if not prescribed:
+            inertial, pads_wrench = (inertial_x, inertial_y, inertial_turn), (pads_x, pads_y, pads_turn)
             move_object(work, stencil, body, weight, inertial, pads_wrench, stuck, other)
     error = 0.0
     if not prescribed:
@@ -163,9 +199,9 @@ def step_nodes(
             too_long = too_long or released > resisted
             accepted = accepted and hardest <= resisted
     if too_long or (error > allowed_m and not accepted):
-        _restore(stuck, stuck_before)
+        _set_flags(stuck, stuck_before)
         if second is not None:
-            _restore(stuck_2, stuck_before_2)
+            _set_flags(stuck_2, stuck_before_2)
         return TOO_LONG
     info[:] = 0.0
     if second is not None:
@@ -187,11 +223,11 @@ def step_nodes(
     return 0
 
 
-@njit(cache=True)
-def _restore(nodes: Flags, before: Flags) -> None:
-    """Put values of nodes (rows, columns) back. Why so: assigned as a whole, they bring along the words of an error
-    about shapes, which take seconds to compile.
+@njit(cache=True, _nrt=False)
+def _set_flags(nodes: Flags, values: Flags) -> None:
+    """Give nodes (rows, columns) the values of others. Why so: assigned as a whole, they bring along the words of an
+    error about shapes, which take seconds to compile.
     """
     for row in range(nodes.shape[0]):
         for column in range(nodes.shape[1]):
-            nodes[row, column] = before[row, column]
+            nodes[row, column] = values[row, column]

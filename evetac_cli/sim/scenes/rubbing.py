@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
@@ -147,7 +147,7 @@ def _covered(node_xy_m: Floats, centre_m: Floats, mm_per_px: float, half: Floats
     return weights
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _inside(x: float, y: float, half: Floats) -> float:
     """How far a point seen from the middle of an ellipse of half axes (2,) lies inside, to first order at its edge."""
     scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))

@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.friction import varied
@@ -182,7 +182,7 @@ class GelSlices:
         return False
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _settle(velocity: Floats, mean: Floats, maxwell: Floats, creep: Floats, displacement: Floats) -> bool:
     """Set velocities and Maxwell forces to 0, if all of them are too small to tell; returns whether they are."""
     moving, lately = velocity.reshape(-1), mean.reshape(-1)

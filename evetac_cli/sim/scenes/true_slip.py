@@ -35,11 +35,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.gel import GelState
 
 SLIP_PX = 0.5  # an object that slid further than this as one body slips: the onset
@@ -163,7 +163,7 @@ def _inside(at_px: Floats, low: tuple[int, int], high: tuple[int, int]) -> Flags
     return inside
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _rigid_motion(nodes: Floats, slid: Floats, weights: Floats) -> tuple[float, float, float, float, float]:
     """The translation and rotation that explain the motion of nodes best: weighted least squares.
 

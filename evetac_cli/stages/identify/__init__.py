@@ -19,7 +19,6 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.sim.setup import plan, sensor_file
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, EstimateRow, sensor_text
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of
@@ -49,6 +48,8 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=_headers(job.inputs))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
+    from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
+
     like = plan.one_sensor(params.like)
     mm_per_px = like.mm_per_px if params.pixel_mm is None else params.pixel_mm
     printed_xy = _printed(like)

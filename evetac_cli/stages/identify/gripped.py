@@ -18,7 +18,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify import gripper, held_gel
 from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.shared import PAD_M
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
@@ -215,13 +215,12 @@ def _tracked(recording: Recording) -> NDArray[np.float32]:
     """Place of every dot at the end of each slice, (slices, dots, 2)."""
     dots, radius_px = recording.dot_xy_px, recording.dot_radius_px
     assert dots is not None and radius_px is not None
-    state = tracker.start(dots.reshape(-1, 2), tracker.PRESETS["stable"].for_dots(radius_px))
+    state = tracker.start(dots.reshape(-1, 2), presets.PRESETS["stable"].for_dots(radius_px))
     slices = min(len(recording), LONGEST_MS)
     place = np.empty((slices, len(dots.reshape(-1, 2)), 2), np.float32)
-    for index in range(slices):
-        events = recording[index]
+    for events, at_end in zip(recording, place, strict=False):
         tracker.step(state, events.x, events.y, events.p)
-        place[index] = state.dot_xy_px
+        at_end[:] = state.dot_xy_px
     return place
 
 
@@ -260,9 +259,8 @@ def _seen_motion(recording: Recording, place_px: NDArray[np.float32], first: int
     direction /= max(float(np.hypot(*direction)), 1e-9)
     sums = np.zeros(stop - first)
     total = 0.0
-    for start in range(first, stop, BLOCK_SLICES):
-        end = min(start + BLOCK_SLICES, stop)
-        events = recording.between(start, end)
+    for block in recording.blocks(BLOCK_SLICES, first, stop):
+        events, start, end = block.events, block.first, block.stop
         usual = ~busy[events.y, events.x]
         x, y = events.x[usual].astype(np.float32), events.y[usual].astype(np.float32)
         dots = place_px[(start + end) // 2]

@@ -15,7 +15,7 @@ from evetac_cli.kernels.identify.dots import Optics, RimProfile, Runs
 from evetac_cli.kernels.identify.thresholds import Polarity, StrokeEvents
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.tables import as_table
-from evetac_cli.stages import calibrate, calibrated_gel
+from evetac_cli.stages import calibrate, calibrated_gel, gel_at_rest
 from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
 
@@ -98,7 +98,7 @@ def find(
     places = dot_search.find(runs.joined)
     seen = grid.lattice(places.centre_xy_px)
     radius_px = float(np.median(places.radius_px))
-    jitter_px = calibrate.jitter_px((halves[0].joined, halves[1].joined), seen, radius_px)
+    jitter_px = gel_at_rest.jitter_px((halves[0].joined, halves[1].joined), seen, radius_px)
     if not np.isfinite(jitter_px):
         raise ValueError("too few strokes to see where dots come to rest")
     if jitter_px > WORST_JITTER_PX:
@@ -136,12 +136,11 @@ def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, flo
     halves = [[RestImage(nothing, nothing), RestImage(nothing, nothing)] for _ in range(2)]
     events = thresholds.start(recording.frame_px)
     edges = []
-    for half, (start, stop), pictures in calibrate.stroke_images(recording):
+    for half, (start, stop), pictures in gel_at_rest.stroke_images(recording):
         halves[half] = [one.joined(picture) for one, picture in zip(halves[half], pictures, strict=True)]
         edges += [start, stop]
-        for first in range(start, stop, calibrate.BLOCK_SLICES):
-            block = recording.between(first, min(stop, first + calibrate.BLOCK_SLICES))
-            thresholds.add(events, *block, half)
+        for block in recording.blocks(gel_at_rest.BLOCK_SLICES, start, stop):
+            thresholds.add(events, *block.events, half)
     if not edges:
         raise ValueError("nothing strokes the gel from rest")
     return (Runs(*halves[0]), Runs(*halves[1])), events, (edges[-1] - edges[0]) * 1e-3

@@ -23,7 +23,6 @@ from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
@@ -32,19 +31,18 @@ from evetac_cli.kernels.slip.architectures import (
     joined,
     parted,
 )
-from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose_threshold
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
+from evetac_cli.stages.model_files import USELESS_HINT, read_weights, why_useless
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.stages.slip_detectors import USELESS_HINT, predict, read_trajectory, read_weights, why_useless
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
-from evetac_cli.stages.train.networks import Networks, state_file
+from evetac_cli.stages.train.plan import group_parameters, series_bytes, state_file
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
-from evetac_cli.store.layout.contents import named_architecture
 from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining
@@ -204,10 +202,14 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     settings, adapted = _settings(params)
-    headers = []
+    architecture = named_architecture(settings.model)
+    headers, shapes, memory_bytes = [], [], []
     for number, path in enumerate(job.inputs):
         progress(number, len(job.inputs), "files looked at")
-        headers.append(header_of(path, "features"))
+        with StageFile(path, "features") as file:
+            headers.append(file.header)
+            shapes.append(tuple(int(size) for size in file.read("dot_shape")))
+            memory_bytes.append(series_bytes(file, architecture))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
@@ -216,7 +218,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
     if params.patience is not None:
         parameters["patience"] = params.patience
-    architecture = named_architecture(settings.model)
+    parameters |= group_parameters(memory_bytes[:learn])
     if isinstance(architecture, PluginArchitecture):
         parameters["model_method"] = architecture.method
     parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
@@ -233,6 +235,11 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     progress(0, 0, "loading torch")
     import torch
 
+    from evetac_cli.kernels.slip import onnx_graphs
+    from evetac_cli.kernels.slip.detector import Detector
+    from evetac_cli.stages.slip_detectors import predict, read_trajectory
+    from evetac_cli.stages.train.networks import Networks
+
     log = log_folder(output) if params.log is not None else None
     if log is not None:
         require_tensorboard()
@@ -240,7 +247,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
     torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
-    shape = _common_shape(job.inputs)
+    shape = _common_shape(job.inputs, shapes)
     if adapted is not None and adapted.dot_shape != shape:
         raise InputError(
             "a model for another dot grid",
@@ -252,7 +259,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
     start = None if adapted is None else adapted.weights
-    networks = Networks(output, job.inputs, folds, recipe, shape, start, log)
+    networks = Networks(output, job.inputs, memory_bytes, folds, recipe, shape, start, log)
     predictions: list[list[Prediction]] = []
     resumed: int | None = None
     try:
@@ -355,13 +362,11 @@ def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:
     return next(iter(methods), "none")
 
 
-def _common_shape(paths: tuple[Path, ...]) -> tuple[int, int]:
+def _common_shape(paths: Sequence[Path], of_each: Sequence[tuple[int, ...]]) -> tuple[int, int]:
     """Rows and columns of the dot grid, which all files must share."""
-    shapes: dict[tuple[int, int], Path] = {}
-    for path in paths:
-        with StageFile(path, "features") as file:
-            rows, columns = (int(size) for size in file.read("dot_shape"))
-            shapes.setdefault((rows, columns), path)
+    shapes: dict[tuple[int, ...], Path] = {}
+    for path, shape in zip(paths, of_each, strict=True):
+        shapes.setdefault(shape, path)
     if len(shapes) > 1:
         (first, path), (other, elsewhere) = list(shapes.items())[:2]
         raise InputError(
@@ -370,7 +375,8 @@ def _common_shape(paths: tuple[Path, ...]) -> tuple[int, int]:
             expected=f"{first[0]} x {first[1]} as in {path}",
             found=f"{other[0]} x {other[1]}",
         )
-    return next(iter(shapes))
+    rows, columns = next(iter(shapes))
+    return rows, columns
 
 
 def _check_grid(shape: tuple[int, int], path: Path) -> None:

@@ -8,7 +8,6 @@ import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,13 +17,15 @@ from numpy.typing import NDArray
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.sampling import SlipSamples
-from evetac_cli.stages.slip_detectors import join_on_disk, read_trajectory
+from evetac_cli.kernels.slip.sample_groups import SampleGroups, Size, drawn_groups
+from evetac_cli.kernels.slip.sampling import PoolSizes, SlipSamples
+from evetac_cli.stages.slip_detectors import read_pool_sizes, read_trajectory
 from evetac_cli.stages.splits import Fold
+from evetac_cli.stages.train import plan
 from evetac_cli.stages.train.log import for_tensorboard
-from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of
-from evetac_cli.store.layout.contents import named_architecture
+from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining, TrainingState
@@ -38,12 +39,13 @@ class Networks:
 
     model: Path  # which they are for
     inputs: tuple[Path, ...]
+    memory_bytes: Sequence[int]  # that the features of each take
     folds: Sequence[Fold]
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
     start: Sequence[dict[str, NDArray[np.float32]]] | None  # weights to go on from, of each network of a fold
     log: Path | None = None  # folder of what TensorBoard shows
-    _gathered: dict[int, SlipSamples] = field(default_factory=dict, init=False)  # of the fold that was asked for last
+    _gathered: dict[int, SampleGroups] = field(default_factory=dict, init=False)  # of the fold that was asked for last
 
     @property
     def count(self) -> int:
@@ -57,7 +59,7 @@ class Networks:
         """
         from evetac_cli.kernels.slip import training
 
-        chosen, place = self.recipe.parameters, state_file(self.model, number, self.count)
+        chosen, place = self.recipe.parameters, plan.state_file(self.model, number, self.count)
         start = None if self.start is None else self.start[number % chosen["networks"]]
         preset = training.ADAPT if start is not None else training.PRESETS[chosen["preset"]]
         saved = _read(place, self.recipe)
@@ -75,14 +77,14 @@ class Networks:
         log = None if self.log is None else self.log / f"network{number + 1}"
         with for_tensorboard(log, simulated=self.recipe.simulated) as on_point:
             result = training.train(
-                self._samples_of(number // chosen["networks"], progress),
+                self._groups_of(number // chosen["networks"], progress),
                 preset,
                 # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
                 np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
                 training.TrainingLimits(
                     chosen["epochs"],
                     chosen["max_steps"],
-                    self._samples(self.folds[-1].evaluated_on, progress) if chosen.get("patience") else None,
+                    self._validation(progress) if chosen.get("patience") else None,
                     chosen.get("patience"),
                 ),
                 training.Hooks(lambda step, steps: progress(number * steps + step, self.count * steps), save, on_point),
@@ -97,18 +99,44 @@ class Networks:
     def remove_states(self) -> None:
         """Remove what was saved."""
         for number in range(self.count):
-            state_file(self.model, number, self.count).unlink(missing_ok=True)
+            plan.state_file(self.model, number, self.count).unlink(missing_ok=True)
 
-    def _samples_of(self, fold: int, progress: Progress) -> SlipSamples:
+    def _groups_of(self, fold: int, progress: Progress) -> SampleGroups:
         """What the networks of a fold learn from."""
         if fold not in self._gathered:
             self._gathered.clear()
-            self._gathered[fold] = self._samples(self.folds[fold].trained_on, progress)
+            self._gathered[fold] = self._groups(self.folds[fold].trained_on, progress)
         return self._gathered[fold]
+
+    def _groups(self, numbers: Sequence[int], progress: Progress) -> SampleGroups:
+        """The samples of the inputs of these numbers: together if there is room, or else in groups by the seed."""
+        if self._takes(numbers) <= plan.HELD_BYTES:
+            return SampleGroups.alone(self._samples(numbers, progress))
+        sizes = []
+        for done, number in enumerate(numbers):
+            progress(done, len(numbers), "labels read")
+            sizes.append(Size(self.memory_bytes[number], self._pool_sizes(number)))
+        # not what the networks draw from, which are this generator's children
+        drawn = drawn_groups(sizes, plan.HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
+        groups = [[numbers[index] for index in group] for group in drawn]
+        steps = [PoolSizes(*np.sum([sizes[index].samples for index in group], axis=0)).steps for group in drawn]
+        return SampleGroups(steps, lambda group: self._samples(groups[group], progress))
+
+    def _validation(self, progress: Progress) -> SlipSamples:
+        """The samples of what validates: of all, or of so many, evenly among them, as there is room for."""
+        numbers = self.folds[-1].evaluated_on
+        return self._samples(numbers[:: max(1, -(-self._takes(numbers) // plan.HELD_BYTES))], progress)
+
+    def _takes(self, numbers: Sequence[int]) -> int:
+        return sum(self.memory_bytes[number] for number in numbers)
+
+    def _pool_sizes(self, number: int) -> PoolSizes:
+        chosen = self.recipe.parameters
+        return read_pool_sizes(self.inputs[number], named_architecture(chosen["model"]), chosen["horizon_ms"])
 
     def _samples(self, numbers: Sequence[int], progress: Progress) -> SlipSamples:
         """The samples of the inputs of these numbers."""
-        chosen, join = self.recipe.parameters, partial(join_on_disk, existing_folder(self.model.parent))
+        chosen = self.recipe.parameters
         architecture = named_architecture(chosen["model"])
 
         def trajectories() -> Iterator[Trajectory]:
@@ -116,13 +144,7 @@ class Networks:
                 progress(done, len(numbers), "files read")
                 yield read_trajectory(self.inputs[number], architecture)
 
-        return sampling.gather(trajectories(), architecture, *self.shape, chosen["horizon_ms"], join)
-
-
-def state_file(model: Path, number: int, networks: int) -> Path:
-    """Where the state of a run is saved: NAME.model.part, or NAME.model.network1.part for the first of several."""
-    name = "" if number == networks - 1 else f".network{number + 1}"
-    return model.with_name(model.name.removesuffix(".h5") + name + ".part")
+        return sampling.gather(trajectories(), architecture, *self.shape, chosen["horizon_ms"])
 
 
 def _read(path: Path, recipe: Recipe) -> "TrainingState | None":

@@ -2,33 +2,37 @@
 
 Why so: HDF5 may lead into any other file of the machine (links, external storage, virtual datasets), makes rows of
 nothing where none were written, and takes the memory that a file announces, not what it holds. So a file is refused
-when it is opened, in words, if it holds anything that leads elsewhere, or announces more than its own bytes can fill.
+in words if it holds anything that leads elsewhere, or announces more than its own bytes can fill. That concerns all of
+it, and is looked at when it is opened (`survey`); where the bytes of a dataset lie and how they are packed is looked at
+before it is first read (`check`), for most who open a file of dozens of datasets read a few.
 Other people's files may hold what we do not read; of their datasets only those that are asked for are checked.
 """
 
-import importlib
 import math
 import os
 import shlex
-import zlib
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, NamedTuple, NoReturn, Self
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
+from h5py import h5, h5a, h5d, h5g, h5l, h5o, h5t
 
-from evetac_cli.errors import PASSING, InputError, UnavailableError, cannot_read, missing_extra
+from evetac_cli.errors import PASSING, InputError, UnavailableError, cannot_read
 from evetac_cli.store.hdf5.hdf5_text import TextTooLong, attribute_text, dataset_text
+from evetac_cli.store.hdf5.packed_bytes import (
+    MOST_CHUNK_BYTES,
+    OUR_CHUNK_BYTES,
+    OUR_FILTERS,
+    Place,
+    check_filters,
+    check_stored,
+)
 
 # Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
 MOST_EXPANSION = 1100
-# A chunk is unpacked whole, and one made to harm unpacks to MOST_EXPANSION times its size, of which HDF5 says nothing.
-# Of our own that is 1 GB at most; larger chunks, of other programs, are unpacked here first, as far as they may go.
-OUR_CHUNK_BYTES = 1 << 20
-MOST_CHUNK_BYTES = 128 << 20
 MOST_READ_BYTES = 4 << 30  # of one dataset at a time; what is longer is read in blocks
 MOST_TEXT_BYTES = 32 << 20  # of one text: a header that tells of 10,000 ancestors has half of it
 MOST_OBJECTS = 10_000  # datasets and groups; our own files have some dozens
@@ -38,19 +42,23 @@ MOST_ATTRIBUTE_BYTES = 1 << 20
 ITSELF = "data in the file itself"
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)  # what h5py raises on damaged bytes
 
-# Numbers of the filters, as registered with the HDF Group.
-OUR_FILTERS = frozenset({h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32})
-PROPHESEE_FILTER = 0x8ECF
-EVENT_FILE_FILTERS = OUR_FILTERS | {
-    32000,  # LZF, which h5py brings along
-    32001,  # Blosc, of the DSEC data set
-    32004,  # LZ4
-    32008,  # Bitshuffle
-    32015,  # Zstandard
-    32026,  # Blosc2
-    PROPHESEE_FILTER,
-}
+ANY = np.dtype("V1")  # in the place of a dtype that is not asked for
 DIMENSION_ONLY = b"This is a netCDF dimension but not a netCDF variable"
+
+
+class Found(NamedTuple):
+    """A dataset of a file: its shape is None where it holds no value, `itemsize` the bytes of one."""
+
+    id: h5d.DatasetID
+    shape: tuple[int, ...] | None
+    itemsize: int
+    dtype: np.dtype[Any]
+    is_text: bool
+
+    @property
+    def announced_bytes(self) -> int:
+        """A row without columns takes no byte, but is a row to go through: it counts as if it had one."""
+        return 0 if self.shape is None else math.prod(max(1, size) for size in self.shape) * self.itemsize
 
 
 class CheckedHdf5:
@@ -62,7 +70,10 @@ class CheckedHdf5:
         hint: what to do with a file that is no HDF5.
         """
         self.path, self.where = path, str(path)
-        self.dimensions: dict[str, int] = {}  # length of each by its path, once `datasets` has been asked
+        self.dimensions: dict[str, int] = {}  # length of each by its path, once the datasets have been asked for
+        self._checked: set[str] = set()
+        self._left: dict[bytes, str] = {}  # objects that were not looked at
+        self._announced = self._stored = 0  # bytes of what was checked
         _refuse_irregular(path, expected)
         try:
             self.size = os.stat(path).st_size
@@ -140,33 +151,92 @@ class CheckedHdf5:
     ) -> dict[str, h5py.Dataset]:
         """Every dataset by its path, checked, or `only` those of these paths; InputError names what may not be.
 
-        Nothing may lead elsewhere, in any part of the file. Dimensions, which hold no numbers, are left out; their
-        lengths are in `dimensions`.
-        With `only`, a path may be missing, or be a group.
+        Nothing may lead elsewhere, in any part of the file. With `only`, a path may be missing, or be a group.
         """
-        checked: dict[str, h5py.Dataset] = {}
-        announced = stored = 0
+        if only is None:
+            found = self.survey()
+        else:
+            ids = self._found(only)
+            found = {
+                name: Found(item, item.shape, item.get_type().get_size(), ANY, False) for name, item in ids.items()
+            }
+        for name, one in found.items():
+            self.check(name, one, filters, any_kind=only is not None)
+        return {name: h5py.Dataset(one.id) for name, one in found.items()}
+
+    def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, Found]:
+        """Every dataset by its path, of which `check` has yet to look at the bytes; InputError names what may not be.
+
+        Nothing leads elsewhere, each holds plain numbers or one text, and together they announce no more than the file
+        can hold. Dimensions, which hold no numbers, are left out; their lengths are in `dimensions`.
+        is_left: whether what lies at a path is not looked at, for nobody reads it, but by `check_left`.
+        """
+        found: dict[str, Found] = {}
         with damage_in_words(self.path, "its contents"):
-            for name, item in self._objects():
-                if only is None:
+            for name, item in self._found(None, is_left).items():
+                kind, shape = item.get_type(), item.shape
+                self._check_kind(name, item, kind, shape)
+                is_text = shape is not None and kind.get_class() == h5t.STRING
+                found[name] = Found(item, shape, kind.get_size(), kind.dtype, is_text)
+            announced = sum(one.announced_bytes for one in found.values())
+            if announced > MOST_EXPANSION * self.size:
+                for name, one in found.items():  # which may say what is wrong more precisely
+                    self.check(name, one)
+                self._refuse("its datasets announce more than the file can hold", f"{announced} bytes")
+        return found
+
+    def check(self, name: str, one: Found, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False) -> None:
+        """Refuse a dataset whose bytes are not all in this file, or are packed in a way that is not read.
+
+        Together those that are checked may hold no more than the file can.
+        """
+        if name in self._checked:
+            return
+        with damage_in_words(self.path, name):
+            if not any_kind:
+                self._check_attributes(name, one.id)
+            recipe = one.id.get_create_plist()
+            applied = check_filters(self.where, name, recipe, filters)
+            if one.is_text:
+                self.text(name, h5py.Dataset(one.id))
+            most = MOST_CHUNK_BYTES if any_kind else OUR_CHUNK_BYTES
+            at = Place(self.where, self.size, name, most)
+            stored = self._stored + check_stored(at, one.id, one.shape, one.itemsize, recipe, applied)
+            announced = self._announced + one.announced_bytes
+            if announced > MOST_EXPANSION * self.size or stored > self.size:
+                self._refuse(f"{name} announces more than the file can hold", f"{announced} bytes")
+        self._announced, self._stored = announced, stored
+        self._checked.add(name)
+
+    def check_left(self) -> list[str]:
+        """Look at what `survey` left; those paths at which there is a dataset, and no dimension."""
+        left, self._left = self._left, {}
+        with damage_in_words(self.path, "its contents"):
+            return [name for name, item in self._opened(left) if self._is_dataset(name, item)]
+
+    def _found(
+        self, only: Collection[str] | None, is_left: Callable[[str], bool] = lambda path: False
+    ) -> dict[str, h5d.DatasetID]:
+        """The datasets that are asked for, in the order of their paths; InputError where any leads elsewhere."""
+        found: dict[str, h5d.DatasetID] = {}
+        with damage_in_words(self.path, "its contents"):
+            for name, item in self._objects(is_left):
+                if only is None and isinstance(item, h5g.GroupID):
                     self._check_attributes(name, item)
-                if isinstance(item, h5g.GroupID):
-                    continue
-                recipe = item.get_create_plist()
-                self._refuse_elsewhere(name, recipe)
-                if _is_dimension_only(item):
-                    self.dimensions[name] = item.shape[0]
-                    continue
-                if only is not None and name not in only:
-                    continue
-                self._check_filters(name, recipe, filters)
-                here = self._check_kind(name, item, any_kind=only is not None)
-                announced += here
-                stored += self._check_stored(name, item, recipe, OUR_CHUNK_BYTES if only is None else MOST_CHUNK_BYTES)
-                if announced > MOST_EXPANSION * self.size or stored > self.size:
-                    self._refuse(f"{name} announces more than the file can hold", f"{announced} bytes")
-                checked[name] = h5py.Dataset(item)
-        return dict(sorted(checked.items()))
+                elif self._is_dataset(name, item) and (only is None or name in only):
+                    found[name] = item
+        return dict(sorted(found.items()))
+
+    def _is_dataset(self, name: str, item: Any) -> bool:
+        """Whether an object is a dataset, and no dimension, which is noted; InputError where it leads elsewhere."""
+        if isinstance(item, h5g.GroupID):
+            return False
+        if item.get_offset() is None:  # otherwise its bytes lie in this file, in one piece
+            self._refuse_elsewhere(name, item.get_create_plist())
+        if _is_dimension_only(item):
+            self.dimensions[name] = item.shape[0]
+            return False
+        return True
 
     def lengths(self) -> dict[str, int]:
         """The rows of every dataset by its path; 1 for a single value. Nothing in them is looked at."""
@@ -174,156 +244,81 @@ class CheckedHdf5:
             shapes = {name: item.shape for name, item in self._objects() if not isinstance(item, h5g.GroupID)}
         return {name: int(shape[0]) if shape else 1 for name, shape in shapes.items()}
 
-    def _objects(self) -> Iterator[tuple[str, Any]]:
-        """Path and id of every object; InputError where a name leads anywhere but to an object of its own."""
+    def _objects(self, is_left: Callable[[str], bool] = lambda path: False) -> Iterator[tuple[str, Any]]:
+        """Path and id of every object; InputError where a name leads anywhere but to an object of its own.
+
+        is_left: whether the object at a path is not opened.
+        """
         root = self.h5["/"].id
         yield "/", root
         seen = {h5o.get_info(root).addr}
-        groups = [("", root)]
-        while groups:
-            prefix, group = groups.pop()
-            if len(seen) + group.get_num_objs() > MOST_OBJECTS:
-                self._refuse("holds too many datasets and groups", f"more than {MOST_OBJECTS}")
-            for raw in list(group):
-                name = prefix + raw.decode(errors="backslashreplace")
-                if group.links.get_info(raw).type != h5l.TYPE_HARD:
-                    raise InputError(f"`{name}` is a link", where=self.where, expected=ITSELF)
-                item = h5o.open(group, raw)
-                address = h5o.get_info(item).addr
-                if address in seen:
-                    self._refuse(f"`{name}` is a second name of something else in the file", "one object, two names")
-                seen.add(address)
-                if isinstance(item, h5g.GroupID):
-                    if name.count("/") >= MOST_GROUPS_DEEP:
-                        self._refuse("its groups lie too deep in one another", f"more than {MOST_GROUPS_DEEP} levels")
-                    groups.append((f"{name}/", item))
-                elif not isinstance(item, h5d.DatasetID):
-                    self._refuse(f"`{name}` is neither a dataset nor a group", "a named type")
-                yield name, item
+        names: dict[bytes, str] = {}
+
+        def fault(raw: bytes, link: Any) -> InputError | None:
+            name = raw.decode(errors="backslashreplace")
+            if len(seen) >= MOST_OBJECTS:
+                return self._fault("holds too many datasets and groups", f"more than {MOST_OBJECTS}")
+            if link.type != h5l.TYPE_HARD:
+                return InputError(f"`{name}` is a link", where=self.where, expected=ITSELF)
+            if link.u in seen or raw in names:  # a name with a slash in it is one, too
+                message = f"`{name}` is a second name of something else in the file"
+                return self._fault(message, "one object, two names")
+            if name.count("/") > MOST_GROUPS_DEEP:
+                return self._fault("its groups lie too deep in one another", f"more than {MOST_GROUPS_DEEP} levels")
+            seen.add(link.u)
+            names[raw] = name
+            return None
+
+        found = root.links.visit(fault, info=True, order=h5.ITER_NATIVE)  # which would lose what is raised
+        if found is not None:
+            raise found
+        self._left = {raw: name for raw, name in names.items() if is_left(name)}
+        yield from self._opened({raw: name for raw, name in names.items() if raw not in self._left})
+
+    def _opened(self, names: Mapping[bytes, str]) -> Iterator[tuple[str, Any]]:
+        root = self.h5["/"].id
+        for raw, name in names.items():
+            item = h5o.open(root, raw)
+            if not isinstance(item, (h5g.GroupID, h5d.DatasetID)):
+                self._refuse(f"`{name}` is neither a dataset nor a group", "a named type")
+            yield name, item
 
     def _check_attributes(self, name: str, item: Any) -> None:
         """Refuse more attributes than anybody would read."""
         count = h5a.get_num_attrs(item)
         if count > MOST_ATTRIBUTES:
             self._refuse(f"{name} has too many attributes", f"{count}, more than {MOST_ATTRIBUTES}")
-        for index in range(count):
-            size = h5a.open(item, index=index).get_storage_size()
-            if size > MOST_ATTRIBUTE_BYTES:
-                self._refuse(f"an attribute of {name} is too large", f"{size} bytes, more than {MOST_ATTRIBUTE_BYTES}")
+        sizes: list[int] = []
+        h5a.iterate(item, lambda _, about: sizes.append(about.data_size), info=True)
+        if max(sizes, default=0) > MOST_ATTRIBUTE_BYTES:
+            found = f"{max(sizes)} bytes, more than {MOST_ATTRIBUTE_BYTES}"
+            self._refuse(f"an attribute of {name} is too large", found)
 
     def _refuse_elsewhere(self, name: str, recipe: Any) -> None:
         if recipe.get_external_count() or recipe.get_layout() == h5d.VIRTUAL:
             raise InputError(f"{name} lies in another file", where=self.where, expected=ITSELF)
 
-    def _check_filters(self, name: str, recipe: Any, allowed: Collection[int]) -> None:
-        """Only filters that are known, each once, and whose plugin is there; HDF5 would look for others on its own."""
-        used = [recipe.get_filter(i) for i in range(recipe.get_nfilters())]
-        for number, _, _, label in used:
-            spoken = f"HDF5 filter {number} ({label.decode(errors='replace').split(';')[0] or 'unknown'})"
-            if number not in allowed:
-                hint = "pack it anew with gzip: h5repack -f GZIP=1 IN OUT"
-                raise InputError(
-                    f"{name} is compressed with a filter that is not read", where=self.where, found=spoken, hint=hint
-                )
-            if not h5z.filter_avail(number):
-                with suppress(ImportError):
-                    importlib.import_module("hdf5plugin")  # registers its filters
-            message = f"{name} is compressed with a filter that is not installed here"
-            if not h5z.filter_avail(number) and number == PROPHESEE_FILTER:
-                raise InputError(message, where=self.where, found=spoken, hint="convert it with Prophesee's tools")
-            if not h5z.filter_avail(number):
-                raise missing_extra(message, "convert", where=self.where, found=spoken)
-        if len({number for number, *_ in used}) < len(used):
-            self._refuse(f"{name} is compressed twice with the same filter", "a filter that is named twice")
-
-    def _check_kind(self, name: str, item: Any, *, any_kind: bool) -> int:
-        """Bytes that a dataset announces; InputError unless it holds plain numbers or one text, or `any_kind`."""
-        kind, shape = item.get_type(), item.shape
-        if item.get_space().get_simple_extent_type() == h5s.NULL:
-            return 0
-        if not any_kind:
-            text = kind.get_class() == h5t.STRING
-            if not text and kind.get_class() not in (h5t.INTEGER, h5t.FLOAT):
-                held = h5py.Dataset(item).dtype
-                raise InputError(
-                    f"{name} is of a kind that is not read",
-                    where=self.where,
-                    expected="plain numbers, or one text",
-                    found=str(held)[:200],
-                )
-            if text and kind.is_variable_str():
-                if shape != () or item.get_offset() is None:
-                    self._refuse(f"{name} is of a kind that is not read", "a list of texts")
-                self.text(name, h5py.Dataset(item))
-        # A row without columns takes no byte, but is a row to go through: it counts as if it had one.
-        return int(math.prod(max(1, size) for size in shape) * kind.get_size())
-
-    def _check_stored(self, name: str, item: Any, recipe: Any, most_chunk_bytes: int) -> int:
-        """Bytes that are stored; InputError unless every announced row was written, within this file."""
-        if item.get_space().get_simple_extent_type() == h5s.NULL or math.prod(item.shape) == 0:
-            return 0
-        wanted = math.prod(item.shape) * item.get_type().get_size()
-        if recipe.get_layout() == h5d.CHUNKED:
-            return self._check_chunks(name, item, recipe, most_chunk_bytes)
-        stored = int(item.get_storage_size())
-        contiguous = recipe.get_layout() == h5d.CONTIGUOUS
-        if stored < wanted or (contiguous and (item.get_offset() or self.size) + wanted > self.size):
-            self._refuse_incomplete(name, item.shape)
-        return stored
-
-    def _check_chunks(self, name: str, item: Any, recipe: Any, most_bytes: int) -> int:
-        chunk = recipe.get_chunk()
-        whole = math.prod(chunk) * item.get_type().get_size()
-        if whole > most_bytes:
-            self._refuse(f"the chunks of {name} are too large", f"{whole} bytes, more than {most_bytes}")
-        if item.get_num_chunks() < math.prod(-(-rows // size) for rows, size in zip(item.shape, chunk, strict=True)):
-            self._refuse_incomplete(name, item.shape)
-        applied = [recipe.get_filter(i)[0] for i in range(recipe.get_nfilters())]
-        packing = sum(
-            1 << i for i, number in enumerate(applied) if number not in (h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
-        )
-        most = whole + whole // 64 + 1024  # what cannot be packed grows a little
-        undone = [i for i in reversed(range(len(applied))) if applied[i] != h5z.FILTER_FLETCHER32]
-        gzip = 1 << undone[0] if undone and applied[undone[0]] == h5z.FILTER_DEFLATE else 0
-        large: list[tuple[int, ...]] = []
-        stored, wrong = 0, ""
-
-        def check_place(place: Any) -> None:
-            nonlocal stored, wrong
-            stored += place.size
-            packed = packing & ~place.filter_mask
-            if place.byte_offset + place.size > self.size or place.size > most or (not packed and place.size < whole):
-                wrong = f"a chunk of {place.size} bytes at byte {place.byte_offset}"
-            if gzip & ~place.filter_mask and place.size > OUR_CHUNK_BYTES + OUR_CHUNK_BYTES // 64 + 1024:
-                large.append(place.chunk_offset)
-
-        item.chunk_iter(check_place)
-        if wrong:
-            self._refuse(f"{name} is damaged", wrong)
-        for place in large:
-            self._refuse_overfull(name, item.read_direct_chunk(place)[1], whole)
-        return stored
-
-    def _refuse_overfull(self, name: str, packed: bytes, whole: int) -> None:
-        """Refuse a gzip chunk that unpacks to more than it has to hold; no more than that is unpacked to see it."""
-        try:
-            size = len(zlib.decompressobj().decompress(packed, whole + 1))
-        except zlib.error as error:
-            self._refuse(f"{name} is damaged", str(error))
-        if size > whole:
-            self._refuse(f"{name} is damaged", f"a chunk of {len(packed)} bytes that unpacks to more than {whole}")
-
-    def _refuse_incomplete(self, name: str, shape: tuple[int, ...]) -> None:
-        raise InputError(
-            f"{name} is incomplete",
-            where=self.where,
-            expected=" x ".join(map(str, shape)) + " values" if len(shape) > 1 else f"{shape[0] if shape else 1} rows",
-            found="parts that were never written",
-            hint="the program that wrote the file may have been stopped",
-        )
+    def _check_kind(self, name: str, item: Any, kind: Any, shape: tuple[int, ...] | None) -> None:
+        """InputError unless a dataset holds plain numbers or one text, or has no value."""
+        if shape is None:
+            return
+        text = kind.get_class() == h5t.STRING
+        if not text and kind.get_class() not in (h5t.INTEGER, h5t.FLOAT):
+            held = h5py.Dataset(item).dtype
+            raise InputError(
+                f"{name} is of a kind that is not read",
+                where=self.where,
+                expected="plain numbers, or one text",
+                found=str(held)[:200],
+            )
+        if text and kind.is_variable_str() and (shape != () or item.get_offset() is None):
+            self._refuse(f"{name} is of a kind that is not read", "a list of texts")
 
     def _refuse(self, message: str, what: str) -> NoReturn:
-        raise InputError(message, where=self.where, found=what)
+        raise self._fault(message, what)
+
+    def _fault(self, message: str, what: str) -> InputError:
+        return InputError(message, where=self.where, found=what)
 
 
 def row_blocks(dataset: h5py.Dataset, most_bytes: int = 4 << 20) -> Iterator[Any]:
@@ -361,7 +356,7 @@ def _refuse_irregular(path: Path, expected: str) -> None:
 
 def _is_dimension_only(item: Any) -> bool:
     """Whether a dataset only names a dimension, as netCDF writes them: a length, and no number was ever stored."""
-    if len(item.shape or ()) != 1 or item.get_storage_size():
+    if item.get_storage_size() or not h5a.exists(item, b"CLASS") or len(item.shape or ()) != 1:
         return False
     return _short_text(item, b"CLASS") == b"DIMENSION_SCALE" and _short_text(item, b"NAME").startswith(DIMENSION_ONLY)
 

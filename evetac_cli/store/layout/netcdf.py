@@ -13,7 +13,7 @@ Texts have a variable length, because h5py gives those of a fixed one as bytes.
 
 import functools
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import h5py
@@ -76,14 +76,18 @@ def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) 
     column.attrs["long_name"] = f"{name}, {about.get('what') or group.rpartition('/')[2]}"
 
 
-def strays(kind: str, dimensions: Iterable[str]) -> list[str]:
-    """Paths of dimensions that a file of this kind does not have."""
-    known = [re.escape(path).replace(r"\*", "[^/]+") for path in dimension_paths(kind).values()]
-    return [
-        path
-        for path in dimensions
-        if not any(re.fullmatch(pattern, path) for pattern in known) and not _of_open_shape(kind, path)
-    ]
+@functools.lru_cache(maxsize=1000)
+def is_place(kind: str, path: str) -> bool:
+    """Whether a file of this kind may have a dimension at a path."""
+    known = dimension_paths(kind).values()
+    patterns = [re.escape(place).replace(r"\*", "[^/]+") for place in known if "*" in place]
+    return path in known or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
+
+
+@functools.lru_cache(maxsize=1000)
+def is_dimension(kind: str, path: str) -> bool:
+    """Whether what lies at a path can be no dataset of a file of this kind, but a dimension of it."""
+    return is_place(kind, path) and schema.load(kind).find(path) is None
 
 
 def _of_open_shape(kind: str, path: str) -> bool:

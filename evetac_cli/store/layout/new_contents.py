@@ -15,7 +15,7 @@ import numpy as np
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.store.layout import contents, schema
-from evetac_cli.store.layout.contents import Shapes
+from evetac_cli.store.layout.rules import Shapes
 
 HINT = "the file was not written; see what `evetac validate` says of its inputs"
 
@@ -54,6 +54,7 @@ class NewContents:
         """Check what came in no block, and how the datasets fit each other; `h5` holds the blocks, if any came."""
         self._h5 = h5
         with _not_written():
+            contents.check_shapes(self.kind, self.path, self.shapes)
             for name, (_, shape) in self.shapes.items():
                 if name in self._whole or name in self._indices:
                     contents.check_dataset(self, name, shape)

@@ -16,7 +16,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -171,6 +170,8 @@ def made() -> dict[str, str]:
 @cache
 def _libraries() -> dict[str, str]:
     """Versions of the libraries that arrays depend on; looking them up takes 15 ms."""
+    from importlib import metadata  # here, as whoever reads a file makes none
+
     versions = {}
     for name in ("numpy", "numba", "h5py", "scipy", "torch", "opencv-contrib-python-headless", "onnxruntime"):
         with suppress(metadata.PackageNotFoundError):

@@ -1,6 +1,6 @@
-"""Recordings slice by slice, where their slip begins, and windows of features with their labels for training."""
+"""Recordings slice by slice or in blocks of slices, and where their slip begins."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import SLICE_US, Events, SliceBlock, empty
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.hdf5.disk import joined_on_disk
 
 BLOCK_SLICES = 1000
 UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
@@ -18,6 +17,8 @@ UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
 
 class Recording(StageFile):
     """A recording as a sequence of slices: len() in ms, [k] and iteration give Events, read block by block.
+
+    What takes many slices at a time is quicker on `blocks`.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     burst = recording.between(120, 170)          # the slices [120, 170) in one
@@ -32,8 +33,7 @@ class Recording(StageFile):
         except BaseException:
             self.close()
             raise
-        self._block = (0, 0)
-        self._events: Events | None = None
+        self._last = SliceBlock(0, np.zeros(1, np.int64), empty())  # that [k] read from
 
     def __len__(self) -> int:
         return len(self.starts) - 1
@@ -73,6 +73,34 @@ class Recording(StageFile):
 
     def between(self, start: int, stop: int) -> Events:
         """All events of the slices [start, stop) in one; t stays absolute."""
+        self._check_range(start, stop)
+        return self.events(int(self.starts[start]), int(self.starts[stop]))
+
+    def blocks(self, ms: int = BLOCK_SLICES, start: int = 0, stop: int | None = None) -> Iterator[SliceBlock]:
+        """All slices, or the slices [start, stop), in blocks of `ms` slices each, of which the last may be shorter.
+
+        A block without events is still a block. Each is read when it is asked for, and stays valid after that.
+        InputError for less than 1 ms, or slices out of range.
+
+        >>> with evetac.open_recording("a.recording.h5") as recording:
+        ...     for block in recording.blocks(ms=100):
+        ...         per_slice = np.diff(block.starts)
+        ...         image = np.zeros((480, 640), np.int32)
+        ...         np.add.at(image, (block.events.y, block.events.x), 1)
+        >>> per_slice.sum() == image.sum() == block.events.size
+        True
+        """
+        stop = len(self) if stop is None else stop
+        self._check_range(start, stop)
+        if ms < 1:
+            raise InputError("no length of a block", where="ms", expected="at least 1", found=str(ms))
+        return (self._block(first, min(first + ms, stop)) for first in range(start, stop, ms))
+
+    def _block(self, first: int, stop: int) -> SliceBlock:
+        starts = self.starts[first : stop + 1]
+        return SliceBlock(first, starts - starts[0], self.events(int(starts[0]), int(starts[-1])))
+
+    def _check_range(self, start: int, stop: int) -> None:
         if not 0 <= start <= stop <= len(self):
             raise InputError(
                 "slices out of range",
@@ -80,7 +108,6 @@ class Recording(StageFile):
                 expected=f"0 <= start <= stop <= {len(self)}",
                 found=f"{start}, {stop}",
             )
-        return self.events(int(self.starts[start]), int(self.starts[stop]))
 
     def events(self, first: int, last: int) -> Events:
         """The events [first, last), counted from the start of the recording; SchemaError if their slice is another."""
@@ -111,16 +138,15 @@ class Recording(StageFile):
         if not -len(self) <= index < len(self):
             raise IndexError(index)
         index %= len(self)
-        if self._events is None or not self._block[0] <= index < self._block[1]:
-            start = index - index % BLOCK_SLICES
-            self._block = (start, min(start + BLOCK_SLICES, len(self)))
-            self._events = self.between(*self._block)
-        base = self.starts[self._block[0]]
-        return self._events.part(int(self.starts[index] - base), int(self.starts[index + 1] - base))
+        if not self._last.first <= index < self._last.stop:
+            first = index - index % BLOCK_SLICES
+            self._last = self._block(first, min(first + BLOCK_SLICES, len(self)))
+        at = index - self._last.first
+        return self._last.events.part(*self._last.starts[at : at + 2].tolist())
 
     def __iter__(self) -> Iterator[Events]:
-        for index in range(len(self)):
-            yield self[index]
+        for block in self.blocks(BLOCK_SLICES):
+            yield from block.slices()
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -154,69 +180,3 @@ def first_slice(is_so: NDArray[np.bool_], start: int) -> int | None:
     """The first slice from `start` on that is marked, of (slices,); None without one."""
     slices = start + np.flatnonzero(is_so[start:])
     return int(slices[0]) if len(slices) else None
-
-
-class SlipWindows:
-    """Windows of features with their labels: a map-style data set that torch's DataLoader takes as it is.
-
-    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32); a window holds for every dot its distances
-    from rest in px, then its event counts, of the last `history` slices, the newest first. Slices without a full
-    history, without an examined label, or `after_onset` slices and more after the onset are left out.
-
-    The files are read once, one after the other, and unpacked into a temporary file without a name (450 bytes a slice
-    of 56 dots, in the folder that TMPDIR names), from which windows are read: memory does not grow with it. Workers
-    that are forked share it; those that are spawned read the files again.
-
-    >>> import torch
-    >>> windows = evetac.SlipWindows(["a.features.h5"], history=10)
-    >>> loader = torch.utils.data.DataLoader(windows, batch_size=16, shuffle=True)
-    >>> batch, label = next(iter(loader))
-    >>> batch.shape, label.shape
-    (torch.Size([16, 56, 20]), torch.Size([16]))
-    """
-
-    def __init__(self, paths: Sequence[str | Path], history: int = 10, after_onset: int = 15) -> None:
-        self.paths, self.history, self.after_onset = [Path(path) for path in paths], history, after_onset
-        self._dots: list[int] = []  # of each file
-        self._first: list[int] = []  # of its values
-        # of each window: its file, its slice there, its label
-        index: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
-        values = joined_on_disk(None, self._unpacked(index))
-        self._values: NDArray[np.float32] = values[0] if values else np.empty(0, np.float32)
-        self._index = np.concatenate(index)
-
-    def _unpacked(self, index: list[NDArray[np.int32]]) -> Iterator[tuple[NDArray[np.float32]]]:
-        """Distances and event counts of each file, slice by slice; `index` is filled on the way."""
-        first = 0
-        for number, path in enumerate(self.paths):
-            with StageFile(path, "features") as file:
-                if not file.has("label"):
-                    raise InputError(
-                        "these features have no labels", where=str(path), hint="evetac label, then featurize"
-                    )
-                label, onset = file.read("label"), int(file.read("onset_slice"))
-                values = np.stack([file.read("displacement_px"), file.read("events_per_dot")], axis=1, dtype=np.float32)
-            stop = len(label) if onset < 0 else min(len(label), onset + self.after_onset)
-            usable = np.flatnonzero(label[:stop] >= 0)
-            usable = usable[usable >= self.history - 1]
-            index.append(np.stack([np.full_like(usable, number), usable, label[usable]], axis=1, dtype=np.int32))
-            self._dots.append(values.shape[2])
-            self._first.append(first)
-            first += values.size
-            yield (values.reshape(-1),)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """For workers that are spawned, which have files of their own."""
-        return SlipWindows, (self.paths, self.history, self.after_onset)
-
-    def __len__(self) -> int:
-        return len(self._index)
-
-    def __getitem__(self, index: int) -> tuple[NDArray[np.float32], np.float32]:
-        number, slice_, label = self._index[index].tolist()
-        row = 2 * self._dots[number]
-        begin = self._first[number] + (slice_ + 1 - self.history) * row
-        values = self._values[begin : begin + self.history * row].reshape(self.history, row)
-        # newest first; of each dot its distances, then its event counts
-        window = values[::-1].reshape(self.history, 2, -1).transpose(2, 1, 0)
-        return window.reshape(-1, 2 * self.history), np.float32(label)

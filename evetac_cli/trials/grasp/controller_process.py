@@ -1,13 +1,15 @@
 """The controller's process of a grasp in real time: every 2 ms read the gripper and the detector's status, command.
 
-Deadlines are absolute: a step that comes late does not move those after it, and one that is missed is counted, not made
-up for. Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That
-is also what happens where the bus fails, and where the detector publishes no status or its camera gives no event for
-longer than FRESH of the watchdog's time. A recorder (the parent of all) that gives no sign of life for so long, or
-RECORDER_MS if that is longer, ends it if it was stopped or killed; one that only waits for a core has RECORDER_LATE_MS,
-in which the detector keeps what it sends. What this process itself cannot notice, its own death, is noticed by the
-servo, whose Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets
-go before it commands anything.
+Deadlines are absolute (pace.py): a step that comes late does not move those after it, and one that is missed is
+counted, not made up for. New slip between two steps is answered at once (early_answer.py).
+
+Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That is also
+what happens where the bus fails, and where the detector publishes no status or its camera gives no event for longer
+than FRESH of the watchdog's time. A recorder (the parent of all) that gives no sign of life for so long, or RECORDER_MS
+if that is longer, ends it if it was stopped or killed; one that only waits for a core has RECORDER_LATE_MS, in which
+the detector keeps what it sends. What this process itself cannot notice, its own death, is noticed by the servo, whose
+Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets go before it
+commands anything.
 
 Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
 not idle.
@@ -33,21 +35,22 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import Control, Law
+from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
 from evetac_cli.realtime.processes import set_realtime_priority, stands_still
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.trials.grasp import early_answer
+from evetac_cli.trials.grasp.early_answer import EarlyAnswer
 from evetac_cli.trials.grasp.loop import Timing, control_row
+from evetac_cli.trials.grasp.pace import Pace, shift_us
 from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_LATE_MS, RECORDER_MS
 
 PRIORITY = 30
 BATCH_STEPS = 25  # whose rows the recorder gets at once
 COMMAND_BYTES = 19  # of a goal position on the wire, 10 bits each
 FROZEN_US = 10_000.0  # a step so much later than due was stopped, or waited for an answer
-FRESH_US = 150.0  # age that a status should have when a step reads it: the detector is not always as fast
-FOLLOWING = 0.02  # of what a step is off, so much is corrected at a time
-MOST_SHIFT_US = 4.0
 FLUSH_S = 5.0
 LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
 DYING_S = 0.5
@@ -97,50 +100,7 @@ class ControllerEnded(NamedTuple):
     released_us: float  # when torque was off; NaN where that is not known
     counted: dict[str, int]
     torque: str = "torque was never on"  # in words, as it was read back
-
-
-class Pace:
-    """Absolute deadlines at equal distances, on a clock that may be another one in tests."""
-
-    def __init__(
-        self, period_s: float, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
-    ) -> None:
-        self._period_s = period_s
-        self._clock, self._sleep = clock, sleep
-        self._began_s = clock()
-        self._next = 0
-        self.missed = 0
-
-    def shift(self, later_us: float) -> None:
-        """Move all further deadlines by this time, which may be negative."""
-        self._began_s += later_us * 1e-6
-
-    def wait(self) -> float:
-        """Sleep until the next deadline; how much later than that it is then, in us.
-
-        A step has until the next deadline to be done. Deadlines that passed before it was are counted as missed; the
-        next step then begins at once, and where several passed, it stands for all of them.
-        """
-        if self._next:
-            passed = int((self._clock() - self._began_s) / self._period_s) - (self._next - 1)
-            self.missed += max(passed, 0)
-            self._next += max(passed - 1, 0)
-        due_s = self._began_s + self._next * self._period_s
-        self._next += 1
-        early_s = due_s - self._clock()
-        if early_s > 0:
-            self._sleep(early_s)
-        return max(self._clock() - due_s, 0.0) * 1e6
-
-
-def shift_us(age_us: float) -> float:
-    """How much later deadlines should be, given how old the status was that a step read.
-
-    There is a new one every millisecond. A step that reads just before it comes learns of slip a millisecond later than
-    one that reads just after. So the steps follow, by little at a time: the camera's clock may run a little otherwise.
-    """
-    off_us = (FRESH_US - age_us + SLICE_US / 2) % SLICE_US - SLICE_US / 2
-    return min(max(FOLLOWING * off_us, -MOST_SHIFT_US), MOST_SHIFT_US)
+    missed_by_gripper: int = 0  # of the missed deadlines, such as passed because its answers were late
 
 
 class Watch:
@@ -264,14 +224,15 @@ def command_grasp(
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
-    clock: Callable[[], float] = time.monotonic,
-    sleep: Callable[[float], None] = time.sleep,
+    clock: Callable[[], float] = HOST_TIME.now_s,
+    sleep: Callable[[float, Bell | None], bool] = HOST_TIME.sleep,
     watch: Watch | None = None,
     ending: Sequence[int] = (),
 ) -> ControllerEnded:
     """Command until the grasp is over, the order to stop or open comes, or something fails; then torque off.
 
-    watch: over detector, camera and recorder; clock and sleep in seconds; ending: signals that came here.
+    watch: over detector, camera and recorder; clock, sleep: in seconds, as of a TimeSource; ending: signals that came
+    here.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
@@ -302,28 +263,35 @@ def _command(
     settings: ControllerSettings,
     outbox: MessageWriter,
     clock: Callable[[], float],
-    sleep: Callable[[float], None],
+    sleep: Callable[[float, Bell | None], bool],
     watch: Watch,
     ending: Sequence[int],
 ) -> ControllerEnded:
     """The loop; its result does not yet say when torque was off."""
     timing = settings.timing
     control = Control(settings.law, timing.control_hz, settings.controller)
-    pace = Pace(1.0 / timing.control_hz, clock, sleep)
-    parent = os.getppid()
+    control.copy()  # what early answers need: refused before there is torque
     wire_us = COMMAND_BYTES * 1e7 / settings.gripper.baud
+    early = EarlyAnswer(
+        *(gripper, shared, timing, wire_us * 1e-6, clock, sleep),
+        may_write=lambda: not (shared.stopping or shared.opening or ending),
+    )
+    pace = Pace(1.0 / timing.control_hz, clock, early.sleep)
+    parent = os.getppid()
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
     ended, alive_us = "", math.nan
     error: EvetacError | None = None
-    began_s = last_s = clock()
+    began_s = begun_s = last_s = clock()
     missed_before = slips_before = 0
+    waited_s, least_s = 0.0, math.inf  # for the gripper: longer than need be in the last step; by any step
     while True:
-        late_us = pace.wait()
-        begun_s = clock()
         try:
+            late_us = pace.wait(waited_s)
+            begun_s = clock()
             reading = gripper.read()
-            now_us = clock() * 1e6
+            read_s = clock()
+            now_us = read_s * 1e6
             status = shared.latest()
             assert status is not None
             if now_us - begun_s * 1e6 + late_us > FROZEN_US:
@@ -349,7 +317,8 @@ def _command(
                 break
             phase = timing.phase(slice_)
             goal = control.step(phase, status.signal, reading.position_ticks)
-            silent_ms = (clock() - last_s) * 1e3
+            decided_s = clock()
+            silent_ms = (decided_s - last_s) * 1e3
             if silent_ms > settings.watchdog_ms:  # the servo has let go, and must not be made to grip again
                 ended, alive_us = f"the controller was stopped for {silent_ms:.0f} ms", last_s * 1e6
                 error = DeviceError(ended, hint=OVERLOADED)
@@ -363,12 +332,18 @@ def _command(
             break
         last_s = clock()
         cycle_us.append((last_s - begun_s) * 1e6)
+        on_bus_s = read_s - begun_s + last_s - decided_s
+        least_s = min(least_s, on_bus_s)
+        waited_s = on_bus_s - least_s
         row = control_row(control, phase, status.signal, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - missed_before
-        row["control/latency_us"] = last_s * 1e6 + wire_us - status.slip_began_us(slips_before)
         row["control/slices_processed"] = status.slices
+        row |= early_answer.columns(early.written)
+        answered_s = last_s if math.isnan(early.written.done_s) else early.written.done_s
+        row["control/latency_us"] = answered_s * 1e6 + wire_us - status.slip_began_us(slips_before)
         missed_before, slips_before = pace.missed, status.signal.slips
+        early.after_step(control, phase, reading.position_ticks, slips_before)
         rows.append(row)
         if len(rows) >= BATCH_STEPS:
             outbox.put(rows)
@@ -376,7 +351,8 @@ def _command(
             rows = []
     outbox.put(rows)
     seconds = last_s - began_s
-    return ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
+    result = ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
+    return result._replace(missed_by_gripper=pace.missed_by_gripper)
 
 
 def _raise_if_ended(ending: Sequence[int]) -> None:
@@ -386,7 +362,7 @@ def _raise_if_ended(ending: Sequence[int]) -> None:
 
 
 def _wait_for_status(
-    shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float], None], ending: Sequence[int]
+    shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float, Bell | None], bool], ending: Sequence[int]
 ) -> bool:
     """Wait until the detector has evaluated a first slice; False if it was stopped before.
 
@@ -401,5 +377,5 @@ def _wait_for_status(
         _raise_if_ended(ending)
         if clock() > until_s:
             raise DeviceError(f"{DETECTOR} did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
-        sleep(WAITING_S)
+        sleep(WAITING_S, None)
     return True

@@ -23,7 +23,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.slip.labels import is_slip
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 
@@ -72,7 +72,7 @@ class OnlineSlipDetector:
         model: StageFile,
         dot_xy_px: NDArray[np.float64],
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
-        constants: tracker.TrackerConstants,
+        constants: presets.TrackerConstants,
         sensor: Sensitivity = UNKNOWN,
     ) -> "OnlineSlipDetector":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid.
@@ -104,7 +104,7 @@ class OnlineSlipDetector:
 
 
 def open_detector(
-    model: StageFile, sensor: Mapping[str, Any], constants: tracker.TrackerConstants, threshold: float
+    model: StageFile, sensor: Mapping[str, Any], constants: presets.TrackerConstants, threshold: float
 ) -> OnlineSlipDetector:
     """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own.
 
@@ -127,4 +127,4 @@ def open_view_detector(
     """
     with StageFile(resources.model_file(path), "model") as model:
         own = float(model.read("threshold"))
-        return open_detector(model, sensor, tracker.PRESETS[preset], own if threshold is None else threshold)
+        return open_detector(model, sensor, presets.PRESETS[preset], own if threshold is None else threshold)

@@ -9,7 +9,7 @@ sensor to program (some 0.1 ms over USB) is not in it, and the clocks' drift in 
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -169,8 +169,8 @@ def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False)
     return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
 
 
-def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
-    """Grasp once, in real time, and record everything."""
+def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[str], None] = console.say) -> Outcome:
+    """Grasp once, in real time, and record everything. say: takes a line where the computer was too slow."""
     check(trial, force=force)
     (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
     settings, timing = trial.settings, trial.timing
@@ -242,7 +242,7 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress) -> Outcome:
         if world is not None:
             datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
         grasp_outcome, saved = _finish(writer, trial, recipe, recorded, datasets, world)
-    return _result(trial, recipe, recorded, datasets, grasp_outcome, saved)
+    return _result(trial, recipe, recorded, datasets, grasp_outcome, saved, say)
 
 
 def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None") -> dict[str, Any]:
@@ -319,11 +319,14 @@ def _result(
     datasets: Mapping[str, Any],
     grasp_outcome: Mapping[str, Any],
     saved: Path | None,
+    say: Callable[[str], None],
 ) -> Outcome:
     """The row of a grasp; an error or Ctrl-C goes on from here, and says what was saved."""
     result = None
     if recorded.has_steps:
         result = _row(trial, recipe, recorded, datasets, grasp_outcome)
+        if result.rows[0]["too_slow"] is not None:
+            say(result.rows[0]["too_slow"])
     words = f"{recorded.slices:,} slices in {session.place(saved)}" if saved else "nothing was recorded"
     session.raise_end(recorded.error, recorded.ended, words, result, recorded.torque)
     if result is None:
@@ -354,8 +357,6 @@ def _row(
     load = None if recorded.detector is None else recorded.detector.load
     used = "; ".join(words for words in (recorded.cores_used, "" if load is None else load.words()) if words)
     too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s, used)
-    if too_slow is not None:
-        console.say(too_slow)
     return outcome(
         trial,
         made=True,
@@ -363,9 +364,12 @@ def _row(
         slices=recorded.slices,
         ended=recorded.ended,
         **timing,
+        commands=commands,
         command_misses=_whole(datasets.get("capture/command_misses")),
+        command_misses_by_gripper=_whole(datasets.get("capture/command_misses_by_gripper")),
         latencies=len(recorded.latency_us),
         late_slices=late.count,
+        recorder_behind_s=recorded.behind_s,
         too_slow=too_slow,
         detector_core_share=None if load is None else load.core_share,
         events_per_s=None if load is None else load.events_per_s,

@@ -75,6 +75,7 @@ class RecordedGrasp:
         controller = self.controller
         if controller is not None and controller.steps:
             rows["capture/command_misses"] = np.int64(controller.missed)
+            rows["capture/command_misses_by_gripper"] = np.int64(controller.missed_by_gripper)
             rows["capture/command_us"] = spread(controller.cycle_us)
             if controller.seconds > 0:
                 rows["capture/commands_per_s"] = np.float64((controller.steps - 1) / controller.seconds)

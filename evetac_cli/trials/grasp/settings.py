@@ -14,9 +14,10 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
-from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import TrackerConstants
-from evetac_cli.stages.slip_detectors import check_graph, require_useful
+from evetac_cli.kernels.tracking import presets
+from evetac_cli.kernels.tracking.presets import TrackerConstants
+from evetac_cli.stages.model_files import require_useful
+from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.store.calibration import Calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
@@ -53,7 +54,7 @@ class DetectorModel:
             check_graph(model)
             require_useful(model)
             header = model.header
-        return cls(path, header, params.tracker, tracker.PRESETS[params.tracker], params.slip_threshold)
+        return cls(path, header, params.tracker, presets.PRESETS[params.tracker], params.slip_threshold)
 
     def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:
         """The detector for a sensor with these datasets `sensor/...`; InputError if its file was replaced meanwhile."""

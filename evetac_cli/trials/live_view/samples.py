@@ -15,16 +15,16 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.dot_field import lattice_field
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages.force import gel_model
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import StageFile
@@ -96,7 +96,7 @@ class Follower:
             self._tracking = self._detector.tracking
         except InputError as error:
             self.notes = [f"no slip: {str(error).splitlines()[0]}"]
-            constants = tracker.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
+            constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
         if self.frame_px == FRAME_PX:
             self._force = _ForceModel(sensor, self._tracking)

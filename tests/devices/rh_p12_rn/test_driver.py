@@ -122,22 +122,34 @@ def test_impossible_settings_are_refused(wrong: dict[str, Any]) -> None:
 # Commands
 
 
-def test_one_answered_transaction_a_cycle(fresh: VirtualGripper) -> None:
+@pytest.mark.parametrize("commands", [1, 2])
+def test_one_answered_transaction_a_cycle(fresh: VirtualGripper, commands: int) -> None:
     """Assert that of 201 cycles each reads once, and that all commands but the 1st, 101st and 201st go unanswered.
 
-    Of a hundred cycles one asks too for torque, and one for supply and temperature.
+    Of a hundred cycles one asks too for torque, and one for supply and temperature. A second command asks nothing.
     """
     with RhP12Rn(fresh.port, settings=SLOW) as driver:
         before = fresh.instructions()
         for k in range(201):
             driver.read()
-            driver.write_current(k % 7)
+            for _ in range(commands):
+                driver.write_current(k % 7)
         after = fresh.instructions()
         spent = {code: after[code] - before.get(code, 0) for code in after}
         assert spent[Instruction.READ] == 201 + 2 * 2 + 1  # and the watchdog, whether it is armed
-        assert spent[Instruction.SYNC_WRITE] == 198
+        assert spent[Instruction.SYNC_WRITE] == 198 + 201 * (commands - 1)
         assert spent[Instruction.WRITE] == 3 + 3  # and goal current, watchdog and torque before the first
         assert fresh.read_register("Goal Current") == 200 % 7
+
+
+def test_who_never_reads_is_checked_too(fresh: VirtualGripper) -> None:
+    """Assert that of 302 commands without a reading four are answered: the 1st, 102nd, 202nd and 302nd."""
+    with RhP12Rn(fresh.port, settings=SLOW) as driver:
+        before = fresh.instructions()
+        for _ in range(302):
+            driver.write_current(3)
+        after = fresh.instructions()
+        assert after[Instruction.SYNC_WRITE] - before.get(Instruction.SYNC_WRITE, 0) == 298
 
 
 def test_bytes_on_the_wire(fresh: VirtualGripper, monkeypatch: pytest.MonkeyPatch) -> None:

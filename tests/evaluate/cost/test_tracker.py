@@ -10,7 +10,7 @@ from evetac_cli.evaluate.cost import command
 from evetac_cli.evaluate.cost import tracker as cost
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.jobs import silent
-from evetac_cli.kernels.tracking.tracker import PRESETS
+from evetac_cli.kernels.tracking.presets import PRESETS
 
 
 @pytest.fixture(scope="module")

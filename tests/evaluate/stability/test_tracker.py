@@ -8,7 +8,7 @@ from evetac_cli.evaluate.stability import tracker as stability
 from evetac_cli.evaluate.stability.bounds import P99_DOT, SAME_DOTS, WORST_DOT, refusal
 from evetac_cli.evaluate.stability.tracker import duplicated_rows, extreme_cases, nonsense, scene_rows, track_rows
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import PRESETS
+from evetac_cli.kernels.tracking.presets import PRESETS
 
 CASES = {case.name: case for case in extreme_cases()}
 NONSENSE = dict(nonsense())

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.errors import EvetacError
-from evetac_cli.inspect.doctor import compile_kernels
+from evetac_cli.inspect.doctor import compile_kernels, compile_worker
 from evetac_cli.resources import PACKAGE
 
 # Runs evetac, and prints on stderr the functions that it compiled.
@@ -72,9 +72,16 @@ def test_a_command_that_compiles_is_seen(tmp_path: Path) -> None:
 
 def test_a_command_that_fails_is_named() -> None:
     """Assert that an error names the command and says why it failed."""
-    with pytest.raises(EvetacError, match="evetac record --scene nowhere") as error:
-        compile_kernels.run(steps=((("record --scene nowhere",),),))
+    with pytest.raises(EvetacError, match="record --scene nowhere") as error:
+        compile_kernels.run(steps=((("record --scene nowhere",),),), say=lambda line: None)
     assert "nowhere" in str(error.value).split("--scene nowhere", 1)[1]
+
+
+def test_a_process_that_dies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a process that ends before it answers is an error that says so."""
+    monkeypatch.setattr(compile_kernels.sys, "executable", "false")
+    with pytest.raises(EvetacError, match="camera: .*\n.*its process ended with exit code 1"):
+        compile_kernels.run(steps=((("camera",),),), say=lambda line: None)
 
 
 def test_each_command_is_said_as_it_begins() -> None:
@@ -84,21 +91,31 @@ def test_each_command_is_said_as_it_begins() -> None:
     steps = (((importing.format("a"), importing.format("b")),), ((importing.format("c"),), (importing.format("d"),)))
     done: list[tuple[float, float]] = []
     outcome = compile_kernels.run(lambda *how: done.append(how[:2]), steps, said.append, again_s=0.01)
-    assert "once after installing: 4 commands" in said[0]
+    assert "once after installing: 4 parts" in said[0]
     begun = [line for line in said if line.startswith("compiling ") and line.endswith("...")]
     assert begun == [f"compiling {number} of 4: record ..." for number in (1, 2, 3, 4)]
     waiting = [line for line in said[1:] if line not in begun]
-    assert waiting and all(" of 4 are compiled; at work: record for " in line for line in waiting)
-    assert [row["command"] for row in outcome.rows] == ["record"] * 4
+    assert waiting and all(" of 4 are compiled, 0 functions; at work: record for " in line for line in waiting)
+    assert [(row["part"], row["functions"]) for row in outcome.rows] == [("record", 0)] * 4
     assert done == [(number, 4) for number in range(5)]
 
 
 def test_an_error_is_not_waited_for_in_words() -> None:
     """Assert that a command that fails ends the others' telling too, and that its error is the one that is raised."""
     said: list[str] = []
-    with pytest.raises(EvetacError, match="evetac trim nothing"):
-        compile_kernels.run(steps=((("trim nothing",),),), say=said.append)
-    assert said[1:] == ["compiling 1 of 1: trim ..."]
+    with pytest.raises(EvetacError, match="trim nothing"):
+        compile_kernels.run(steps=((("trim nothing",), ("camera",)), (("detector",),)), say=said.append)
+    assert sorted(said[1:]) in (
+        ["compiling 1 of 3: trim ...", "compiling 2 of 3: camera ..."],
+        ["compiling 1 of 3: camera ...", "compiling 2 of 3: trim ..."],
+        ["compiling 1 of 3: trim ..."],
+    )
+
+
+def test_parts_of_their_own_are_there() -> None:
+    """Assert that what is compiled ahead of a command, and not by one, is known to the process that compiles."""
+    lines = [line for step in compile_kernels.STEPS for chain in step for line in chain]
+    assert {line for line in lines if " " not in line} == set(compile_worker.FIRST)
 
 
 @pytest.mark.parametrize(
@@ -107,6 +124,7 @@ def test_an_error_is_not_waited_for_in_words() -> None:
         ("record --scene slip", "record"),
         ("evaluate slip a.features.h5 --model m", "evaluate slip"),
         ("track a.h5", "track"),
+        ("camera", "camera"),
     ],
 )
 def test_commands_are_called_as_on_the_command_line(command: str, name: str) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.commands.doctor import Doctor
 from evetac_cli.errors import InputError
-from evetac_cli.inspect.doctor import speed
+from evetac_cli.inspect.doctor import chain, speed
+from evetac_cli.inspect.doctor.chain import Tried
 from evetac_cli.inspect.doctor.speed import Computer, WakeUps, Written
+
+FINE = Tried(0, "", 10_000, 10, 5_000, 5, 100, 0.5, 0.62)  # at the limits, but for what a pseudo terminal misses
 
 
 class Made(Computer):
@@ -29,6 +33,8 @@ class Made(Computer):
             "steps_us": {500: [*[100.0] * 995, *[500.0] * 5], 5000: [*[1000.0] * 6, *[9e4] * 5]},
             "decoded_per_s": 10e6,
             "written": Written(1e6, 75.0),
+            "bears": 1_000_000,
+            "too_much": {"late_slices": 11},
         }
         self.figures: dict[str, Any] = {**given, **figures}
 
@@ -53,12 +59,21 @@ class Made(Computer):
             raise written
         return written  # type: ignore[no-any-return]
 
+    def grasped(self, events_per_s: int, folder: Path, progress: Callable[[float], None]) -> Tried:
+        for passed_s in (0.5, 10.0):
+            progress(passed_s)
+        if isinstance(self.figures["written"], Exception):
+            raise self.figures["written"]
+        if events_per_s > self.figures["bears"]:
+            return FINE._replace(events_per_s=events_per_s, **self.figures["too_much"])
+        return FINE._replace(events_per_s=events_per_s)
+
 
 def wrong(**figures: Any) -> dict[str, dict[str, Any]]:
     """The checks that are not passed by a computer that differs so from one within all limits."""
     result = speed.run(Doctor(speed=True), Made(**figures))
     failed = {row["check"]: row for row in result.rows if row["ok"] is False}
-    assert result.summary == {"wrong": len(failed)}
+    assert result.summary["wrong"] == len(failed)
     return failed
 
 
@@ -135,11 +150,71 @@ def test_this_computer_is_measured_and_left_as_it_was(tmp_path: Path, monkeypatc
 def test_the_command_measures_and_ends_with_3_where_something_is_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed, "Computer", Made)
     fine = CliRunner().invoke(app, ["doctor", "--speed", "--json"])
-    assert (fine.exit_code, json.loads(fine.stdout)["summary"]) == (0, {"wrong": 0})
+    assert (fine.exit_code, json.loads(fine.stdout)["summary"]) == (0, {"wrong": 0, "judged_events_per_s": 1_000_000})
     monkeypatch.setattr(speed, "Computer", lambda: Made(decoded_per_s=1e6))
     slow = CliRunner().invoke(app, ["doctor", "--speed"])
     assert slow.exit_code == 3
     assert "WRONG decoding" in slow.stdout
+
+
+@pytest.mark.parametrize(
+    ("bears", "tried", "judged"),
+    [
+        (1_000_000, [1_000_000], 1_000_000),
+        (999_999, [1_000_000, 300_000, 600_000], 600_000),
+        (599_999, [1_000_000, 300_000, 600_000], 300_000),
+        (299_999, [1_000_000, 300_000, 100_000], 100_000),
+        (99_999, [1_000_000, 300_000, 100_000], 0),
+    ],
+)
+def test_what_is_said_to_be_judged_was_tried(bears: int, tried: list[int], judged: int) -> None:
+    """Assert that rates are tried until one is fine, that each is said to be fine or not, and the highest is judged."""
+    reported = set()
+    result = speed.run(
+        Doctor(speed=True),
+        Made(bears=bears),
+        progress=lambda done, total, doing="": reported.add((total, doing)),
+    )
+    rows = {row["check"]: row for row in result.rows if row["device"] == "grasp"}
+    last = rows.pop("judges in time")
+    assert list(rows) == [f"at {rate:,}/s" for rate in tried]
+    for rate, row in zip(tried, rows.values(), strict=True):
+        assert row["ok"] == (rate <= bears)
+        assert row["found"].startswith("fine: " if rate <= bears else "not fine: 11 of 10,000 slices late")
+        assert "5 of 5,000 commands missed; 100 more by the virtual gripper; " in row["found"]
+        assert "the detector takes 62 % of a core" in row["found"]
+        assert (10.0, f"s of a grasp at {rate:,} events/s") in reported
+    assert result.summary["judged_events_per_s"] == judged
+    assert last["ok"] == (judged == 1_000_000)
+    assert last["found"].startswith(f"{judged:,} events" if judged else "not even 100,000 events")
+
+
+@pytest.mark.parametrize(
+    "too_much",
+    [{"late_slices": 11}, {"missed_by_us": 6}, {"behind_s": 0.51}, {"ended": "the recorder hangs", "late_slices": 0}],
+)
+def test_a_rate_is_not_fine_where_a_grasp_would_say_so(too_much: dict[str, Any]) -> None:
+    """Assert that late slices, our own missed commands, a recorder that falls behind and an early end each count."""
+    failed = wrong(bears=300_000, too_much=too_much)
+    assert list(failed) == ["at 1,000,000/s", "at 600,000/s", "judges in time"]
+    for row in failed.values():
+        assert speed.CLOSE in row["fix"]
+    if "ended" in too_much:
+        assert failed["at 600,000/s"]["found"].startswith("not fine: the recorder hangs; ")
+
+
+@pytest.mark.slow
+def test_this_computer_grasps(tmp_path: Path) -> None:
+    """Assert that a short grasp is made with all its figures, and that nothing is left of it."""
+    seconds: list[float] = []
+    dots = {"dot_xy_px": speed.DOTS_PX.tolist(), "radius_px": 11.0}
+    tried = chain.attempt(10_000, tmp_path, dots, seconds.append, 2.5)
+    assert tried.events_per_s == 10_000
+    assert tried.slices > 0
+    assert tried.commands > 0
+    assert tried.ended or (tried.slices, seconds[-1]) == (2500, 2.5)
+    assert tried.detector_share is None or 0.0 < tried.detector_share < 4.0
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("other", [["--hardware"], ["--gripper", "/dev/ttyUSB0"], ["--print-udev"]])

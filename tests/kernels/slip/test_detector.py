@@ -20,7 +20,7 @@ from evetac_cli.kernels.slip import detector, features, inputs, networks, onnx_g
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 
 ROWS = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}
 REST = np.stack(np.meshgrid(61 + 62.3 * np.arange(8), 41 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
@@ -50,7 +50,7 @@ def events_about_rims(slices: int, seed: int = 0) -> list[list[NDArray]]:
 
 
 def started() -> tracker.TrackerState:
-    return tracker.start(REST, tracker.PRESETS["stable"])
+    return tracker.start(REST, presets.PRESETS["stable"])
 
 
 def make_series(name: str, slices: int) -> inputs.Series:
@@ -88,8 +88,8 @@ def test_a_column_more_is_tracked_and_not_seen() -> None:
     known = np.arange(63) % 9 != 8
     rest = np.empty((63, 2))
     rest[known], rest[~known] = REST, REST[7::8] + (62.3, 0)
-    live = Live(result, tracker.start(rest, tracker.PRESETS["stable"]), None, known=known)
-    state = tracker.start(rest, tracker.PRESETS["stable"])
+    live = Live(result, tracker.start(rest, presets.PRESETS["stable"]), None, known=known)
+    state = tracker.start(rest, presets.PRESETS["stable"])
     stored, counts = np.empty((70, 56, 2), np.float32), np.empty((70, 56), np.int32)
     online = []
     for k, events in enumerate(events_about_rims(70)):
@@ -196,7 +196,7 @@ def test_needs_no_torch() -> None:
 def test_dots_of_another_number_are_refused() -> None:
     """Assert that a tracker of fewer dots than the network was trained for is refused at the start."""
     with pytest.raises(ValueError, match="expected 7 x 8 dots for the network, found 48"):
-        Live(trained("hist10"), tracker.start(REST[:48], tracker.PRESETS["stable"]), WINDOW)
+        Live(trained("hist10"), tracker.start(REST[:48], presets.PRESETS["stable"]), WINDOW)
 
 
 def test_m4_inputs_of_another_grid_are_a_value_error() -> None:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import Factors
 from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY, STATE, FeatureState
@@ -148,9 +149,9 @@ def test_channels_by_hand() -> None:
 
 
 def test_series_without_directions() -> None:
-    """Assert that a recording whose features have no directions has zeros for them."""
+    """Assert that without directions there are the channels before them alone."""
     series = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
-    assert series.tolist() == [[[1, 5, 0, 0]] * 2] * 3
+    assert series.tolist() == [[[1, 5]] * 2] * 3
 
 
 def test_not_enough_history() -> None:
@@ -188,7 +189,7 @@ def test_wrong_shapes_are_refused() -> None:
         lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), np.array([0, 2]), None),
         lambda: features.events_outside(*columns[:2], np.array([0, 2]), np.zeros(3, np.int32)),
         lambda: features.events_outside(*columns[:2], np.array([0, 3]), None),
-        lambda: features.event_image(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.uint8)),
+        lambda: event_image(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.uint8)),
     ):
         with pytest.raises(ValueError, match="expected .* found"):
             call()
@@ -286,12 +287,12 @@ def test_event_image_shows_the_last_event() -> None:
     x = np.array([3, 3, 5, 5, 640, 0], np.uint16)
     y = np.array([4, 4, 6, 6, 0, 480], np.uint16)
     p = np.array([1, 0, 0, 1, 1, 1], np.uint8)
-    image = features.event_image(x, y, p)
+    image = event_image(x, y, p)
     assert image.shape == (480, 640)
     assert image.dtype == np.int8
     assert (image[4, 3], image[6, 5]) == (-1, 1)
     assert np.count_nonzero(image) == 2
-    assert features.event_image(x, y, p, (4, 5)).tolist() == [[0] * 4] * 4 + [[0, 0, 0, -1]]
+    assert event_image(x, y, p, (4, 5)).tolist() == [[0] * 4] * 4 + [[0, 0, 0, -1]]
 
 
 @settings(max_examples=20, deadline=None)
@@ -304,21 +305,10 @@ def test_gel_image_is_the_event_image_without_the_window(seed: int, count: int, 
     p = rng.integers(0, 2, count, np.uint8)
     blank = np.zeros((480, 540), np.int8)
     pixel, sign = features.gel_image(x, y, p, (532, 1, 640, 470) if window else None, blank)
-    expected = features.event_image(x, y, p, (540, 480))
+    expected = event_image(x, y, p, (540, 480))
     if window:
         expected[1:470, 532:] = 0
     assert not blank.any()
     assert len(np.unique(pixel)) == len(pixel)
     blank.reshape(-1)[pixel] = sign
     np.testing.assert_array_equal(blank, expected)
-
-
-def test_images_are_cut_and_joined() -> None:
-    """Assert that parts of images put end to end are the whole."""
-    rng = np.random.default_rng(3)
-    start = np.cumsum([0, *rng.integers(0, 5, 9)])
-    whole = features.EventImages(start, rng.integers(0, 9, start[-1]).astype(np.uint32), np.ones(start[-1], np.int8))
-    joined = features.join_images([whole.part(0, 4), whole.part(4, 4), whole.part(4, 9)])
-    for column, expected in zip(joined, whole, strict=True):
-        assert column.dtype == expected.dtype
-        np.testing.assert_array_equal(column, expected)

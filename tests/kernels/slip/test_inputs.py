@@ -118,10 +118,11 @@ def test_inputs_do_not_depend_on_the_batch_nor_on_what_lies_around(row: Architec
 def test_series_are_cut_and_joined(row: Architecture) -> None:
     """Assert that parts of a series put end to end are the whole, and that parts are copies."""
     series = series_for(row, 9)
-    joined = inputs.join([inputs.part(series, 0, 4), inputs.part(series, 4, 9)])
+    joined = inputs.join(inputs.part(series, *ends) for ends in ((0, 1), (1, 4), (4, 4), (4, 9)))
     whole, again = ([part for part in one] if isinstance(one, EventImages) else [one] for one in (series, joined))
     for one, other in zip(whole, again, strict=True):
         np.testing.assert_array_equal(one, other)
+        assert one.dtype == other.dtype
         assert not np.shares_memory(one, other)
 
 
@@ -139,8 +140,16 @@ def test_what_does_not_fit_is_refused() -> None:
         inputs.at(hist10, images(12), np.array([9]))
     with pytest.raises(ValueError, match="expected event images"):
         inputs.at(image, dots(12), np.array([9]))
-    with pytest.raises(ValueError, match=r"found \(12, 56, 2\)"):
-        inputs.at(hist10, dots(12)[..., :2], np.array([9]))
+    with pytest.raises(ValueError, match=r"found \(60, 56, 2\)"):
+        inputs.at(ARCHITECTURES["disp-xy"], dots(60)[..., :2], np.array([59]))
+
+
+@pytest.mark.parametrize("name", ["hist10", "events-only", "fast-slow"])
+def test_channels_that_are_not_viewed_may_be_missing(name: str) -> None:
+    """Assert the same bits from the channels before the directions alone."""
+    row, series = ARCHITECTURES[name], dots(60)
+    ends = np.array([59, 49])
+    assert inputs.at(row, series[..., :2].copy(), ends).tobytes() == inputs.at(row, series, ends).tobytes()
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import PRESETS, TrackerConstants, TrackerState
+from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
+from evetac_cli.kernels.tracking.tracker import TrackerState
 
 STABLE = PRESETS["stable"]
 ROWS, COLUMNS, PITCH_PX = 5, 6, 62.0

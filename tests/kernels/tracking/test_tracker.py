@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.tracker import CAPACITY, PRESETS, STATE, TrackerConstants, TrackerState
+from evetac_cli.kernels.tracking import presets, tracker
+from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
+from evetac_cli.kernels.tracking.tracker import CAPACITY, STATE, TrackerState
 
 PAPER = PRESETS["paper"]
 DESCENTS = [name for name, constants in PRESETS.items() if not constants.fit]
@@ -458,14 +459,14 @@ def test_any_events_keep_the_state_finite(
         assert (state.events_per_dot >= 0).all()
 
 
-@pytest.mark.parametrize("preset", tracker.PRESETS)
+@pytest.mark.parametrize("preset", presets.PRESETS)
 def test_fold_is_step_after_step(preset: str) -> None:
     """Assert that many slices at once, also empty ones, leave the same state and tracks as one after the other."""
     rng = np.random.default_rng(3)
     starts = np.concatenate([[0], np.cumsum(rng.choice([0, 3, 900], 40))])
     x, y = random_events(rng, grid(), int(starts[-1]))
     p = rng.integers(0, 2, len(x)).astype(np.uint8)
-    one, other = (tracker.start(grid(), tracker.PRESETS[preset]) for _ in range(2))
+    one, other = (tracker.start(grid(), presets.PRESETS[preset]) for _ in range(2))
     tracks = tracker.fold(one, x, y, p, starts)
     for k, (first, last) in enumerate(itertools.pairwise(starts)):
         tracker.step(other, x[first:last], y[first:last], p[first:last])
@@ -652,7 +653,7 @@ def test_more_dots_than_there_is_room_for_are_refused() -> None:
 def test_the_reach_of_every_dot_at_once_fits() -> None:
     """Assert that as many dots as there is room for, each in reach of as much as it may, have room in the lists."""
     middle = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1).reshape(-1, 2) * 1.0 + (312.5, 232.5)
-    wide = replace(PRESETS["unregularised"], ring_outer_px=tracker.MAX_REACH_PX)
+    wide = replace(PRESETS["unregularised"], ring_outer_px=presets.MAX_REACH_PX)
     state = tracker.start(middle, wide)
     step(state, *columns([(320, 240)]))
     listed = int(state.record["bucket_start"][0, -1])

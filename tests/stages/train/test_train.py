@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,9 @@ from evetac_cli.jobs import Job
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.stages import slip_detectors, splits, train
-from evetac_cli.stages.train import networks
-from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.stages import model_files, slip_detectors, splits, train
+from evetac_cli.stages.train import networks, plan
+from evetac_cli.store.files import StageFile, header_of, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_stage
 
@@ -120,6 +121,57 @@ def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path)
     assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
 
 
+@pytest.mark.parametrize("held_bytes", [plan.HELD_BYTES, 80_000])
+def test_no_temporary_file_is_made(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, held_bytes: int
+) -> None:
+    """Assert that features that fit into memory, or do not, are trained on without a file but the outputs."""
+    monkeypatch.setattr(plan, "HELD_BYTES", held_bytes)
+    for name in ("TemporaryFile", "NamedTemporaryFile", "SpooledTemporaryFile", "mkstemp", "mkdtemp"):
+        monkeypatch.setattr(tempfile, name, lambda *_, **__: pytest.fail("a temporary file"))
+    seen: set[str] = set()
+
+    def look(*_: object) -> None:
+        seen.update(path.name for path in tmp_path.iterdir())
+
+    output, _ = run_stage(train, trials, small(max_steps=20), tmp_path, progress=look)
+    assert seen <= {output.name, output.with_suffix(".csv").name}
+
+
+def test_features_that_do_not_fit_into_memory_are_trained_on_in_groups(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a recipe says so, that the same comes out again, and that the files are read in turn."""
+    chosen = small(max_steps=24, validate=str(trials[3]))
+    whole, _ = run_stage(train, trials[:3], chosen, tmp_path / "whole")
+    monkeypatch.setattr(plan, "HELD_BYTES", 80_000)  # one trial takes 76 kB
+    read: list[Path] = []
+
+    def noted(path: Path, architecture: Any) -> Any:
+        read.append(path)
+        return slip_detectors.read_trajectory(path, architecture)
+
+    monkeypatch.setattr(networks, "read_trajectory", noted)
+    first, _ = run_stage(train, trials[:3], chosen, tmp_path / "first")
+    assert len(read) > 3
+    assert [sorted(read[at : at + 3]) for at in range(0, len(read) - 2, 3)] == [sorted(trials[:3])] * (len(read) // 3)
+    second, _ = run_stage(train, trials[:3], chosen, tmp_path / "second")
+    assert contents(first) == contents(second)
+    recipes = [header_of(path, "model")["parameters"] for path in (whole, first)]
+    assert ["held_bytes" in parameters for parameters in recipes] == [False, True]
+    assert recipes[1]["held_bytes"] == 80_000
+
+
+@pytest.mark.parametrize("model", ["hist10", "disp-xy", "no-hist-img-6x6"])
+def test_what_features_take_in_memory(trials: list[Path], model: str) -> None:
+    """Assert that the bytes are those of the arrays that are read."""
+    architecture = ARCHITECTURES[model]
+    with StageFile(trials[0], "features") as file:
+        series = slip_detectors.read_series(file, architecture)
+        arrays = [series] if isinstance(series, np.ndarray) else list(series)
+        assert plan.series_bytes(file, architecture) == sum(array.nbytes for array in arrays)
+
+
 def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], tmp_path: Path) -> None:
     """Assert a word before the training and below its table, and none where there are four."""
     (job,) = train.jobs(trials, small(), tmp_path)
@@ -218,7 +270,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
         (row,) = train.run(job, params).rows
         assert row["horizon_ms"] == horizon_ms
         with StageFile(job.output, "model") as model:
-            assert slip_detectors.read_horizon_ms(model) == horizon_ms
+            assert model_files.read_horizon_ms(model) == horizon_ms
             result = slip_detectors.load_detector(model)
         trajectory = slip_detectors.read_trajectory(trials[0], result.architecture)
         probabilities[horizon_ms] = result.over(trajectory.series)[ONSET - 10 : ONSET].mean()
@@ -367,8 +419,8 @@ def test_several_networks_decide_by_the_mean_of_their_logits(
     (row,) = train.run(job, params).rows
     assert row["networks"] == 3
     with StageFile(alone.output) as one, StageFile(job.output) as three:
-        weights = parted(slip_detectors.read_weights(three))
-        for name, array in slip_detectors.read_weights(one).items():
+        weights = parted(model_files.read_weights(three))
+        for name, array in model_files.read_weights(one).items():
             np.testing.assert_array_equal(weights[2][name], array)
         rows, columns = (int(size) for size in three.read("dot_shape"))
         detector = slip_detectors.load_detector(three)

@@ -17,7 +17,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.stages import train
-from evetac_cli.stages.slip_detectors import why_useless
+from evetac_cli.stages.model_files import why_useless
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.trials import grasp

@@ -146,8 +146,8 @@ def test_texts_that_lie_nowhere_end_in_words(tmp_path: Path, reference: bytes) -
     content[where : where + 16] = reference
     path.write_bytes(bytes(content))
     if any(reference):
-        with pytest.raises(InputError, match="command cannot be read"):
-            StageFile(path)
+        with StageFile(path) as file, pytest.raises(InputError, match="command cannot be read"):
+            file.read("command")
     else:
         with StageFile(path) as file:
             assert file.read("command") == ""

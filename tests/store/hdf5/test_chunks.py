@@ -54,7 +54,7 @@ def test_rows_come_back(
         writer.close()
         np.testing.assert_array_equal(h5["a"][...], wanted)
         assert h5["a"].dtype == type_
-        reader = RowReader(h5["a"])
+        reader = RowReader(h5["a"].id, h5["a"].dtype)
         for ends in reads:
             start, stop = sorted(min(end, len(wanted)) for end in ends)
             np.testing.assert_array_equal(reader.read(start, stop), wanted[start:stop])
@@ -68,7 +68,7 @@ def test_a_dataset_that_may_grow_goes_on() -> None:
         writer.close()
         h5["a"].resize(2100, axis=0)
         h5["a"][1500:] = 7
-        np.testing.assert_array_equal(RowReader(h5["a"]).read(1400, 2100), h5["a"][1400:2100])
+        np.testing.assert_array_equal(RowReader(h5["a"].id, h5["a"].dtype).read(1400, 2100), h5["a"][1400:2100])
         assert (h5["a"][1500:] == 7).all()
 
 
@@ -90,7 +90,7 @@ def test_other_ways_to_pack_are_left_to_hdf5(packed_as: dict[str, Any]) -> None:
         wanted = numbers(np.float32, 730, (4,)).astype(type_)
         with h5py.File("none", "w", driver="core", backing_store=False) as h5:
             h5.create_dataset("a", data=wanted, **packed_as)
-            reader = RowReader(h5["a"])
+            reader = RowReader(h5["a"].id, h5["a"].dtype)
             for start, stop in ((0, 730), (99, 101), (650, 730), (3, 3)):
                 np.testing.assert_array_equal(reader.read(start, stop), wanted[start:stop])
 
@@ -100,7 +100,7 @@ def test_a_chunk_without_its_filter() -> None:
     with h5py.File("none", "w", driver="core", backing_store=False) as h5:
         put(h5, "a", np.arange(CHUNK, dtype=np.int32))
         h5["a"].id.write_direct_chunk((0,), np.arange(CHUNK, dtype=np.int32)[::-1].tobytes(), 0b11)
-        np.testing.assert_array_equal(RowReader(h5["a"]).read(0, CHUNK), np.arange(CHUNK)[::-1])
+        np.testing.assert_array_equal(RowReader(h5["a"].id, h5["a"].dtype).read(0, CHUNK), np.arange(CHUNK)[::-1])
 
 
 @pytest.mark.parametrize("harm", ["cut", "garbage", "checksum", "too much", "too little"])
@@ -118,7 +118,7 @@ def test_damage_is_an_error(harm: str) -> None:
         }[harm]
         h5["a"].id.write_direct_chunk((0,), damaged)
         with pytest.raises(OSError, match="chunk"):
-            RowReader(h5["a"]).read(0, 10)
+            RowReader(h5["a"].id, h5["a"].dtype).read(0, 10)
 
 
 def test_few_numbers_lie_plainly(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import Events
+from evetac_cli.inspect import validate
 from evetac_cli.resources import MODEL
 from evetac_cli.store.files import StageFile, put_header, replacing, write_stage
 from evetac_cli.store.hdf5.chunks import put
@@ -307,23 +308,31 @@ def have_many_names(h5: h5py.File) -> None:
 
 @pytest.mark.parametrize("change", [hold_values, be_a_dataset, have_two_axes, have_no_name, have_many_names])
 def test_damaged_dimensions_are_refused(labels_file: Path, change: Callable[[h5py.File], None]) -> None:
-    """Assert that what lies in the place of a dimension and is none is refused as any dataset."""
+    """Assert that what lies in the place of a dimension and is none is never read, and no such file called whole."""
     with h5py.File(labels_file, "r+") as h5:
         change(h5)
-    with pytest.raises(InputError, match="slices is (not in the schema|incomplete)"):
-        StageFile(labels_file)
+    with StageFile(labels_file) as file:
+        assert not file.has("slices")
+        with pytest.raises(InputError, match="slices is not in this labels"):
+            file.read("slices")
+        with pytest.raises(InputError, match="slices is (not in the schema|incomplete)"):
+            file.check()
+    assert validate.run([labels_file]).summary["invalid"] == 1
 
 
 @pytest.mark.parametrize("length", [0, 89, 2**60])
 def test_dimensions_are_as_long_as_their_datasets(labels_file: Path, length: int) -> None:
-    """Assert that a dimension of another length is refused, and one that is missing is not."""
+    """Assert that no file with a dimension of another length is called whole, but one without it is."""
     with h5py.File(labels_file, "r+") as h5:
         del h5["slices"]
-    StageFile(labels_file).close()
+    assert validate.run([labels_file]).summary["invalid"] == 0
     with h5py.File(labels_file, "r+") as h5:
         h5.create_dataset("slices", (length,), ">f4").make_scale(netcdf.NO_VARIABLE)
-    with pytest.raises(SchemaError, match=f"slices: expected length 90 .as in label., found {length}"):
-        StageFile(labels_file)
+    said = f"slices: expected length 90 .as in label., found {length}"
+    with StageFile(labels_file) as file, pytest.raises(SchemaError, match=said):
+        file.check()
+    (row,) = validate.run([labels_file]).rows
+    assert "slices: expected length 90" in row["faults"]
 
 
 def test_segments_say_what_they_hold(tmp_path: Path) -> None:

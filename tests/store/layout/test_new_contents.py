@@ -12,7 +12,7 @@ from evetac_cli.errors import SchemaError
 from evetac_cli.inspect import validate
 from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.layout import contents
+from evetac_cli.store.layout import contents, rules
 from evetac_cli.store.layout.new_contents import HINT
 from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
@@ -136,7 +136,7 @@ def test_indices_are_held_to_what_they_count(tmp_path: Path, middle: list[int]) 
 
 def test_indices_that_come_in_blocks_are_held_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the starts of images, written before it is known how many pixels there are, are held to these."""
-    monkeypatch.setattr(contents, "BLOCK_VALUES", 2)
+    monkeypatch.setattr(rules, "BLOCK_VALUES", 2)
     monkeypatch.setattr(contents, "SMALL_VALUES", 0)
     with StageFile(small_files.every_kind(tmp_path)["features"]) as file:
         arrays = {name: file.read(name) for name in file.contents()}

@@ -1,6 +1,6 @@
-"""The reading API: a recording by slice, by iteration and by range is the same; windows of features for training."""
+"""The reading API: a recording by slice, by iteration, by range and in blocks is the same."""
 
-import pickle
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +18,7 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings import read
-from evetac_cli.store.recordings.read import SlipWindows, open_recording
+from evetac_cli.store.recordings.read import Recording, open_recording
 from tests.make import event_arrays
 
 DOTS = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 15.0]), axis=-1)
@@ -71,6 +71,46 @@ def test_slices_by_index_iteration_and_range_are_equal(counts: list[int], block:
             for start in range(slices + 1):
                 for stop in range(start, slices + 1):
                     assert equal(recording.between(start, stop), concatenate(pieces[start:stop]))
+
+
+@given(st.lists(st.sampled_from([0, 0, 1, 3, 80]), max_size=20), st.integers(1, 25), st.data())
+@settings(max_examples=30, deadline=None)
+def test_blocks_hold_their_slices(counts: list[int], ms: int, data: st.DataObject) -> None:
+    """Assert that blocks of any length, of all slices or a part, hold each slice once, in order, empty ones too."""
+    start = data.draw(st.integers(0, len(counts)))
+    stop = data.draw(st.one_of(st.none(), st.integers(start, len(counts))))
+    pieces, end = pieces_of(counts), len(counts) if stop is None else stop
+    with TemporaryDirectory() as folder:
+        with open_recording(write_recording(Path(folder) / "a.recording.h5", counts)) as recording:
+            blocks = list(recording.blocks(ms, start, stop))
+        edges = [*range(start, end, ms), end]
+        assert [(block.first, block.stop) for block in blocks] == list(itertools.pairwise(edges))
+        for block in blocks:
+            own = pieces[block.first : block.stop]
+            assert equal(block.events, concatenate(own))
+            assert np.diff(block.starts).tolist() == [events.size for events in own]
+            assert block.starts[0] == 0
+            assert all(equal(*pair) for pair in zip(block.slices(), own, strict=True))
+
+
+def test_no_block_is_read_before_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a wrong length or range of blocks is refused at once, and a right one reads block by block."""
+    with open_recording(write_recording(tmp_path / "a.recording.h5", [2] * 6)) as recording:
+        for wrong, words in (((0,), "expected: at least 1"), ((1, 2, 1), "out of range"), ((1, 0, 7), "out of range")):
+            with pytest.raises(InputError, match=words):
+                recording.blocks(*wrong)
+        read_ranges: list[tuple[int, int]] = []
+        events_of = Recording.events
+
+        def noted(self: Recording, first: int, last: int) -> Events:
+            read_ranges.append((first, last))
+            return events_of(self, first, last)
+
+        monkeypatch.setattr(Recording, "events", noted)
+        blocks = recording.blocks(2)
+        assert read_ranges == []
+        next(blocks)
+        assert read_ranges == [(0, 4)]
 
 
 def test_slices_outlive_their_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,84 +186,3 @@ def test_damaged_events(tmp_path: Path) -> None:
     path.write_bytes(damaged)
     with pytest.raises(InputError, match=r"events/x cannot be read(.|\n)*damaged"), open_recording(path) as recording:
         list(recording)
-
-
-LABEL = [0] * 20 + [1] * 6 + [-1] * 4
-
-
-def write_features(path: Path, label: list[int] | None = None, onset: int = -1) -> tuple[Path, dict[str, Any]]:
-    """Features of 6 dots whose numbers are all different."""
-    slices = len(label or LABEL)
-    numbers = np.arange(slices * 6).reshape(slices, 6)
-    arrays: dict[str, Any] = {
-        "displacement_px": numbers.astype(np.float32),
-        "events_per_dot": (numbers + 10_000).astype(np.int32),
-        "events_total": np.zeros(slices, np.int32),
-        "events_outside": np.zeros(slices, np.int32),
-        "dot_shape": np.array([2, 3], np.int32),
-    }
-    if label is not None:
-        arrays |= {"label": np.array(label, np.int8), "onset_slice": np.int64(onset)}
-    write_stage(path, Recipe("features", 1, {}), arrays)
-    return path, arrays
-
-
-@pytest.mark.parametrize(
-    ("label", "onset", "history", "after", "slices"),
-    [
-        (LABEL, 20, 10, 15, [*range(9, 26)]),  # the examined ones, from where the history is full
-        (LABEL, 20, 10, 3, [*range(9, 23)]),
-        (LABEL, 20, 10, 0, [*range(9, 20)]),
-        (LABEL, 20, 1, 15, [*range(26)]),
-        (LABEL, 20, 26, 15, [25]),
-        (LABEL, 20, 27, 15, []),
-        ([0] * 12, -1, 10, 15, [9, 10, 11]),
-        ([0, -1, 0, -1, 0], -1, 2, 15, [2, 4]),
-        ([-1] * 12, -1, 1, 15, []),
-    ],
-)
-def test_windows_are_cut_where_they_can_be_learned_from(
-    tmp_path: Path, label: list[int], onset: int, history: int, after: int, slices: list[int]
-) -> None:
-    """Assert that items are the slices with a label, a full history and not long after the onset, newest first."""
-    path, arrays = write_features(tmp_path / "a.features.h5", label, onset)
-    data = SlipWindows([path], history, after)
-    assert len(data) == len(slices)
-    for index, slice_ in enumerate(slices):
-        window, wanted = data[index]
-        assert window.dtype == np.float32
-        assert wanted.dtype == np.float32
-        assert wanted == label[slice_]
-        back = slice_ - np.arange(history)
-        np.testing.assert_array_equal(window[:, :history], arrays["displacement_px"][back].T)
-        np.testing.assert_array_equal(window[:, history:], arrays["events_per_dot"][back].T)
-
-
-def test_windows_of_several_files(tmp_path: Path) -> None:
-    """Assert that files follow each other, and no window reaches from one into another."""
-    first, _ = write_features(tmp_path / "a.features.h5", [0] * 11)
-    second, arrays = write_features(tmp_path / "b.features.h5", [0] * 5 + [1] * 8, 5)
-    data = SlipWindows([str(first), second], history=10)
-    assert [float(data[index][1]) for index in range(len(data))] == [0, 0, 1, 1, 1, 1]
-    np.testing.assert_array_equal(data[2][0][:, 9], arrays["displacement_px"][0])
-    assert len(SlipWindows([])) == 0
-
-
-def test_windows_need_labels(tmp_path: Path) -> None:
-    """Assert that features without labels are refused, with what to do."""
-    path, _ = write_features(tmp_path / "a.features.h5")
-    with pytest.raises(InputError, match=r"(?s)have no labels.*evetac label"):
-        SlipWindows([path])
-
-
-def test_windows_are_the_same_in_a_worker(tmp_path: Path) -> None:
-    """Assert that windows travel to another process as the names of their files."""
-    path, _ = write_features(tmp_path / "a.features.h5", [0] * 5 + [1] * 8, 5)
-    data = SlipWindows([path], 3, 4)
-    state = pickle.dumps(data)
-    assert len(state) < 1000
-    copy = pickle.loads(state)
-    assert len(copy) == len(data) == 7
-    for one, other in zip([data[index] for index in range(7)], [copy[index] for index in range(7)], strict=True):
-        np.testing.assert_array_equal(one[0], other[0])
-        assert one[1] == other[1]

@@ -1,109 +1,22 @@
-"""The controller's beat and its watchdog, on a clock that only these tests move."""
+"""The controller and its watchdog, on a clock that only these tests move."""
 
 import math
-import multiprocessing
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
 
-from evetac_cli.devices import GripperReading
-from evetac_cli.devices.grippers import Serial
-from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
-from evetac_cli.kernels.grip.control import Control, SlipSignal
-from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
-from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
-from evetac_cli.trials.grasp.controller_process import (
-    COMMAND_BYTES,
-    FRESH_US,
-    MOST_SHIFT_US,
-    OVER,
-    STOPPED,
-    TOO_LONG,
-    ControllerEnded,
-    ControllerSettings,
-    Pace,
-    Watch,
-    command_grasp,
-    shift_us,
-)
+from evetac_cli.kernels.grip.control import SlipSignal
+from evetac_cli.kernels.grip.paper import GraspPhase
+from evetac_cli.realtime.shared_status import DetectorStatus
+from evetac_cli.trials.grasp.controller_process import COMMAND_BYTES, OVER, STOPPED, TOO_LONG, Watch
 from evetac_cli.trials.grasp.loop import Timing
+from evetac_cli.trials.grasp.pace import FRESH_US
 from evetac_cli.trials.session import OPENED, RECORDER_LATE_MS
-from tests.devices.stand_ins import StillGripper
-
-PERIOD_S = 0.002
-READ_S, WRITE_S = 400e-6, 100e-6
-FELT_S = 600e-6  # from the end of a slice until it is in shared memory
-MOST_S = 1e-9  # of rounding
-
-
-class Clock:
-    """Time that passes only in a sleep, or when a test moves it."""
-
-    def __init__(self) -> None:
-        self.now_s = 1000.0
-        self.passing: Callable[[], None] = lambda: None
-
-    def __call__(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        assert seconds >= 0
-        self.now_s += seconds
-        self.passing()
-
-
-@given(took=st.lists(st.floats(0.0, 0.02), min_size=1, max_size=50))
-def test_deadlines_are_absolute_and_none_is_hidden(took: list[float]) -> None:
-    """Assert that steps begin on the grid, or less than a period late, and that every deadline that passed counts."""
-    clock = Clock()
-    pace = Pace(PERIOD_S, clock, clock.sleep)
-    began_s = clock.now_s
-    passed = 0
-    for seconds in took:
-        late_us = pace.wait()
-        assert 0.0 <= late_us < (PERIOD_S + MOST_S) * 1e6
-        due_s = clock.now_s - late_us * 1e-6
-        steps = (due_s - began_s) / PERIOD_S
-        assert steps == pytest.approx(round(steps), abs=1e-5)
-        clock.now_s += seconds
-        periods = (clock.now_s - due_s) / PERIOD_S
-        assume(not 0 < abs(periods - round(periods)) < 1e-6)  # whether it is in time is then a matter of rounding
-        passed += math.floor(periods)
-    pace.wait()
-    assert pace.missed == passed
-
-
-def test_one_long_step() -> None:
-    """Assert that a step of three and a half periods costs three deadlines; the next begins half a one late."""
-    clock = Clock()
-    pace = Pace(PERIOD_S, clock, clock.sleep)
-    assert pace.wait() == 0.0
-    clock.now_s += 3.5 * PERIOD_S
-    assert pace.wait() == pytest.approx(0.5e6 * PERIOD_S)
-    assert pace.missed == 3
-    clock.now_s += 0.1 * PERIOD_S
-    assert pace.wait() == pytest.approx(0.0, abs=1e-3)
-    assert pace.missed == 3
-
-
-@given(age_us=st.floats(0.0, 5000.0))
-def test_steps_follow_the_status(age_us: float) -> None:
-    """Assert that a shift is small, repeats with the slices, and brings the age of the status to what is wanted."""
-    shift = shift_us(age_us)
-    assert abs(shift) <= MOST_SHIFT_US
-    assert shift_us(age_us + 1000.0) == pytest.approx(shift, abs=1e-6)
-    for _ in range(1000):
-        age_us = (age_us + shift_us(age_us)) % 1000.0
-    assert age_us == pytest.approx(FRESH_US, abs=1.0)
+from tests.trials.grasp.bench import FELT_S, PERIOD_S, WRITE_S, Bench, goals_by_law
 
 
 def test_watch() -> None:
@@ -151,140 +64,43 @@ def test_watch_counts_only_while_it_runs_but_not_for_ever() -> None:
     assert "detector" in watch.fault(status, 1e6, 1.091e6)[0]
 
 
-class Hand(StillGripper):
-    """A gripper whose finger is where it was commanded to be, and which takes its time; fails at a step."""
-
-    def __init__(self, clock: Clock) -> None:
-        self.counted: dict[str, int] = {"answers_lost": 0}
-        self.goals: list[int] = []
-        self.position = 400
-        self.closed_s: float | None = None
-        self.opened_s: float | None = None
-        self.release_words = "torque is on"
-        self.fails_at = 10**9
-        self.frozen_at = 10**9
-        self.frozen_s = 0.1
-        self._clock = clock
-
-    def read(self) -> GripperReading:
-        assert self.closed_s is None
-        if len(self.goals) == self.fails_at:
-            raise DeviceError("no answer", where="gripper")
-        self._clock.sleep(READ_S if len(self.goals) != self.frozen_at else self.frozen_s)
-        return GripperReading(5.0, self.position)
-
-    def write_current(self, current_ma: int) -> None:
-        raise AssertionError("positions are commanded")
-
-    def write_position(self, goal_ticks: int) -> None:
-        assert self.closed_s is None
-        self._clock.sleep(WRITE_S)
-        self.goals.append(goal_ticks)
-        self.position += (goal_ticks > self.position) - (goal_ticks < self.position)
-
-    def emergency_open(self) -> None:
-        assert self.closed_s is None
-        self.opened_s = self._clock.now_s
-        self.close()
-
-    def close(self) -> None:
-        self.closed_s = self.closed_s or self._clock.now_s
-        self.release_words = "torque is off (read back)"
-
-
-class Bench:
-    """A controller, and a detector of these tests that publishes its status."""
-
-    def __init__(self, timing: Timing, slips: Callable[[int], bool] = lambda k: False) -> None:
-        self.clock = Clock()
-        self.shared, self.hand = SharedStatus(), Hand(self.clock)
-        self.zero_s = self.clock.now_s
-        self.dies_at = self.silent_at = self.stops_at = self.recorder_dies_at = self.key_at = 10**9
-        self._slips, self._slices, self._known, self._events_us = slips, 0, list[float](), 0.0
-        self.clock.passing = self._publish
-        self._reading, self._writing = multiprocessing.Pipe(duplex=False)
-        self.settings = ControllerSettings(Serial("nowhere"), "nowhere", RhP12RnSettings(), PAPER, timing, 60, 100.0)
-
-    def _publish(self) -> None:
-        while self.clock.now_s >= self.zero_s + (self._slices + 1) * 1e-3 + FELT_S and self._slices < self.dies_at:
-            slice_ = self._slices
-            self._slices += 1
-            at_us = (self.zero_s + self._slices * 1e-3 + FELT_S) * 1e6
-            self._events_us = at_us if slice_ < self.silent_at else self._events_us
-            if self._slips(slice_):
-                self._known.append((self.zero_s + slice_ * 1e-3) * 1e6 + 50.0)
-            signal = SlipSignal(len(self._known), 0.5, 0.0, 0.0)
-            self.shared.publish(
-                DetectorStatus(
-                    signal, self._slices, at_us, self._events_us, self.zero_s * 1e6, tuple(self._known[-20:])
-                )
-            )
-            if slice_ < self.recorder_dies_at:
-                self.shared.recorder_lives(at_us)
-            if slice_ == self.stops_at:
-                self.shared.stop()
-            if slice_ == self.key_at:
-                self.shared.open_gripper()
-
-    def run(self, ending: Sequence[int] = (), **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
-        settings = replace(self.settings, **changed)
-        outbox = MessageWriter(self._writing)
-        ended = command_grasp(self.hand, self.shared, settings, outbox, self.clock, self.clock.sleep, ending=ending)
-        assert outbox.flush(1.0)
-        return ended, [row for rows in MessageReader(self._reading).take() for row in rows]
-
-    def close(self) -> None:
-        self._reading.close()
-        self._writing.close()
-
-
-@pytest.fixture
-def bench() -> Iterator[Callable[..., Bench]]:
-    made: list[Bench] = []
-
-    def make(**more: Any) -> Bench:
-        made.append(Bench(Timing(100, 200, 100), **more))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-
-
 def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
     """Assert that it steps 500 times a second without a miss, decides as the law does, and ends with torque off."""
     at = bench(slips=lambda k: 150 <= k < 160 or 320 <= k < 330)
     ended, rows = at.run()
     assert (ended.ended, ended.error, ended.missed) == (OVER, None, 0)
     assert at.hand.closed_s is not None
-    assert ended.steps == len(at.hand.goals)
+    assert ended.steps == len(rows)
     assert ended.steps / ended.seconds == pytest.approx(500.0, rel=0.01)
     phases = [row["control/phase"] for row in rows]
     assert sorted(phases) == phases
     assert set(phases) == set(GraspPhase)
-    law, position = Control(PAPER), 400
-    slips = [sum(150 <= k < 160 or 320 <= k < 330 for k in range(row["control/slices_processed"])) for row in rows]
-    for row, count, goal in zip(rows, slips, at.hand.goals, strict=False):
-        assert row["gripper/position_ticks"] == position
-        assert row["control/goal_ticks"] == goal == law.step(row["control/phase"], SlipSignal(count), position)
-        position += (goal > position) - (goal < position)
+    assert goals_by_law(rows, lambda k: 150 <= k < 160 or 320 <= k < 330) == at.hand.goals
     assert sum(row["control/slip"] for row in rows) == pytest.approx(10, abs=2)
     times = [row["control/t_us"] for row in rows]
     assert all(earlier < later for earlier, later in pairwise(times))
 
 
 def test_latency_is_from_the_event_to_the_last_byte(bench: Callable[..., Bench]) -> None:
-    """Assert that latency counts slice, detector, waiting, command and wire, and exists only after a new slip."""
-    at = bench(slips=lambda k: k % 50 == 7)
+    """Assert that latency counts slice, detector, waiting, command and wire, and exists only after a new slip.
+
+    In contact slip waits for the next step; later, half of it comes just before a step and half is answered at once.
+    """
+    at = bench(slips=lambda k: k % 50 == 7 or k % 50 == 30)
     _, rows = at.run()
     wire_us = COMMAND_BYTES * 10 / 2.0
     least_us = 1000.0 - 50.0 + FELT_S * 1e6 + WRITE_S * 1e6 + wire_us
     latency = np.array([row["control/latency_us"] for row in rows])
     new = np.array([row["control/slip"] for row in rows], bool)
-    assert new.any()
+    touched = np.array([row["control/phase"] for row in rows]) != GraspPhase.CONTACT
+    assert new[touched].sum() == 12
+    assert new[~touched].sum() == 4
     assert (np.isfinite(latency) == new).all()
     assert (latency[new] >= least_us - 0.01).all()
     assert (latency[new] <= least_us + PERIOD_S * 1e6 + 0.01).all()
+    later = latency[new & touched][4:]  # once the steps follow the slices
+    assert later[-2] == pytest.approx(least_us + FRESH_US, abs=20.0)
+    assert later[1::2] == pytest.approx(least_us, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,8 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
-from evetac_cli.stages.slip_detectors import load_detector, read_horizon_ms
+from evetac_cli.stages.model_files import read_horizon_ms
+from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import grasp

@@ -203,7 +203,8 @@ def some(writer: RecordingWriter, ended: str, error: Exception | None = None, st
     cycle_us = array("d", [700.0] * steps)
     counted = {"answers_lost": 4}
     recorded.controller = ControllerEnded(
-        ended, error, steps, 1, 0.002, cycle_us, 1e6, 1.07e6, counted, "torque is off"
+        *(ended, error, steps, 3, 0.002, cycle_us, 1e6, 1.07e6, counted, "torque is off"),
+        missed_by_gripper=2,
     )
     recorded.torque = "torque is off"
     recorded.detector = DetectorEnded({"late_events": 3}, None)
@@ -228,11 +229,12 @@ def test_a_file_says_how_time_was_kept(
     recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
     assert GraspProcesses.closed
-    assert (row["command_misses"], row["latency_us_median"], row["latencies"]) == (1, 2500.0, 2)
+    assert (row["command_misses"], row["command_misses_by_gripper"]) == (3, 2)
+    assert (row["latency_us_median"], row["latencies"]) == (2500.0, 2)
     assert row["lost"] == 3
     assert row["lost_why"] == "camera.late_events 3; gripper.answers_lost 4"
     assert row["late_slices"] == 0
-    assert row["too_slow"].startswith("this computer was too slow: 1 of 3 commands were missed")
+    assert row["too_slow"].startswith("this computer was too slow: 3 of 5 commands were missed")
     assert row["too_slow"] in capsys.readouterr().err.splitlines()
     with open_recording(armed[1].output) as file:
         assert file.read("capture/latency_us").tolist() == [2500.0] * 3

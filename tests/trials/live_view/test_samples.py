@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import open_view_detector
 from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower
@@ -143,7 +143,7 @@ def test_the_tracker_is_the_one_of_grasp(made: Made) -> None:
     shared = SharedView()
     follower = Follower(shared)
     follower.begin(sensor, refuse)
-    constants = tracker.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
+    constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
     expected = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
     for events in slices:
         shared.add_slice(events)

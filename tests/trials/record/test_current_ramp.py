@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.close_until_contact import ClosingSettings
 from evetac_cli.errors import DeviceError
+from evetac_cli.realtime.bell import Bell
 from evetac_cli.trials.record.current_ramp import (
     COMMAND_MS,
     OPENED_TICKS,
@@ -176,10 +177,11 @@ class Clock:
     def now_s(self) -> float:
         return self.s
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
         time.sleep(0)
         self.s += max(seconds, 1e-6)
         self.passing()
+        return False
 
     def slices_read_until(self, now_s: float) -> None:
         pass

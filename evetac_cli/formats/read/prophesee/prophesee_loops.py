@@ -7,10 +7,10 @@ what the block begins with, brought up to its end. columns: room for the events,
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.formats.read.prophesee.prophesee_words import TIME_HIGH, TRIGGER
+from evetac_cli.kernels.compiled import njit
 
 TYPES = 16
 EventColumns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]  # t, x, y, p

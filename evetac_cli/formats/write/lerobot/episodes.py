@@ -20,7 +20,7 @@ from evetac_cli.arrays import Singles
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
-from evetac_cli.kernels.slip.features import event_image
+from evetac_cli.kernels.event_image import event_image
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.recordings.read import Recording
 

@@ -16,10 +16,10 @@ Few pixels are solved (why so: 63 dots have 22,000 ring pixels, and make 800 eve
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, SliceTimes
@@ -61,7 +61,8 @@ def solve_dots(
     this_slice, t0_us, refractory_us = times
     height, width = reference.shape
     dots, vertices, _ = path.shape
-    box = dot_rings.boxes(path, seen_xy)
+    box = np.empty((len(path), 4))
+    dot_rings.boxes(path, seen_xy, box)
     near_path = np.empty((dots, vertices, 2))
     near_box = np.empty((dots, 4))
     travelled = np.empty(vertices)

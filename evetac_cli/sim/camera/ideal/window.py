@@ -8,10 +8,10 @@ move over the window (see contact_edges) cut it into as many more parts as sub-s
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline, sample_cut, sample_row

@@ -23,11 +23,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, SliceMotion, Window
 from evetac_cli.sim.camera.contact_edges import ContactEdges
@@ -254,7 +254,13 @@ def start(
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),
         window_release_us=np.zeros((y1 - y0, x1 - x0 if blind else 0)),
-        candidates=all_pixels((height, width), len(dots), profile, steady if light is None else light.candidate_light),
+        candidates=all_pixels(
+            (height, width),
+            len(dots),
+            profile,
+            steady if light is None else light.candidate_light,
+            model.scans_per_ms,
+        ),
         candidate_runs=all_runs(window_reference.shape, pattern),
         middle_shift=middle_shift,
         window_middle_shift=middle_shift[y0:y1, x0:x1].copy(),
@@ -354,7 +360,7 @@ def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, mad
 # of 43: numba looks up the type of a named tuple anew at every call.
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _scan(
     path: NDArray[np.float64],
     gel: tuple[Any, ...],
@@ -365,16 +371,18 @@ def _scan(
 ) -> int:
     """Scan dots and window; returns the number of events."""
     scans = ScanTimes(times[0], times[1], times[2])
-    untouched = np.zeros(len(path), np.uint8)
-    made = scan_dots(path, gel_pixels(gel), scans, ZERO, len(scans.readout_us), untouched, FALSE, keys, ZERO)
-    pixels = window_pixels(window)
+    dots, pixels = gel_pixels(gel), window_pixels(window)
+    untouched = dots.candidates.flags[0]
+    untouched[:] = 0
+    made = scan_dots(path, dots, scans, ZERO, len(scans.readout_us), untouched, FALSE, keys, ZERO)
     if pixels.reference.size:
         object_motion = ObjectMotion(motion[0], motion[1], motion[2])
-        made = scan_window(object_motion, pixels, scans, ZERO, len(scans.readout_us), keys, made)
+        line = dots.candidates.line
+        made = scan_window(object_motion, pixels, scans, ZERO, len(scans.readout_us), line, keys, made)
     return int(made)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _leak(
     first_row: int,
     drift: np.float32,

@@ -8,10 +8,10 @@ dots lie apart, and are done in a simple way here.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import COLUMN_MASK, PIXEL_SHIFT
@@ -20,7 +20,7 @@ from evetac_cli.sim.camera.scanning.pixels import CandidatePixels
 VISITED_PX = 2.0  # so much farther than it has been a dot may go before it is asked whether it meets another
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def forget_exchanged(
     box: NDArray[np.float64], outer: float, visited: NDArray[np.float64], candidates: CandidatePixels
 ) -> None:
@@ -54,18 +54,19 @@ def forget_exchanged(
         visited[dot, 1] = box[dot, 0] + box[dot, 2] + VISITED_PX
         visited[dot, 2] = box[dot, 1] - box[dot, 3] - VISITED_PX
         visited[dot, 3] = box[dot, 1] + box[dot, 3] + VISITED_PX
-    meets = np.zeros(dots, np.bool_)
+    meets = candidates.flags[3]
+    meets[:] = 0
     for dot in range(dots):
         for other in range(dot):
             if _meet(visited, dot, other, outer):
-                meets[dot] = True
-                meets[other] = True
+                meets[dot] = 1
+                meets[other] = 1
     for dot in range(dots):
         if meets[dot]:
             visited[dot] = np.nan
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _meet(visited: NDArray[np.float64], dot: int, other: int, outer: float) -> bool:
     """Whether some pixel may have been under two dots."""
     across = visited[dot, 0] - 2.0 * outer <= visited[other, 1] and visited[other, 0] <= visited[dot, 1] + 2.0 * outer
@@ -73,7 +74,7 @@ def _meet(visited: NDArray[np.float64], dot: int, other: int, outer: float) -> b
     return bool(across and down)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def compare_crowded(
     active: NDArray[np.int32],
     at_xy: NDArray[np.float64],

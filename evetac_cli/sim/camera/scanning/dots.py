@@ -11,10 +11,10 @@ as long, and compiling 1.2 times: references to every array of a group are count
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.differing_dots import compare_crowded, forget_exchanged
@@ -24,22 +24,22 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
     RESOLUTION_PX,
     RUSH_PX,
     is_within,
-    list_reach,
     make_list,
+    reach_of_list,
     renew_listed,
     ring_pixels,
     select_active,
     select_listed,
     select_own,
 )
-from evetac_cli.sim.camera.scanning.pixels import FALSE, TRUE, CandidatePixels, GelPixels, ScanTimes
+from evetac_cli.sim.camera.scanning.pixels import FALSE, TRUE, CandidatePixels, GelPixels, ScanTimes, slice_places
 
 # A dot that has lost its list to a line gets a new one once lines have left it alone for so many scans, in which its
 # whole ring is compared: making a list costs about as much.
 LEFT_ALONE_SCANS = 10
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def scan_dots(
     path: NDArray[np.float64],
     gel: GelPixels,
@@ -67,14 +67,15 @@ def scan_dots(
     dots = len(path)
     scans = len(readout_us)
     single = end_scan == first_scan + 1 and release_us.size == 0
-    at_xy = np.empty((dots, end_scan - first_scan, 2))
+    at_xy, near_xy, box, near_box, wider = slice_places(candidates.places, dots, end_scan - first_scan)
     at_scans(path, scans, first_scan, at_xy)
-    box = dot_rings.boxes(at_xy, seen_xy)
-    crowded = np.zeros(dots, np.bool_) if apart else dot_rings.crowded(box, outer)
+    dot_rings.boxes(at_xy, seen_xy, box)
+    crowded = candidates.flags[2]
+    crowded[:] = 0
+    if not apart:
+        dot_rings.crowded(box, outer, crowded)
     if differing:
         forget_exchanged(box, outer, visited, candidates)
-    near_xy = np.empty_like(at_xy)
-    near_box = np.empty((dots, 4))
     now_us = t0_us + first_scan * SLICE_US / scans
     last_us = t0_us + (end_scan - 1) * SLICE_US / scans
     for dot in range(dots):
@@ -128,8 +129,9 @@ def scan_dots(
         elif single and (touched[dot] or _waits_for_list(dot, candidates)):
             candidates.list_length[dot] = -1 if touched[dot] else min(candidates.list_length[dot], 0) - 1
             count = 0
+            reach_of_list(box[dot], wider[0])
             made = _compare_ring(
-                list_reach(box[dot]),
+                wider[0],
                 at_xy[dot, 0],
                 inner,
                 outer,
@@ -145,12 +147,14 @@ def scan_dots(
             )
         elif touched[dot]:
             candidates.list_length[dot] = -1
-            count = ring_pixels(list_reach(box[dot]), inner, outer, TRUE, candidates)
+            reach_of_list(box[dot], wider[0])
+            count = ring_pixels(wider[0], inner, outer, TRUE, candidates)
         else:
             if not is_within(box, candidates.list_box, dot):
                 make_list(
                     dot,
                     box[dot],
+                    wider,
                     inner,
                     outer,
                     steps_per_px,
@@ -228,13 +232,13 @@ def scan_dots(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _waits_for_list(dot: int, candidates: CandidatePixels) -> bool:
     """Whether a dot has no list, and has not been left alone for long enough to get one."""
     return bool(math.isnan(candidates.list_box[dot, 0]) and candidates.list_length[dot] >= -LEFT_ALONE_SCANS)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDArray[np.float64]) -> None:
     """Where dots (dots, k, 2) are at k scans from the first on."""
     dots, vertices, _ = path.shape
@@ -247,7 +251,7 @@ def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDAr
                 at_xy[dot, shot, axis] = path[dot, vertex, axis] + part * piece_px
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _compare_ring(
     ring: NDArray[np.float64],
     at_xy: NDArray[np.float64],
@@ -301,7 +305,7 @@ def _compare_ring(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _compare_pixels(
     active: NDArray[np.int32],
     near_xy: NDArray[np.float64],

@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import LineMotion
 from evetac_cli.sim.camera.dot_shapes import differing_row
@@ -112,7 +112,7 @@ class Light:
         if self._change.depth == 0.0:
             return
         _, high, _, row_high, _, window_high, _ = self._bounds
-        _forget_rings(path, gel[0], float(gel[1][1]), high, row_high)
+        _forget_rings(path, gel[0], float(gel[1][1]), gel[5][13], high, row_high)
         if lines is not None:
             first, end = 0, high.shape[1]
             if not lines.outline.picture.size:
@@ -157,11 +157,12 @@ class Light:
         return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, made))
 
 
-@njit(cache=True)
-def _forget_rings(path: Floats, seen_xy: Floats, outer: float, high: Floats, row_high: Floats) -> None:
-    """Forget the bounds of the runs that the rings of moving dots touch."""
+@njit(cache=True, _nrt=False)
+def _forget_rings(path: Floats, seen_xy: Floats, outer: float, places: Floats, high: Floats, row_high: Floats) -> None:
+    """Forget the bounds of the runs that the rings of moving dots touch; `places` is scratch."""
     height, runs = high.shape
-    box = dot_rings.boxes(path, seen_xy)
+    box = places[: 4 * len(path)].reshape(len(path), 4)
+    dot_rings.boxes(path, seen_xy, box)
     for dot in range(len(path)):
         x, y, half_x, half_y = box[dot]
         if max(half_x, half_y) <= 0.5 * RESOLUTION_PX:
@@ -174,7 +175,7 @@ def _forget_rings(path: Floats, seen_xy: Floats, outer: float, high: Floats, row
             row_high[first_row:end_row] = -np.inf
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _shine(
     change: np.float32,
     light: float,
@@ -191,9 +192,9 @@ def _shine(
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
     middle_shift = gel.middle_shift
-    shifted, nothing = middle_shift.size > 0, np.empty(0, np.float32)
+    line = gel.candidates.line
+    shifted, nothing = middle_shift.size > 0, line[:0]
     height, width = reference.shape
-    line = np.empty(width, np.float32)
     for row in range(height):
         own = reference[row]
         for x in range(width):
@@ -271,7 +272,7 @@ def _shine(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _compare_run(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
@@ -312,7 +313,7 @@ def _compare_run(
     return low, high, made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _forget_lists(row: int, outer: float, candidates: CandidatePixels) -> None:
     """Drop the lists of dots that can come near a row: a reference there is another."""
     list_box = candidates.list_box

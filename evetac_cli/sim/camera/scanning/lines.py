@@ -12,10 +12,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.contact_edges import (
@@ -28,7 +28,7 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_cut,
     sample_row,
 )
-from evetac_cli.sim.camera.dot_shapes import DotShapes, differing_row
+from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, gel_pixels, line_motion, window_pixels
@@ -37,7 +37,7 @@ from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_wi
 ROUNDED_UP = 1.0 + 1e-6  # more than single precision costs a difference
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def scan_lines(
     plain_lines: tuple[Any, ...],
     path: NDArray[np.float64],
@@ -65,10 +65,7 @@ def scan_lines(
     height, width = reference.shape
     rows, columns = outline.picture.shape
     cut_rows = len(seen_cut_x)
-    line = np.empty(width, np.float32)
-    outlined = height if rows else 0
-    runs = np.zeros((outlined, 4), np.int64)
-    cut_runs = np.zeros((cut_rows, 4), np.int64)
+    line, runs, cut_runs = candidates.line, candidates.runs[0], candidates.runs[1]
     (
         first_x,
         first_y,
@@ -81,12 +78,13 @@ def scan_lines(
         window_middle_shift,
     ) = window
     contrast = motion.contrast
-    at_xy = np.empty((len(path), scans, 2))
+    dots = len(path)
+    at_xy, box, near_xy, row_xy = _places(candidates.places, dots, scans)
     at_scans(path, scans, 0, at_xy)
-    box = dot_rings.boxes(at_xy, gel.seen_dot_xy_px)
+    dot_rings.boxes(at_xy, gel.seen_dot_xy_px, box)
     outline_reach = _reach_of_outline(start, end, rows, columns, seen_corner)
     cut_reach = _reach_of_cut(start, end, cut_half, seen_cut_x)
-    near = np.zeros(len(path), np.bool_)
+    touched, near, crowded = candidates.flags[0], candidates.flags[1], candidates.flags[2]
     at_lines = False
     union = (
         min(outline_reach[0], cut_reach[0]),
@@ -96,23 +94,27 @@ def scan_lines(
     )
     if cut_rows:
         union = (union[0], -np.inf, union[2], np.inf)
-    for dot in range(len(path)):
+    for dot in range(dots):
         near[dot] = _reaches(box[dot], outer, outline_reach) or (cut_rows > 0 and _reaches(box[dot], outer, cut_reach))
         at_lines = at_lines or _reaches(box[dot], outer, union)
-    apart = not dot_rings.crowded(box, outer + 2.0).any()
+    apart = not dot_rings.crowded(box, outer + 2.0, crowded)
     # Where dots are apart and alike, no pixel gets blind and no texture shows, most pixels of an outline are left out.
     differing = len(gel.shapes.inner_px) > 0
     few = rows > 0 and apart and not differing and window_reference.size == 0 and gel.release_us.size == 0
-    near_shapes = _shapes_of(gel.shapes, near)
+    if differing:  # of each dot the shape by its number
+        near[:] = 1
+    near_shapes = (gel.shapes.inner_px, gel.shapes.outer_px, gel.shapes.level)
     off_level = 0.0
     if few:
         off_level = draw_dots(box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn)
     drawn = (candidates.drawn, off_level)
     outline_pixels = (reference, gel.threshold, candidates.lower2_px2, gel.middle_shift)
     doubtful = candidates.doubtful
-    touched = np.zeros(len(path), np.uint8)
-    near_xy = np.empty((near.sum(), 2))
-    row_xy = np.empty_like(near_xy)
+    touched[:] = 0
+    near_dots = 0
+    for dot in range(dots):
+        near_dots += near[dot]
+    near_xy, row_xy = near_xy[:near_dots], row_xy[:near_dots]
     due = (due_runs.due_at, due_runs.row_due_at)
     shifted = (reference, candidates.lower2_px2, first_x, first_y, window_reference, *due)
     made = ZERO
@@ -176,7 +178,7 @@ def scan_lines(
         if at_lines:
             made = scan_dots(path, gel, times, scan, scan + 1, touched, apart, keys, made)
         if window_reference.size:
-            made = scan_window(motion, window, times, scan, scan + 1, keys, made)
+            made = scan_window(motion, window, times, scan, scan + 1, line, keys, made)
 
         before = made
         when = (readout_us[scan], now_us, refractory_us)
@@ -193,12 +195,12 @@ def scan_lines(
             *due,
         )
         pixels = (*of_gel, *of_window)
-        dots = 0
-        for dot in range(len(near)):
+        nearest = 0
+        for dot in range(dots):
             if near[dot]:
-                near_xy[dots, 0] = at_xy[dot, scan, 0]
-                near_xy[dots, 1] = at_xy[dot, scan, 1]
-                dots += 1
+                near_xy[nearest, 0] = at_xy[dot, scan, 0]
+                near_xy[nearest, 1] = at_xy[dot, scan, 1]
+                nearest += 1
         if few:
             dot_ink = (inner, outer, steps_per_px, profile)
             made = compare_outline(
@@ -213,21 +215,27 @@ def scan_lines(
     return made, line_events
 
 
-@njit(cache=True)
-def _shapes_of(
-    shapes: DotShapes, chosen: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
-    """Radii and levels of some dots; empty where dots are alike."""
-    if len(shapes.inner_px) == 0:
-        return shapes.inner_px, shapes.outer_px, shapes.level
-    return shapes.inner_px[chosen], shapes.outer_px[chosen], shapes.level[chosen]
+@njit(cache=True, inline="always")
+def _places(
+    places: NDArray[np.float64], dots: int, scans: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Scratch beyond that of `slice_places`: places in all scans (dots, scans, 2), boxes, and twice (dots, 2)."""
+    first = 4 * dots * scans + 8 * dots + 4
+    boxes = first + 2 * dots * scans
+    last = boxes + 4 * dots
+    return (
+        places[first:boxes].reshape(dots, scans, 2),
+        places[boxes:last].reshape(dots, 4),
+        places[last : last + 2 * dots].reshape(dots, 2),
+        places[last + 2 * dots : last + 4 * dots].reshape(dots, 2),
+    )
 
 
 # A box that holds all pixels whose level can change: left, top, right, bottom.
 Reach = tuple[float, float, float, float]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _reach_of_outline(
     start: EdgePlace, end: EdgePlace, rows: int, columns: int, seen_corner: NDArray[np.float64]
 ) -> Reach:
@@ -249,7 +257,7 @@ def _reach_of_outline(
     return left, top, right, bottom
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _reach_of_cut(start: EdgePlace, end: EdgePlace, cut_half: float, seen_cut_x: NDArray[np.float64]) -> Reach:
     """The pixels whose level the cut edge can change in a slice: columns, of all rows."""
     left = np.inf
@@ -260,7 +268,7 @@ def _reach_of_cut(start: EdgePlace, end: EdgePlace, cut_half: float, seen_cut_x:
     return left, -np.inf, right, np.inf
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _reaches(box: NDArray[np.float64], outer: float, reach: Reach) -> bool:
     """Whether the ring of a dot in a box (4,) can lie over some pixel of a reach."""
     left, top, right, bottom = reach
@@ -270,7 +278,7 @@ def _reaches(box: NDArray[np.float64], outer: float, reach: Reach) -> bool:
     return bool(across and top <= box[1] + reach_y and box[1] - reach_y <= bottom)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _touch_dots(
     at_xy: NDArray[np.float64],
     seen_xy: NDArray[np.float64],
@@ -311,7 +319,7 @@ def _touch_dots(
                 break
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _dots_in_row(dot_xy: NDArray[np.float64], row: int, outer: float, row_xy: NDArray[np.float64]) -> int:
     """Collect the dots (dots, 2) whose ring reaches a row in `row_xy`; returns their number."""
     dots = 0
@@ -322,7 +330,7 @@ def _dots_in_row(dot_xy: NDArray[np.float64], row: int, outer: float, row_xy: ND
     return dots
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _shift(
     line: NDArray[np.float32],
     seen_level: NDArray[np.float32],
@@ -361,7 +369,7 @@ def _shift(
         lower2_px2[row, first + k] = np.inf
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _compare_across(
     dot_xy: NDArray[np.float64],
     row_xy: NDArray[np.float64],

@@ -10,10 +10,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 
@@ -25,10 +25,10 @@ UNSURE = np.float32(-1e-6)  # of a pixel at the rim of a drawn dot, where a dot 
 Pixels = NDArray[np.float32]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def draw_dots(
     box: Floats,
-    near: NDArray[np.bool_],
+    near: NDArray[np.uint8],
     inner: float,
     outer: float,
     steps_per_px: float,
@@ -77,7 +77,7 @@ def draw_dots(
     return 1.5 * DRAWN_PX * steepest * steps_per_px + 1e-4
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _square(drawn_at: Floats, shape: tuple[int, int]) -> tuple[int, int, int, int]:
     """The pixels of a frame that the drawing of a dot covers: columns from, up to, rows from, up to."""
     reach = abs(drawn_at[2])
@@ -89,7 +89,7 @@ def _square(drawn_at: Floats, shape: tuple[int, int]) -> tuple[int, int, int, in
     return first_x, end_x, first_y, end_y
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def shift_outline(
     picture: Pixels,
     place: tuple[float, float, float],
@@ -161,7 +161,7 @@ def shift_outline(
                 doubtful[y, x] = not (abs(dots[y, x] - reference[y, x]) + off < threshold[y, x])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def compare_outline(
     dot_xy: Floats,
     ink: tuple[Any, ...],
@@ -208,7 +208,7 @@ def compare_outline(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _dot_level(dot_xy: Floats, ink: tuple[Any, ...], x: int, y: int) -> np.float32:
     """The log brightness of one pixel, as `optics.dot_row` gives it, to the bit."""
     inner, outer, steps_per_px, profile = ink

@@ -13,9 +13,9 @@ A pixel is one integer here, y << PIXEL_SHIFT | x; a box is that of dot_rings.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.scanning.pixels import TRUE, CandidatePixels
 
@@ -32,28 +32,29 @@ PIXEL_SHIFT = 16
 COLUMN_MASK = 0xFFFF
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def is_within(box: NDArray[np.float64], wider: NDArray[np.float64], dot: int) -> bool:
     """Whether a dot's box of (dots, 4) lies in its wider one; not if that is NaN."""
     across = abs(box[dot, 0] - wider[dot, 0]) + box[dot, 2] <= wider[dot, 2]
     return bool(across and abs(box[dot, 1] - wider[dot, 1]) + box[dot, 3] <= wider[dot, 3])
 
 
-@njit(cache=True)
-def list_reach(box: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The wider box (4,) for which the list of a dot in a box (4,) holds; the box itself where a list does not pay."""
-    wider = box.copy()
+@njit(cache=True, _nrt=False)
+def reach_of_list(box: NDArray[np.float64], wider: NDArray[np.float64]) -> None:
+    """Fill the wider box (4,) for which the list of a dot in a box (4,) holds: the same where a list does not pay."""
+    for side in range(4):
+        wider[side] = box[side]
     travel_px = 2.0 * max(box[2], box[3])
     if travel_px < FAST_PX:
         wider[2] += SKIN_PX * math.sqrt(travel_px)
         wider[3] += SKIN_PX * math.sqrt(travel_px)
-    return wider
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def make_list(
     dot: int,
     box: NDArray[np.float64],
+    wider: NDArray[np.float64],
     inner: float,
     outer: float,
     steps_per_px: float,
@@ -64,12 +65,15 @@ def make_list(
     now_us: float,
     candidates: CandidatePixels,
 ) -> None:
-    """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot."""
+    """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot.
+
+    `wider` (1, 4) is scratch.
+    """
     candidates.list_box[dot] = np.nan
     candidates.list_length[dot] = -1
     if 2.0 * max(box[2], box[3]) >= FAST_PX:
         return
-    wider = list_reach(box).reshape(1, 4)
+    reach_of_list(box, wider[0])
     count = ring_pixels(wider[0], inner, outer, TRUE, candidates)
     count = select_active(
         candidates.active[:count],
@@ -95,7 +99,7 @@ def make_list(
             candidates.list_box[dot, side] = wider[0, side]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def select_listed(
     dot: int,
     box: NDArray[np.float64],
@@ -127,7 +131,7 @@ def select_listed(
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def renew_listed(
     dot: int,
     count: int,
@@ -162,7 +166,7 @@ def renew_listed(
         candidates.listed_px2[dot, 1, candidates.entry[k]] = candidates.upper2_px2[y, x]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def ring_pixels(
     own: NDArray[np.float64], inner: float, outer: float, active_only: bool, candidates: CandidatePixels
 ) -> int:
@@ -196,7 +200,7 @@ def ring_pixels(
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def select_own(
     dot: int, count: int, box: NDArray[np.float64], inner: float, outer: float, candidates: CandidatePixels
 ) -> int:
@@ -221,7 +225,7 @@ def select_own(
     return own
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def select_active(
     given: NDArray[np.int32],
     near_box: NDArray[np.float64],

@@ -7,9 +7,9 @@ so: see dots).
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline
 from evetac_cli.sim.camera.dot_shapes import DotShapes
@@ -33,7 +33,11 @@ class CandidatePixels(NamedTuple):
     a negative `list_length` counts the scans that a dot has been without. `active` and `entry` are scratch, for a frame
     and for a list. `level_index` helps to find radii. `light` (2,) is what a flicker adds to all levels, less the
     middle of its range, and half that range (see light): radii hold throughout it. `drawn` (height, width) and
-    `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is scratch of theirs: see outline.
+    `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is scratch of theirs: see outline. The rest is
+    scratch of a slice: `places` for those of dots and what follows from them, `flags` (4, dots), `line` (width,) for
+    the levels of a row, and `runs` (2, height, 4) for the pixels that outline and cut edge change.
+
+    Why so: compiled parts that make no arrays count no references to arrays, which took a sixth of a slice.
     """
 
     level_index: NDArray[np.int16]
@@ -49,6 +53,10 @@ class CandidatePixels(NamedTuple):
     drawn: NDArray[np.float32]
     drawn_at: NDArray[np.float64]
     doubtful: NDArray[np.uint8]
+    places: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+    line: NDArray[np.float32]
+    runs: NDArray[np.int64]
 
 
 class CandidateRuns(NamedTuple):
@@ -111,7 +119,17 @@ class ScanTimes(NamedTuple):
     refractory_us: float
 
 
-@njit(cache=True)
+class SlicePlaces(NamedTuple):
+    """Where dots are in some scans, and where the near ones are, (dots, scans, 2); boxes (dots, 4) of both; another."""
+
+    at_xy: NDArray[np.float64]
+    near_xy: NDArray[np.float64]
+    box: NDArray[np.float64]
+    near_box: NDArray[np.float64]
+    wider: NDArray[np.float64]
+
+
+@njit(cache=True, inline="always")
 def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
     """The gel's arrays with their names, from a plain tuple of them in the order of GelPixels, plain inside as well."""
     profile, candidates = gel[1], gel[5]
@@ -135,13 +153,17 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
             candidates[10],
             candidates[11],
             candidates[12],
+            candidates[13],
+            candidates[14],
+            candidates[15],
+            candidates[16],
         ),
         gel[6],
         DotShapes(gel[7][0], gel[7][1], gel[7][2], gel[7][3]),
     )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
     """The window's arrays with their names, from a plain tuple in the order of WindowPixels, plain inside as well."""
     runs = window[7]
@@ -158,7 +180,7 @@ def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def line_motion(lines: tuple[Any, ...]) -> LineMotion:
     """Moving lines with their names, from a plain tuple in the order of LineMotion, plain inside as well."""
     start, end, outline = lines[:3]
@@ -175,8 +197,23 @@ def line_motion(lines: tuple[Any, ...]) -> LineMotion:
     )
 
 
+@njit(cache=True, inline="always")
+def slice_places(places: NDArray[np.float64], dots: int, scans: int) -> SlicePlaces:
+    """Scratch for the places of so many dots in so many scans, of `CandidatePixels.places`; see SlicePlaces."""
+    path = 2 * dots * scans
+    boxes = 2 * path
+    last = boxes + 8 * dots
+    return SlicePlaces(
+        places[:path].reshape(dots, scans, 2),
+        places[path:boxes].reshape(dots, scans, 2),
+        places[boxes : boxes + 4 * dots].reshape(dots, 4),
+        places[boxes + 4 * dots : last].reshape(dots, 4),
+        places[last : last + 4].reshape(1, 4),
+    )
+
+
 def all_pixels(
-    shape: tuple[int, int], dots: int, profile: optics.DotProfile, light: NDArray[np.float32]
+    shape: tuple[int, int], dots: int, profile: optics.DotProfile, light: NDArray[np.float32], scans: int
 ) -> CandidatePixels:
     """All pixels of a frame (height, width) may fire."""
     height, width = shape
@@ -194,6 +231,10 @@ def all_pixels(
         drawn=np.zeros(shape, np.float32),
         drawn_at=np.zeros((dots, 3)),
         doubtful=np.zeros((height, -(-width // 8) * 8), np.uint8),
+        places=np.empty(6 * dots * scans + 16 * dots + 8),
+        flags=np.zeros((4, dots), np.uint8),
+        line=np.empty(width, np.float32),
+        runs=np.zeros((2, height, 4), np.int64),
     )
 
 

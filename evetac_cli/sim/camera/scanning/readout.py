@@ -10,11 +10,11 @@ Left out: that the comparison itself waits for the scan before. What waits at th
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 
 # Of the events of a slice: times in us, columns, rows, polarities.
 Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
@@ -50,7 +50,7 @@ class Readout:
         return t[:now], x[:now], y[:now], p[:now]
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _take_turns(
     t_us: NDArray[np.int64],
     x: NDArray[np.uint16],

@@ -7,10 +7,10 @@ short run of pixels is not compared until that has used up what the pixel neares
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.event_keys import event_key
@@ -22,23 +22,26 @@ FAST_LEVEL = 0.002
 RUN_ROUNDING = 4e-6
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def scan_window(
     motion: ObjectMotion,
     window: WindowPixels,
     times: ScanTimes,
     first_scan: int,
     end_scan: int,
+    line: NDArray[np.float32],
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the window's runs of pixels that may fire, in every scan at which the picture is another."""
+    """Compare the window's runs of pixels that may fire, in every scan at which the picture is another.
+
+    `line` is scratch for a row.
+    """
     start_xy, end_xy, contrast = motion
     first_x, first_y, seen, texture, reference, threshold, release_us, candidate_runs, middle_shift = window
     readout_us, t0_us, refractory_us = times
     scans = len(readout_us)
     rows, columns = reference.shape
-    line = np.empty(columns, np.float32)
     for scan in range(first_scan, end_scan):
         part = scan / scans
         x = start_xy[0] + part * (end_xy[0] - start_xy[0])
@@ -86,14 +89,14 @@ def scan_window(
                     made,
                     row,
                     candidate_runs.due_at,
+                    candidate_runs.row_due_at,
                     travelled,
                     rounding,
                 )
-                candidate_runs.row_due_at[row] = candidate_runs.due_at[row].min()
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _compare_all(
     texture: NDArray[np.float32],
     place: optics.TexturePlace,
@@ -132,7 +135,7 @@ def _compare_all(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _compare_due(
     texture: NDArray[np.float32],
     place: optics.TexturePlace,
@@ -149,13 +152,16 @@ def _compare_due(
     made: int,
     row: int,
     due_at: NDArray[np.float64],
+    row_due_at: NDArray[np.float64],
     travelled: float,
     rounding: float,
 ) -> int:
-    """Compare the runs of a row that are due, and find when they are due again."""
+    """Compare the runs of a row that are due, and find when they and the row are due again."""
     columns = reference.shape[1]
+    least = np.inf
     for run in range(due_at.shape[1]):
         if travelled < due_at[row, run]:
+            least = min(least, due_at[row, run])
             continue
         first = run * RUN_PX
         end = min(first + RUN_PX, columns)
@@ -180,10 +186,12 @@ def _compare_due(
             )
             slack = _least_slack(line, reference, threshold, release_us, row, first, end, now_us)
         due_at[row, run] = travelled + slack - rounding
+        least = min(least, due_at[row, run])
+    row_due_at[row] = least
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _least_slack(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
@@ -209,7 +217,7 @@ def _least_slack(
     return float(least)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def compare_row(
     level: NDArray[np.float32],
     reference: NDArray[np.float32],
@@ -257,7 +265,7 @@ def compare_row(
     return made
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def mark_due(due_at: NDArray[np.float64], row_due_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
     """Have the runs of a row of the window that hold pixels first to end compared when the object next moves."""
     for run in range(first // RUN_PX, (end - 1) // RUN_PX + 1):

@@ -1,0 +1,23 @@
+"""Events as an image, for people and for video; without compiled code, which pages and exports do without."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.events import FRAME_PX
+
+
+def event_image(
+    x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], frame_px: tuple[int, int] = FRAME_PX
+) -> NDArray[np.int8]:
+    """Draw events, given in the order of time: (height, width), +1 brighter, -1 darker, 0 none; the last event wins.
+
+    frame_px is (width, height); events outside it are left out. ValueError if the columns differ in length.
+    Source: paper, "Evetac Touch Features", the set of events in image form.
+    """
+    if x.ndim != 1 or not x.shape == y.shape == p.shape:
+        raise ValueError(f"expected three columns of equal length, found {x.shape}, {y.shape} and {p.shape}")
+    width, height = frame_px
+    image = np.zeros((height, width), np.int8)
+    inside = (x < width) & (y < height)
+    image[y[inside], x[inside]] = np.where(p[inside], np.int8(1), np.int8(-1))  # of a pixel named twice the last stays
+    return image

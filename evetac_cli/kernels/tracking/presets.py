@@ -1,0 +1,113 @@
+"""The constants of the tracker and the presets of them, which headers of tracks name.
+
+Why so: a command compares them with those of a file that exists, and needs no kernel where they are the same.
+"""
+
+from dataclasses import dataclass, replace
+
+from evetac_cli.checks import check_range, check_whole
+
+MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
+
+
+@dataclass(frozen=True)
+class TrackerConstants:
+    """All constants of the tracker; lengths in px, the defaults are the preset `paper`.
+
+    The ring bounds are exclusive and hold for the distance of an event from the dot's centre (the paper prints them on
+    its square). The paper gives no regulariser weight: ours is the effective one of the authors' published code,
+    step_size * regulariser_weight = 2.25e-7 per px**2. The explicit step is stable near the rest grid while
+    step_size * (4 N / 3 + 98.8 * regulariser_weight * pitch**2) < 2, N ring events per dot and slice; beyond that the
+    clips keep it bounded. ValueError if a constant is out of range.
+
+    With `fit` (fit.py), a dot's rim is the middle of its ring, all its neighbours together weigh as much as
+    8 * regulariser_weight of its events, gradient_clip and ascend do not count, and the constants from `sweeps` on do.
+    The steps are bounded for any of them.
+    """
+
+    radius_px: float = 15.0  # of the dot's edge; also the furthest a dot moves in one slice, per axis
+    ring_inner_px: float = 10.0  # only events further away than this pull
+    ring_outer_px: float = 20.0  # ... and nearer than this
+    count_radius_px: float = 20.0  # events nearer than this are the dot's (`events_per_dot`)
+    step_size: float = 0.003
+    regulariser_weight: float = 7.5e-5  # per px**2
+    min_events: int = 10  # a dot moves only if more ring events than this pull it
+    gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px a slice; from the authors' published code
+    ascend: bool = False  # up the gradient of the data term, as the published code does, instead of down
+    hot_pixel_events: int = 16  # a pixel with more, far ahead of its neighbours, is hot (hot_pixels.py); 0: none is
+    rest_slices: int = 0  # a lost dot is put back after as many slices of rest; 0: never
+    fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
+    sweeps: int = 8  # of Gauss-Seidel over all dots
+    trust_px: float = 1.5  # most motion seen in a slice, and most correction of it
+    rim_lag_px: float = 0.2  # events come when the rim has gone so far beyond their pixel (hysteresis of the threshold)
+    event_px: float = 1.0 / 300.0  # how far a dot has moved for each of its ring events, as far as they agree
+    most_events: float = 1000.0  # a dot's rim weighs no more than so many events, however many there are
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be tracked with."""
+        check_range("radius_px", self.radius_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("ring_outer_px", self.ring_outer_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("ring_inner_px", self.ring_inner_px, 0.0, self.ring_outer_px, below=True)
+        check_range("count_radius_px", self.count_radius_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("step_size", self.step_size, above=True)
+        check_range("regulariser_weight", self.regulariser_weight)
+        check_whole("min_events", self.min_events, 0, 2**31 - 1)
+        check_range("gradient_clip", self.gradient_clip, above=True)
+        check_whole("hot_pixel_events", self.hot_pixel_events, 0, 2**14)
+        check_whole("rest_slices", self.rest_slices, 0, 2**31 - 1)
+        check_whole("sweeps", self.sweeps, 1, 10_000)
+        check_range("trust_px", self.trust_px, 0.0, MAX_REACH_PX, above=True)
+        check_range("rim_lag_px", self.rim_lag_px, 0.0, MAX_REACH_PX)
+        check_range("event_px", self.event_px, 0.0, 1.0)
+        check_range("most_events", self.most_events, above=True)
+        if self.fit and abs(self.ring_inner_px + self.ring_outer_px - 2.0 * self.radius_px) > 1e-9 * self.radius_px:
+            raise ValueError(
+                f"radius_px: expected the middle of the ring, {(self.ring_inner_px + self.ring_outer_px) / 2},"
+                f" found {self.radius_px}"
+            )
+
+    def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
+        """The constants for dots of this radius: with `fit` the ring moves along, without they stay what they are.
+
+        The widths of ring and count stay. A rim makes events in proportion to its length, so on a longer rim each
+        stands for a shorter motion. The paper's presets name their radii as part of what they are. ValueError if the
+        radius is not above half the width of the ring, or the ring out of reach.
+        """
+        if not self.fit:
+            return self
+        half_ring_px = self.ring_outer_px - self.radius_px
+        check_range("dot_radius_px", dot_radius_px, half_ring_px, MAX_REACH_PX - half_ring_px)
+        return replace(
+            self,
+            radius_px=dot_radius_px,
+            ring_inner_px=dot_radius_px - half_ring_px,
+            ring_outer_px=dot_radius_px + half_ring_px,
+            count_radius_px=dot_radius_px + (self.count_radius_px - self.radius_px),
+            event_px=min(self.event_px * (self.radius_px / dot_radius_px), 1.0),
+        )
+
+
+# What the published code was calibrated with; its ring is the outer 13.75 px of the dot, its edge 1.25 times as wide.
+_OFFICIAL_DOT_PX = 20.62
+
+PRESETS: dict[str, TrackerConstants] = {
+    "paper": TrackerConstants(),
+    "official": TrackerConstants(
+        radius_px=1.25 * _OFFICIAL_DOT_PX,
+        ring_inner_px=_OFFICIAL_DOT_PX - 13.75,
+        ring_outer_px=_OFFICIAL_DOT_PX,
+        min_events=4,  # it asks for 10 table entries, and an event makes two
+        ascend=True,
+    ),
+    "unregularised": TrackerConstants(regulariser_weight=0.0),
+    "stable": TrackerConstants(
+        ring_inner_px=11.0,
+        ring_outer_px=19.0,
+        step_size=0.1,
+        regulariser_weight=50.0,
+        min_events=0,
+        hot_pixel_events=8,  # without a gate, every event of a hot pixel counts
+        rest_slices=100,
+        fit=True,
+    ),
+}

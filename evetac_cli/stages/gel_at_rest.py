@@ -1,0 +1,69 @@
+"""The gel at rest as a press recording shows it: between strokes, by every other pair of them and by the others."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Progress, silent
+from evetac_cli.kernels.calibration import dot_search, rest_image
+from evetac_cli.kernels.calibration.gel_layout import Grid
+from evetac_cli.kernels.calibration.rest_image import RestImage
+from evetac_cli.stages.calibrated_gel import PRESS
+from evetac_cli.store.recordings.read import Recording
+
+BLOCK_SLICES = 200
+LONGEST_STROKE = 5000  # slices; a first run is over long before that
+
+
+def rest_images(recording: Recording, progress: Progress = silent) -> tuple[RestImage, RestImage]:
+    """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
+    if not strokes(recording):
+        moved = dot_search.contrast(seen(recording, 0, len(recording))) > 0
+        message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
+        raise InputError(message, where=str(recording.path), hint=PRESS)
+    nothing = np.zeros(recording.frame_px[::-1], np.uint8)
+    halves = [RestImage(nothing, nothing), RestImage(nothing, nothing)]
+    for half, (_, stop), (before, after) in stroke_images(recording):
+        halves[half] = halves[half].joined(before).joined(after)
+        progress(stop, len(recording))
+    return halves[0], halves[1]
+
+
+def stroke_images(recording: Recording) -> Iterator[tuple[int, tuple[int, int], tuple[RestImage, RestImage]]]:
+    """Each stroke: which half of the strokes it is of, 0 or 1, its slices, and the gel at rest before and after it."""
+    for stroke, (start, stop) in enumerate(strokes(recording)):
+        half = stroke // 2 % 2  # two strokes each: there and back
+        yield half, (start, stop), (seen(recording, start, stop), seen(recording, start, stop, backwards=True))
+
+
+def strokes(recording: Recording) -> list[tuple[int, int]]:
+    """Slices [start, stop) of each stroke, from the middle of the rest before it to that of the rest after it."""
+    rests = [(first + stop) // 2 for first, stop in rest_image.quiet_spells(np.diff(recording.starts))]
+    return list(zip(rests, rests[1:], strict=False))
+
+
+def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
+    """The gel at rest before the slices [start, stop), as their events show it; backwards: at rest after them."""
+    if backwards:
+        edges = range(stop, max(start, stop - LONGEST_STROKE), -BLOCK_SLICES)
+        blocks = [(max(start, edge - BLOCK_SLICES), edge) for edge in edges]
+    else:
+        edges = range(start, min(stop, start + LONGEST_STROKE), BLOCK_SLICES)
+        blocks = [(edge, min(stop, edge + BLOCK_SLICES)) for edge in edges]
+    state = rest_image.start(recording.frame_px)
+    for first, last in blocks:
+        events = recording.between(first, last)
+        rest_image.step(state, events.x, events.y, events.p, backwards=backwards)
+    return rest_image.image(state)
+
+
+def jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
+    """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
+    present = dots[np.isfinite(dots[..., 0])]
+    if any(dot_search.contrast(half) == 0.0 for half in halves):
+        return float("nan")
+    first, second = (dot_search.fit(half, present, radius).centre_xy_px for half in halves)
+    apart = np.sum((first - second) ** 2, axis=1)
+    apart = apart[np.isfinite(apart)]
+    return float(np.sqrt(apart.mean() / 2)) if len(apart) else float("nan")

@@ -1,0 +1,177 @@
+"""What the index says of a file: its row."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from evetac_cli.errors import EvetacError, ForeignFile, shortened
+from evetac_cli.text_files import as_utf8
+
+LARGEST = 2**63 - 1  # whole number of SQLite
+
+
+class Seen(NamedTuple):
+    """What tells whether a file is the one that was read; of a file that is not there, zeros.
+
+    Two files of one folder have no inode in common, and nobody can set the time of change (ctime). So a file with the
+    same three is the same, unless it was changed in place, to the same size, within the tick of the storage's clock (4
+    ms on Linux) in which it was looked at.
+    """
+
+    size_bytes: int
+    changed_ns: int
+    inode: int
+
+    @classmethod
+    def of(cls, status: os.stat_result) -> "Seen":
+        """As SQLite holds it: some storage numbers files in 64 bits without a sign."""
+        inode = status.st_ino
+        return cls(status.st_size, status.st_ctime_ns, inode if inode <= LARGEST else inode - 2 * (LARGEST + 1))
+
+
+NOT_THERE = Seen(0, 0, 0)
+
+
+class IndexRow(NamedTuple):
+    """What the index says of a file; None where a file of its kind has no such thing, or it is unknown."""
+
+    path: str  # from the folder on
+    size_bytes: int
+    changed_ns: int
+    inode: int
+    kind: str | None = None  # none for a file that cannot be read, or that another program made
+    recipe_id: str | None = None
+    recording: str | None = None  # recipe id of the one recording that it was made from, or is
+    object: int | str | None = None
+    sensor: str | None = None
+    seed: int | str | None = None
+    trial: int | None = None
+    scene: str | None = None
+    outcome: str | None = None  # slips, held; of a grasp: dropped, lifted, balanced
+    slices: int | None = None
+    simulated: bool | None = None
+    dot_radius_px: float | None = None  # of a recording's grid of dots
+    grid: str | None = None  # what stands for that grid in a recipe
+    error: str | None = None  # why it cannot be read
+
+    @property
+    def seen(self) -> Seen:
+        """The file that was read."""
+        return Seen(self.size_bytes, self.changed_ns, self.inode)
+
+
+def describe(folder: Path, name: str, size_bytes: int, changed_ns: int, inode: int) -> IndexRow:
+    """The row of a file; one that cannot be read has its reason, one of another program neither kind nor reason.
+
+    All of it is looked at, for a row is believed later without another look.
+    """
+    from evetac_cli.store.files import StageFile
+
+    seen = Seen(size_bytes, changed_ns, inode)
+    try:
+        with StageFile(folder / name) as file:
+            file.check()
+            return IndexRow(name, *seen, **_figures(file))
+    except ForeignFile:
+        return IndexRow(name, *seen)
+    except EvetacError as error:
+        reason = f"{error.message}: {error.found}" if error.found else error.message
+        return IndexRow(name, *seen, error=reason)
+    except (OSError, MemoryError) as error:
+        return IndexRow(name, *seen, error=str(error) or type(error).__name__)
+
+
+def _figures(file: Any) -> dict[str, Any]:
+    header = file.header
+    recording: dict[str, Any] = recording_of(header, header["history"]) or {}
+    parameters = recording.get("parameters", {})
+    seed = recording.get("seed") if recording else header["seed"]
+    trial = _plain(parameters.get("trial"))
+    return {
+        "kind": file.kind,
+        "recipe_id": header["id"],
+        "recording": _plain(recording.get("id")),
+        "object": _plain(parameters.get("object")),
+        "sensor": _plain(parameters.get("sensor")) or _sensor_name(file),
+        "seed": _plain(seed),
+        "trial": trial if isinstance(trial, int) else None,
+        "scene": _plain(scene_words(parameters, "name")),
+        "outcome": _outcome(file),
+        "slices": _slices(file),
+        "simulated": header["simulated"],
+        **_dots(file),
+    }
+
+
+def _dots(file: Any) -> dict[str, Any]:
+    """What the recipe of tracks says of a recording's dots, where it has some."""
+    if file.kind != "recording" or not file.has("sensor/dot_xy_px"):
+        return {}
+    from evetac_cli.store.calibration import stored_calibration
+
+    calibration = stored_calibration(file)
+    return {"dot_radius_px": calibration.dot_radius_px, "grid": calibration.digest()}
+
+
+def scene_words(parameters: Mapping[str, Any], key: str) -> str | None:
+    """What a recording's parameters say of its scene, its `name` or `summary`; None where they say nothing in words."""
+    named = parameters.get("scene")
+    words = named.get(key) if isinstance(named, dict) else None
+    return words if isinstance(words, str) else None
+
+
+def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
+    """The header of the one recording that a file was made from, itself if it is one; None where there are several.
+
+    What a model was trained on does not count.
+    """
+    recordings: dict[str, dict[str, Any]] = {}
+    waiting, passed = [header], set()
+    while waiting:
+        one = waiting.pop()
+        if one["kind"] == "recording":
+            recordings[one["id"]] = one
+            continue
+        for parent in one["parents"]:
+            if parent in history and parent not in passed and not history[parent]["kind"].endswith("model"):
+                passed.add(parent)
+                waiting.append(history[parent])
+    return next(iter(recordings.values())) if len(recordings) == 1 else None
+
+
+def _plain(value: Any) -> Any:
+    """A value as SQLite keeps it; None for what is no number and no text."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value if abs(value) <= LARGEST else str(value)
+    return shortened(as_utf8(value)) if isinstance(value, str) else None
+
+
+def _sensor_name(file: Any) -> str | None:
+    return _plain(file.read("sensor/name")) if file.kind == "recording" else None
+
+
+def _outcome(file: Any) -> str | None:
+    """Whether the object slipped, by labels or the truth of a simulation; what became of a grasp."""
+    if file.has("control/outcome"):
+        try:
+            figures = json.loads(file.read("control/outcome"))
+            return "balanced" if figures["balanced"] else "lifted" if figures["lifted"] else "dropped"
+        except (ValueError, KeyError, TypeError):
+            return None
+    if file.has("onset_slice"):
+        return "slips" if int(file.read("onset_slice")) >= 0 else "held"
+    if file.has("truth/slip"):
+        return "slips" if file.read("truth/slip").any() else "held"
+    return None
+
+
+_BY_SLICE = {"recording": "ms_to_idx", "labels": "label", "tracks": "dot_xy_px", "features": "events_total"}
+
+
+def _slices(file: Any) -> int | None:
+    if file.kind not in _BY_SLICE:
+        return None
+    rows: int = file.length(_BY_SLICE[file.kind])
+    return rows - 1 if file.kind == "recording" else rows

@@ -1,0 +1,86 @@
+"""The header of a stage file, as it is read: whether it is one, and of a kind and version that can be read."""
+
+import math
+import re
+from pathlib import Path
+from types import NoneType
+
+from evetac_cli.errors import ForeignFile, InputError, SchemaError, made_by
+from evetac_cli.store.hdf5.checked_hdf5 import MOST_TEXT_BYTES, CheckedHdf5
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.provenance import Header, canonical, unfolded
+from evetac_cli.text_files import SEED_BITS, parse_json
+
+FOREIGN = "event files of other programs are read with `evetac record --from FILE`"
+
+# What every header says, and as what.
+HEADER: dict[str, tuple[type, ...]] = {
+    "kind": (str,),
+    "version": (str,),
+    "method": (int,),
+    "parameters": (dict,),
+    "seed": (int, NoneType),
+    "parents": (list,),
+    "content": (str, NoneType),
+    "id": (str,),
+    "simulated": (bool,),
+    "history": (dict,),
+}
+
+
+def read_header(file: CheckedHdf5) -> Header:
+    """The header of an open file; ForeignFile where there is none, InputError where it is none of this version."""
+    path, text = file.path, file.text_attribute("header")
+    if text is None:
+        raise ForeignFile("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
+    try:
+        header = dict(parse_json(text, most_values=math.inf, whole_bits=SEED_BITS))
+        canonical(header)
+        header = unfolded(header, MOST_TEXT_BYTES)
+    except (KeyError, ValueError, TypeError):
+        raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
+    number = header.get("version")
+    version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None
+    if version and (int(version[1]), int(version[2])) < (schema.MAJOR, schema.OLDEST_MINOR):
+        raise InputError(
+            "written by an earlier version of evetac and cannot be read",
+            where=str(path),
+            expected=f"version {schema.MAJOR}.{schema.OLDEST_MINOR} or newer",
+            found=f"{header.get('kind')} version {version[0]}",
+            hint="make it again from its recipe: names of datasets and parameters have changed",
+        )
+    if version and int(version[1]) > schema.MAJOR:  # said first: such a header may look different
+        raise InputError(
+            f"made by a newer evetac: {header.get('kind')} version {version[0]}",
+            where=str(path),
+            expected=f"version {schema.MAJOR}.x",
+            hint="update evetac",
+        )
+    missing = [key for key in HEADER if key not in header]
+    if missing:
+        raise SchemaError("its header is incomplete", where=str(path), found=f"no {', '.join(missing)}")
+    wrong = [key for key, types in HEADER.items() if not isinstance(header[key], types)]
+    wrong += [] if version or "version" in wrong else ["version"]
+    if not wrong:
+        ancestors = header["history"].values()
+        wrong += [] if all(isinstance(parent, str) for parent in header["parents"]) else ["parents"]
+        wrong += [] if all(isinstance(ancestor, dict) and "kind" in ancestor for ancestor in ancestors) else ["history"]
+    if wrong:
+        raise SchemaError(
+            f"its header is not valid: {', '.join(wrong)}", where=str(path), expected="schemas/header.v1.json"
+        )
+    return header
+
+
+def check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
+    """InputError where a header is of another kind than wanted, or of one that is not known."""
+    if wanted and header["kind"] not in wanted:
+        raise InputError(
+            "wrong kind of file",
+            where=str(path),
+            expected=" or ".join(wanted),
+            found=str(header["kind"]),
+            hint="; ".join(map(made_by, wanted)),
+        )
+    if header["kind"] not in schema.KINDS:
+        raise SchemaError("unknown kind", where=str(path), expected=", ".join(schema.KINDS), found=str(header["kind"]))

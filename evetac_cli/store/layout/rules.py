@@ -1,0 +1,224 @@
+"""How the datasets of a file fit each other: what the limits of its schema, which concern one at a time, do not say.
+
+Each rule yields what does not fit: the dataset, what was expected, what was found. contents.py applies them.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from evetac_cli import plugins
+from evetac_cli.kernels.calibration import grid
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    LEAST_COLUMNS,
+    LEAST_ROWS,
+    Architecture,
+    DotArchitecture,
+    PluginArchitecture,
+    prefixes,
+    weight_shapes,
+)
+from evetac_cli.store.recordings import streams
+from evetac_cli.text_files import parse_json
+
+BLOCK_VALUES = 1 << 20  # that are read together: 8 MiB
+SHORT = 60  # characters of a value that a message shows
+
+Fault = tuple[str, str, str]  # dataset, what was expected, what was found
+Shapes = dict[str, tuple[str, tuple[int, ...]]]
+Rule = Callable[["Contents", Shapes], Iterator[Fault]]
+
+
+class Contents(Protocol):
+    """What is checked: a stage file, or one that is being written."""
+
+    @property
+    def kind(self) -> str:
+        """One of schema.KINDS."""
+
+    path: Path
+
+    def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
+        """A dataset, or its rows [start, stop)."""
+
+    def has(self, path: str) -> bool:
+        """Whether there is such a dataset."""
+
+    def contents(self) -> Shapes:
+        """Path -> (dtype, shape)."""
+
+    def length(self, path: str) -> int:
+        """Rows of a dataset."""
+
+
+def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
+    """A dataset in pieces of at most BLOCK_VALUES values, or of one row; a scalar or a text as it is."""
+    if not shape:
+        yield file.read(path)
+        return
+    rows = max(1, BLOCK_VALUES // max(1, int(np.prod(shape[1:]))))
+    for first in range(0, max(shape[0], 1), rows):  # one that is empty, too, is a piece
+        yield file.read(path, first, min(first + rows, shape[0]))
+
+
+def _sensor(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    """Window, radius and dots at rest of a sensor fit its frame, and dots over time fit the grid."""
+    width, height = (int(size) for size in file.read("sensor/frame_px"))
+    frame = f"inside the frame of {width} x {height} px"
+    if "sensor/window_px" in shapes:
+        x0, y0, x1, y1 = (int(edge) for edge in file.read("sensor/window_px"))
+        if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+            yield "sensor/window_px", f"x0, y0, x1, y1 {frame}", f"{x0}, {y0}, {x1}, {y1}"
+    if "sensor/dot_radius_px" in shapes:
+        radius = float(file.read("sensor/dot_radius_px"))
+        if radius > max(width, height):
+            yield "sensor/dot_radius_px", f"no more than the frame of {width} x {height} px", f"{radius:g}"
+    if "sensor/dot_xy_px" not in shapes:
+        return
+    missing = np.isnan(file.read("sensor/dot_xy_px"))
+    if missing.all():
+        yield "sensor/dot_xy_px", "at least one dot", "all of them NaN"
+    if (missing[..., 0] != missing[..., 1]).any():
+        yield "sensor/dot_xy_px", "NaN in both coordinates of a missing dot", "it in one"
+    known_px = float(file.read("sensor/dot_radius_px")) if "sensor/dot_radius_px" in shapes else None
+    fault = grid.impossible(file.read("sensor/dot_xy_px"), known_px)
+    if fault:
+        yield "sensor/dot_xy_px", *fault
+    rows, columns = missing.shape[:2]
+    for path in ("dot_xy_px", "truth/dot_xy_px"):
+        if path in shapes and shapes[path][1][1] != rows * columns:
+            yield "sensor/dot_xy_px", f"a grid of as many dots as {path}, {shapes[path][1][1]}", f"{rows} x {columns}"
+
+
+def _lost_slices(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    if "capture/lost_slices" in shapes:
+        gaps = file.read("capture/lost_slices")
+        wrong = gaps[gaps[:, 0] >= gaps[:, 1]]
+        if len(wrong):
+            yield "capture/lost_slices", "gaps that end after they begin", f"{wrong[0][0]} to {wrong[0][1]}"
+
+
+def _stream_shapes(shapes: Shapes) -> Iterator[Fault]:
+    """Streams and their columns have names that fit, their images a shape that can be shown."""
+    for path, (_, shape) in shapes.items():
+        if not path.startswith(f"{streams.GROUP}/"):
+            continue
+        _, *named = path.split("/")
+        wrong = [name for name in named if not streams.NAME.fullmatch(name)]
+        if wrong or len(named) != 2 or named[1] in streams.TAKEN[3:]:
+            yield path, f"streams/NAME/COLUMN, in letters, digits, _ . and -, not {', '.join(streams.TAKEN[3:])}", path
+        if named[-1] == "frames" and (
+            shape[3] not in (1, 3) or not all(0 < side <= streams.LARGEST_FRAME_PX for side in shape[1:3])
+        ):
+            most = streams.LARGEST_FRAME_PX
+            yield path, f"1 or 3 channels, and 1 to {most} rows and columns", " x ".join(map(str, shape[1:]))
+
+
+def _units_of_streams(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    for path in shapes:
+        if re.fullmatch(f"{streams.GROUP}/[^/]+/about", path):
+            units = parse_json(file.read(path)).get("units", {})
+            if not isinstance(units, dict) or not all(isinstance(unit, str) for unit in units.values()):
+                yield path, "`units` that are texts, by column", str(units)[:SHORT]
+
+
+def _label_and_onset(shapes: Shapes) -> Iterator[Fault]:
+    for one, other in (("label", "onset_slice"), ("onset_slice", "label")):
+        if one in shapes and other not in shapes:
+            yield other, f"as {one} is there, {other} too", "none"
+
+
+def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    rows, columns = (int(size) for size in file.read("dot_shape"))
+    dots = shapes["displacement_px"][1][1]
+    if rows * columns != dots:
+        yield "dot_shape", f"rows x columns of {dots} dots", f"{rows} x {columns}"
+
+
+def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    """The weights are those of the architecture, for this grid."""
+    name = file.read("architecture")
+    try:
+        architecture = named_architecture(name)
+    except ValueError as error:
+        yield "architecture", str(error), name
+        return
+    rows, columns = (int(size) for size in file.read("dot_shape"))
+    history = int(file.read("history"))
+    if history != architecture.history:
+        yield "history", f"{architecture.history}, as of the architecture {name}", str(history)
+    if isinstance(architecture, DotArchitecture) and (rows < LEAST_ROWS or columns < LEAST_COLUMNS):
+        yield "dot_shape", f"at least {LEAST_ROWS} x {LEAST_COLUMNS} dots", f"{rows} x {columns}"
+        return
+    stored = {
+        path.removeprefix("weights/"): shape for path, (_, shape) in shapes.items() if path.startswith("weights/")
+    }
+    wanted = weight_shapes(architecture, rows, columns, prefixes(stored))
+    for layer in sorted(wanted.keys() | stored.keys()):
+        if wanted.get(layer) != stored.get(layer):
+            expected = (
+                f"shape {wanted[layer]} as of {name} for a dot_shape of {rows} x {columns}"
+                if layer in wanted
+                else f"no such weights in {name}"
+            )
+            yield f"weights/{layer}", expected, f"shape {stored[layer]}" if layer in stored else "none"
+
+
+def _layers_of_force(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    if "network/0/weight" not in shapes:
+        return
+    rows, columns = (int(size) for size in file.read("dot_shape"))
+    inputs = shapes["network/0/weight"][1][1]
+    if inputs != 2 * rows * columns:
+        yield (
+            "network/0/weight",
+            f"{2 * rows * columns} inputs, x and y of a dot_shape of {rows} x {columns}",
+            str(inputs),
+        )
+
+
+def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
+    """The onset is the first slice of slip; an hour of labels takes a few ms."""
+    if "label" not in shapes:
+        return
+    onset, first, slip = int(file.read("onset_slice")), 0, -1
+    for label in blocks(file, "label", shapes["label"][1]):
+        if slip < 0 and (label == 1).any():
+            slip = first + int(np.argmax(label == 1))
+        first += len(label)
+    if onset != slip:
+        yield "onset_slice", f"{slip}, the first slice of slip in label, or -1", str(onset)
+
+
+RULES_OF_SHAPES: dict[str, tuple[Callable[[Shapes], Iterator[Fault]], ...]] = {
+    "recording": (_stream_shapes,),
+    "features": (_label_and_onset,),
+}
+_SENSOR = "sensor/(frame|window|dot_radius|dot_xy)_px|(truth/)?dot_xy_px"
+_ONSET = "label|onset_slice"
+# With each the datasets that it concerns, as a pattern.
+RULES: dict[str, tuple[tuple[Rule, str], ...]] = {
+    "recording": (
+        (_sensor, _SENSOR),
+        (_lost_slices, "capture/lost_slices"),
+        (_units_of_streams, f"{streams.GROUP}/.*"),
+    ),
+    "tracks": ((_sensor, _SENSOR),),
+    "labels": ((_onset, _ONSET),),
+    "features": ((_grid_of_features, "dot_shape|displacement_px"), (_onset, _ONSET)),
+    "model": ((_weights, "architecture|history|dot_shape|weights/.*"),),
+    "force-model": ((_layers_of_force, "dot_shape|network/0/weight"),),
+}
+
+
+def named_architecture(name: str) -> Architecture:
+    """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
+    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, PluginArchitecture)
+    if architecture is None:
+        others = plugins.usable(plugins.NETWORKS)
+        raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")
+    return architecture

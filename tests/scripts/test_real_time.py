@@ -1,0 +1,116 @@
+"""The measurement of grasps in real time: what it runs, what it need not run again, and what it makes of its rows."""
+
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import real_time
+import real_time_conditions
+from real_time_conditions import HalfSpeed
+
+CHOSEN = {"condition": ["quiet", "half"], "events_per_s": [100, 300], "runs": 2, "seconds": 9.0, "slip_threshold": 0.2}
+
+
+def planned(**changed: Any) -> list[dict[str, Any]]:
+    chosen = Namespace(**{**CHOSEN, "no_doctor": False, **changed})
+    return real_time.plans(chosen, [Path("/a/ours"), Path("/b/theirs")])
+
+
+def test_what_is_run() -> None:
+    """Assert that doctor is asked first under each condition, and that checkouts take turns."""
+    plans = planned()
+    assert len(plans) == 2 * (2 + 2 * 2 * 2)
+    assert [plan["what"] for plan in plans[:3]] == ["doctor", "doctor", "grasp"]
+    assert [plan["checkout"] for plan in plans] == ["ours", "theirs"] * 10
+    assert all(plan["what"] == "grasp" for plan in planned(no_doctor=True))
+
+
+def test_what_is_there_is_not_run_again() -> None:
+    """Assert that a row stands for its own plan alone."""
+    plans = planned()
+    for plan in plans:
+        known = [{**other, "lasted": True} for other in plans if other is not plan]
+        assert real_time.known_row(plan, known) is None
+        assert real_time.known_row(plan, [*known, {**plan, "lasted": False}]) == {**plan, "lasted": False}
+
+
+def test_the_table_is_of_medians_and_says_what_lasted() -> None:
+    """Assert a row for each case, without what an older checkout does not know."""
+    rows = [
+        {**plan, "lasted": plan["run"] == 0, "missed": 2 * plan["run"], "promised": "fine in every line"}
+        | ({"missed_by_us": plan["run"], "promised_events_per_s": 300} if plan["checkout"] == "ours" else {})
+        for plan in planned(no_doctor=True, condition=["quiet"])
+    ]
+    table = real_time.summary(rows)
+    assert [(row["events_per_s"], row["checkout"]) for row in table] == [
+        *((100, "ours"), (100, "theirs"), (300, "ours"), (300, "theirs"))
+    ]
+    for row in table:
+        assert (row["condition"], row["lasted"], row["missed"]) == ("quiet", "1 of 2", 1.0)
+    assert (table[0]["missed_by_us"], table[0]["promised"]) == (0.5, 300)
+    assert ("missed_by_us" in table[1], table[1]["promised"]) == (False, "fine in every line")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
+def test_processes_are_told_by_what_they_are(tmp_path: Path) -> None:
+    """Assert that the servo is known by its line, and the others by the order in which they were started."""
+    script = (
+        "import subprocess, sys\n"
+        "sleep = 'import sys; print(flush=True); sys.stdin.read()'\n"
+        "pipes = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE}\n"
+        "started = [subprocess.Popen([sys.executable, '-c', sleep, name], **pipes)"
+        " for name in ('resource_tracker', 'servo_process', '--multiprocessing-fork', '--multiprocessing-fork')]\n"
+        "[each.stdout.readline() for each in started]\n"
+        "print(*(each.pid for each in started), flush=True)\n"
+        "sys.stdin.read()\n"
+        "[each.kill() for each in started]\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None
+        _, servo, detector, controller = map(int, run.stdout.readline().split())
+        found = real_time_conditions.processes_of(run.pid)
+        recording = tmp_path / "a.recording.part"
+        watched = real_time_conditions.Watched(run, recording)
+        assert watched.shares() == {}  # nothing is recorded
+        state = real_time_conditions.state_of(run.pid)
+        run.communicate("")
+    assert found == {"recorder": run.pid, "servo": servo, "detector": detector, "controller": controller}
+    assert state is not None
+    assert state.cpu_s >= 0.0
+    assert real_time_conditions.state_of(run.pid) is None
+
+
+@pytest.mark.parametrize("is_v1", [True, False])
+def test_a_group_holds_half_a_core_and_is_as_nice_as_its_process(
+    is_v1: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert quota, real-time share where there is one, and weight, each written once, in a folder of plain files."""
+    monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (is_v1, tmp_path))
+    half = HalfSpeed()
+    for niceness in (0, -10, -10):
+        half.hold("detector", 123, niceness)
+    (group,) = tmp_path.glob("*detector*")
+    written = {file.name: file.read_text() for file in group.iterdir()}
+    if is_v1:
+        assert written == {
+            "cpu.cfs_period_us": "2000",
+            "cpu.cfs_quota_us": "1000",
+            "cgroup.procs": "123",
+            "cpu.shares": "9537",
+        }
+    else:
+        assert written == {"cpu.max": "1000 2000", "cgroup.procs": "123", "cpu.weight.nice": "-10"}
+
+
+def test_half_speed_is_refused_where_no_group_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that it says where, and does not measure another condition instead."""
+    monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (True, tmp_path / "nowhere"))
+    with pytest.raises(SystemExit, match="--condition half: no group can be made below .*nowhere"):
+        HalfSpeed()
