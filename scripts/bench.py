@@ -2,6 +2,7 @@
 
     python scripts/bench.py                                  # all rows, those of bench_baselines.py last
     python scripts/bench.py --only touch baselines
+    python scripts/bench.py --only commands --against HEAD~20 --rounds 5   # CPU of whole commands (bench_commands.py)
     python scripts/bench.py --against HEAD~20                # or the folder of another checkout: `make bench BASE=...`
 
 Times depend on the machine and on what else it does; the ratios of one run are what to compare. Simulated input.
@@ -223,6 +224,12 @@ def baselines() -> list[dict[str, object]]:
     return bench_baselines.rows()
 
 
+def commands() -> list[dict[str, object]]:
+    import bench_commands
+
+    return bench_commands.rows(ROOT)
+
+
 GROUPS: dict[str, Callable[[], list[dict[str, object]]]] = {
     "slip": lambda: all_simulations("slip"),
     "lift": lambda: all_simulations("lift"),
@@ -233,6 +240,7 @@ GROUPS: dict[str, Callable[[], list[dict[str, object]]]] = {
     "network": network,
     "online": online_step,
     "baselines": baselines,
+    "commands": commands,
 }
 
 
@@ -267,6 +275,11 @@ def against(base: Path, groups: Iterable[str], rounds: int) -> list[dict[str, ob
     """Rows that both checkouts have, each the fastest of its rounds; the checkouts take turns."""
     rows: list[dict[str, object]] = []
     for group in groups:
+        if group == "commands":
+            import bench_commands
+
+            rows += bench_commands.against(ROOT, base, rounds)
+            continue
         fastest: dict[Path, dict[str, float]] = {ROOT: {}, base: {}}
         for _ in range(rounds):
             for code, known in fastest.items():

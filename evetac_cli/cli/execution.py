@@ -189,7 +189,7 @@ def run_jobs(
     if engine.address and running.number_of_jobs > 1:
         hint = "leave it out: a cluster that runs has as many workers as it has"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
-    by_index = indexing.up_to_date(stage, jobs, chosen) if not force else {}
+    by_index = indexing.up_to_date(stage, jobs, chosen)
     results |= by_index
     # An output that exists is either up to date or refused: that is quick, and worth no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]

@@ -19,7 +19,7 @@ damping and for no mass.
 
 import math
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -62,9 +62,9 @@ class Drive:
     backlash_ticks: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            above = field.name in ("force_per_current_n_ma", "speed_limit_m_s")
-            check_range(field.name, getattr(self, field.name), above=above)
+        for entry in fields(self):
+            above = entry.name in ("force_per_current_n_ma", "speed_limit_m_s")
+            check_range(entry.name, getattr(self, entry.name), above=above)
         check_range("friction_share", self.friction_share, 0.0, 1.0, below=True)  # at 1 the finger could never open
         check_range("open_ticks", self.open_ticks, 0.0, self.closed_ticks, below=True)
 
@@ -109,6 +109,15 @@ class DriveState:
     force_n: float
     indentation_m: float
     encoder_off_ticks: float = 0.0  # what the encoder is off by at this moment
+    # Drive, curve and touch_ticks of the last step, and the law that followed from them, which took half of a step.
+    _known: tuple[Drive, ForceCurve, float, "FingerLaw"] | None = field(default=None, repr=False, compare=False)
+
+    def law(self, drive: Drive, curve: ForceCurve) -> "FingerLaw":
+        """What the compiled law is handed of a drive, of the gap's geometry and of where the object is touched."""
+        known = self._known
+        if known is None or known[0] is not drive or known[1] is not curve or known[2] != self.touch_ticks:
+            self._known = known = (drive, curve, self.touch_ticks, _law(drive, curve, self.touch_ticks))
+        return known[3]
 
     @property
     def position_ticks(self) -> int:
@@ -198,14 +207,24 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     else:
         raise ValueError(f"mode must be position or current, found {mode!r}")
     state.current_ma = min(max(wanted_ma, -drive.current_limit_ma), drive.current_limit_ma)
-    law = _law(drive, curve, state.touch_ticks)
     motor_n = drive.force_per_current_n_ma * state.current_ma
     place = (state.motor_ticks, state.closing_ticks)
-    state.speed_m_s, state.motor_ticks, state.closing_ticks = _move(
-        place, state.speed_m_s, motor_n, dt_s, curve.force_n, curve.step_ticks, law
+    (
+        state.speed_m_s,
+        state.motor_ticks,
+        state.closing_ticks,
+        state.force_n,
+        state.indentation_m,
+    ) = _press(
+        place,
+        state.speed_m_s,
+        motor_n,
+        dt_s,
+        curve.force_n,
+        curve.indentation_m,
+        curve.step_ticks,
+        state.law(drive, curve),
     )
-    state.force_n = lookup(curve.force_n, curve.step_ticks, state.closing_ticks)
-    state.indentation_m = lookup(curve.indentation_m, curve.step_ticks, state.closing_ticks)
     return state.force_n
 
 
@@ -227,6 +246,28 @@ def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
         drive.open_ticks - touch_ticks,
         min(drive.closed_ticks - touch_ticks, curve.reach_ticks),
         drive.backlash_ticks / 2,
+    )
+
+
+@njit(cache=True, _nrt=False)
+def _press(
+    place: tuple[float, float],
+    speed: float,
+    motor_n: float,
+    dt: float,
+    force_table: NDArray[np.float64],
+    indentation_table: NDArray[np.float64],
+    step_ticks: float,
+    law: FingerLaw,
+) -> tuple[float, float, float, float, float]:
+    """What `_move` returns, and the normal force in N and the indentation in m that follow."""
+    speed, motor, finger = _move(place, speed, motor_n, dt, force_table, step_ticks, law)
+    return (
+        speed,
+        motor,
+        finger,
+        lookup(force_table, step_ticks, finger),
+        lookup(indentation_table, step_ticks, finger),
     )
 
 

@@ -1,5 +1,6 @@
 """scripts/bench.py: what it compares with does the same, and a comparison has the rows that both sides have."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import bench
 import bench_baselines
+import bench_commands
 from bench_baselines import DenseFrames, NumpyTracker, fastest, gel_camera, seen
 
 
@@ -68,3 +70,27 @@ def test_a_checkout_without_a_group_is_named(capsys: pytest.CaptureFixture[str],
     (package / "__init__.py").write_text("raise ImportError('an older package')")
     assert bench.times_us(tmp_path, "network") == {}
     assert "an older package" in capsys.readouterr().err
+
+
+def test_commands_of_two_checkouts_take_turns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Assert that the trial is made first, that no first run counts, and that the cheapest of the others does."""
+    ran: list[tuple[str, str]] = []
+
+    def spent(code: Path, words: str, folder: Path) -> float:
+        ran.append((code.name, words.split()[0]))
+        return 1.0 if len(ran) % 4 == 0 else 3.0 if code == tmp_path else 2.0
+
+    monkeypatch.setattr(bench_commands, "cpu_s", spent)
+    found = bench_commands.cheapest([bench.ROOT, tmp_path], 2, {"info": "info a.recording.h5"})
+    assert [words for _, words in ran[:6]] == ["record", "track", "label", "featurize", "predict-force", "index"]
+    assert ran[6:] == [(code.name, "info") for _ in range(3) for code in (bench.ROOT, tmp_path)]
+    assert found == {"info": [2.0, 1.0]}
+
+
+def test_a_command_is_measured_in_its_folder(tmp_path: Path) -> None:
+    """Assert that a command takes CPU time, that files of an earlier round are removed, and that one fails aloud."""
+    (tmp_path / "new.tracks.h5").touch()
+    assert bench_commands.cpu_s(bench.ROOT, "--version", tmp_path) > 0.0
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(subprocess.CalledProcessError):
+        bench_commands.cpu_s(bench.ROOT, "info a.recording.h5", tmp_path)

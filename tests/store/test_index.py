@@ -251,3 +251,62 @@ def test_seeds_that_sqlite_cannot_hold(tmp_path: Path) -> None:
         "a",
         *[None] * 4,
     ]
+
+
+def test_one_file_more_is_added_to_what_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the table is not made anew for a file that came, or went; only its row is written."""
+    before = table(folder)
+    monkeypatch.setattr(index.table, "write", lambda *_: pytest.fail("made anew"))
+    first, second, *_ = sorted(before)
+    shutil.copy(folder / first, folder / "added.labels.h5")
+    (folder / second).unlink()
+    assert read(folder) == (1, 1)
+    assert read(folder) == (0, 0)
+    with sqlite3.connect(folder / index.NAME) as stored:
+        paths = {path for (path,) in stored.execute("SELECT path FROM files")}
+    stored.close()
+    assert paths == {*before, "added.labels.h5"} - {second}
+
+
+def test_what_another_command_added_meanwhile_stays(folder: Path) -> None:
+    """Assert that of two commands that began with the same index, the later one keeps the rows of the earlier one."""
+    table(folder)
+    names = sorted(path.name for path in folder.glob("*.h5"))
+    shutil.copy(folder / names[0], folder / "one.labels.h5")
+
+    def progress(done: int, total: int) -> None:
+        shutil.copy(folder / names[1], folder / "two.labels.h5")
+        assert read(folder) == (2, 0)
+
+    with index.open_index(folder, progress) as opened:
+        assert opened.read == 1
+    assert read(folder) == (0, 0)
+
+
+def test_a_command_that_is_killed_loses_little(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that what was read so far is kept from time to time, and not only at the end."""
+    monkeypatch.setattr(index, "KEEP_S", 0.0)
+
+    class Killed(BaseException):
+        """No error that anybody catches."""
+
+    def progress(done: int, total: int) -> None:
+        if done == 6:
+            raise Killed
+
+    with pytest.raises(Killed), index.open_index(folder, progress):
+        pass
+    assert read(folder) == (3, 0)
+
+
+def test_numbers_of_files_of_64_bits() -> None:
+    """Assert that an inode that SQLite cannot hold as it is has a number of its own."""
+
+    class Status:
+        st_size, st_ctime_ns = 1, 2
+
+        def __init__(self, inode: int) -> None:
+            self.st_ino = inode
+
+    inodes = [rows.Seen.of(Status(number)).inode for number in (5, 2**63 - 1, 2**63, 2**64 - 1)]  # type: ignore[arg-type]
+    assert inodes == [5, 2**63 - 1, -(2**63), -1]

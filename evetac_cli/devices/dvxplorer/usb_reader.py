@@ -5,7 +5,9 @@ thread from its next transfer. If whoever empties the queue is too slow, the old
 counted, as far as their words make sense.
 
 Whoever empties it is woken by a TIMESTAMP or by a read that found nothing, because only these end a slice, and gets
-what waits in one piece: decoding has a price for every call, and the two threads share an interpreter.
+what waits in one piece: decoding has a price for every call, and the two threads share an interpreter. And where what
+may end a slice still waits when more comes, it is behind, and more transfers would only keep it from catching up: then
+the next one may bring as much as two.
 """
 
 import errno
@@ -29,6 +31,7 @@ READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera; slices are clo
 READ_BYTES = 65536
 BLOCK_BYTES = 256  # that a block takes beside its data: many short ones fill memory too
 QUEUE_BYTES = 64 << 20  # a second and a half of the worst case, 10 million single events a second
+BREATH_S = 5e-4  # between transfers while whoever empties the queue is behind; a camera keeps what comes in that time
 ERRORS_IN_A_ROW = 5
 LOG_EVERY_S = 0.5
 TIMESTAMP_CODE = 2  # bits 26 up of a word
@@ -141,14 +144,18 @@ class UsbReader(Thread):
                     gap = True
                 continue
             data, ended_us = memoryview(buffer)[:count].tobytes(), self._clock.now_s() * 1e6
-            self._put(Block(data, begun_us, ended_us, gap, count < READ_BYTES))
+            is_behind = self._put(Block(data, begun_us, ended_us, gap, count < READ_BYTES))
             gap = False
+            if is_behind and count < READ_BYTES:
+                time.sleep(BREATH_S)
             if time.monotonic() >= next_log_s:
                 next_log_s = time.monotonic() + LOG_EVERY_S
                 self._read_log()
 
-    def _put(self, block: Block) -> None:
+    def _put(self, block: Block) -> bool:
+        """Add a block to the queue; whether what was due before still waits there."""
         with self._changed:
+            was_due = self._is_due
             if not block.data and self._blocks and not self._blocks[-1].data:
                 before = self._blocks.pop()  # of two empty reads in a row the later one is enough
                 self._waiting_bytes -= BLOCK_BYTES
@@ -163,6 +170,7 @@ class UsbReader(Thread):
             if not self._is_due and (self._waiting_bytes > READ_BYTES or _may_end_slice(block)):
                 self._is_due = True
                 self._changed.notify_all()
+            return was_due
 
     def _recovered(self, error: Any, failures: int) -> bool:
         """Clear a halted endpoint; after too many errors in a row, or without a device, give up."""

@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import time
+import tomllib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -25,10 +26,12 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.resources import SCENES
+from evetac_cli.text_files import as_toml
 
-EVENTS, GRID = "events.txt", "grid.json"
+EVENTS, GRID, SCENE = "events.txt", "grid.json", "short-slip.toml"
 Chain = Sequence[str]
-AGAIN_S = 10.0  # after which it is said what still runs: the longest takes half a minute or more
+AGAIN_S = 15.0  # after which it is said what still runs: the longest takes half a minute or more
 # Chains of a step run side by side, each in a process; what one step makes and compiles, the next ones use. The chain
 # of the tracker begins with an import, which compiles nothing: so it need not wait until the simulator is compiled.
 STEPS: tuple[tuple[Chain, ...], ...] = (
@@ -38,7 +41,7 @@ STEPS: tuple[tuple[Chain, ...], ...] = (
             "track a.recording.h5",
             "label a.recording.h5",
             "featurize a.recording.h5",
-            "record --scene slip --object 3 --out b.recording.h5",
+            f"record --scene {SCENE} --object 3 --out b.recording.h5",
         ),
         ("camera", "detector"),
     ),
@@ -150,6 +153,7 @@ def run(
     course = Course(sum(len(chain) for step in steps for chain in step), progress, say)
     with TemporaryDirectory(prefix="evetac-compile-") as folder:
         _write_events(Path(folder))
+        _write_scene(Path(folder))
         workers = [Worker(Path(folder)) for _ in range(min(os.cpu_count() or 1, max(map(len, steps))))]
         try:
             _run_steps(steps, workers, course, again_s)
@@ -203,3 +207,11 @@ def _write_events(folder: Path) -> None:
     dots = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
     grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots.tolist(), "window_px": [540, 0, 640, 480]}
     (folder / GRID).write_text(json.dumps(grid))
+
+
+def _write_scene(folder: Path) -> None:
+    """The scene slip with all its parts, as short as can be."""
+    scene = tomllib.loads((SCENES / "slip.toml").read_text())
+    scene["time"] |= {"rest_s": 0.05, "load_s": 0.05, "hold_s": 0.05, "after_lost_s": 0.02, "longest_s": 0.3}
+    scene["gripper"] = {"start_factor": [1.05, 1.3], "friction_factor": [0.1, 0.12]}
+    (folder / SCENE).write_text(as_toml(scene))

@@ -268,7 +268,9 @@ def _medians(rates: Floats, weights: Floats) -> Floats:
         ordered_weights[at] = weights[count]
         for place in range(at, count + 1):
             reached[place] = ordered_weights[place] + (reached[place - 1] if place else 0.0)
-        half = np.searchsorted(reached[: count + 1], 0.5 * reached[count])
+        half = 0
+        while reached[half] < 0.5 * reached[count]:
+            half += 1
         medians[count] = ordered[half]
     return medians
 

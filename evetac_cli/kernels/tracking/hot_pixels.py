@@ -34,7 +34,7 @@ def _fade(pixel_events: NDArray[np.uint16], halved_row: int, limit: int) -> None
         busiest = max(busiest, row[column])
     if busiest > limit:
         for column in range(1, row.shape[0] - 1):
-            if _is_hot(pixel_events, halved_row, column, limit):
+            if _is_hot(pixel_events, np.uint64(halved_row), np.uint64(column), limit):
                 row[column] |= HOT
 
 

@@ -234,7 +234,7 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
     else:
         sums = np.zeros((dots + 1, descent.SUMS), np.int64)
         descent.pull_dots(state, x, y, any_hot, sums)
-        buckets.split_counts(sums[:, descent.COUNTS], events, ring_events)
+        buckets.split_counts(sums[:, descent.COUNTS].copy(), events, ring_events)  # contiguous, as above
         moved = descent.gradient_step(state, sums, ring_events, shift_px)
     if moved:
         for i in range(dots):

@@ -13,6 +13,7 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMotion, check_place
 
+DOUBLE = np.dtype(np.float64)
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # of a curved path in a slice
 
@@ -54,7 +55,8 @@ def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
     if dot_path_px is None:
         path, ends = np.empty((dots, 2, 2)), np.empty((2, 2))
         given = (dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end)
-        if all(map(_is_plain, given, ((dots, 2), (dots, 2), (2,), (2,)))) and _fill_ends(*given, path, ends):
+        of_dots = _is_plain(given[0], (dots, 2)) and _is_plain(given[1], (dots, 2))
+        if of_dots and _is_plain(given[2], (2,)) and _is_plain(given[3], (2,)) and _fill_ends(*given, path, ends):
             return path, ObjectMotion(ends[0], ends[1], float(texture_contrast))
     # what is given in another way, or wrong, is looked at one by one
     dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
@@ -69,7 +71,7 @@ def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
     """Whether this is a contiguous array of float64 of a shape."""
     if not isinstance(given, np.ndarray):
         return False
-    return given.shape == shape and given.dtype == np.float64 and given.flags.c_contiguous
+    return given.shape == shape and given.dtype is DOUBLE and given.flags.c_contiguous
 
 
 @njit(cache=True, _nrt=False)

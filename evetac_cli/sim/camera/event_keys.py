@@ -14,6 +14,7 @@ TIME_SHIFT = 33
 COLUMN_SHIFT = 17
 ROW_SHIFT = 1
 COORDINATE_MASK = 0xFFFF
+FEW = 40  # events of a slice that are sorted without counting
 
 
 @njit(cache=True, _nrt=False)
@@ -22,23 +23,52 @@ def event_key(time_us: int, x: int, y: int, brighter: bool) -> int:
     return (time_us << TIME_SHIFT) | (x << COLUMN_SHIFT) | (y << ROW_SHIFT) | int(brighter)
 
 
-@njit(cache=True)
 def sorted_columns(
     keys: NDArray[np.int64], t0_us: int
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Columns t, x, y, p of the events of a slice that starts at `t0_us`.
+    """Columns t, x, y, p of the events of a slice that starts at `t0_us`."""
+    events = len(keys)
+    t_us = np.empty(events, np.int64)
+    x, y, p = np.empty(events, np.uint16), np.empty(events, np.uint16), np.empty(events, np.uint8)
+    place = np.empty(FEW if events <= FEW else SLICE_US + 1, np.int64)
+    _sort(keys, t0_us, place, t_us, x, y, p)
+    return t_us, x, y, p
 
-    Counting sort by time, stable: 1000 times are few against the events of a busy slice.
+
+@njit(cache=True, _nrt=False)
+def _sort(
+    keys: NDArray[np.int64],
+    t0_us: int,
+    place: NDArray[np.int64],
+    t_us: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+) -> None:
+    """Fill the columns. Sorted by time, stable: by counting, as 1000 times are few against the events of a busy slice.
+
+    Few events are inserted one by one. `place` is scratch.
     """
-    place = np.zeros(SLICE_US + 1, np.int64)
+    if len(keys) <= FEW:
+        for event in range(len(keys)):
+            key = keys[event]
+            at = event
+            while at > 0 and place[at - 1] >> TIME_SHIFT > key >> TIME_SHIFT:
+                place[at] = place[at - 1]
+                at -= 1
+            place[at] = key
+        for event in range(len(keys)):
+            key = place[event]
+            t_us[event] = t0_us + (key >> TIME_SHIFT)
+            x[event] = (key >> COLUMN_SHIFT) & COORDINATE_MASK
+            y[event] = (key >> ROW_SHIFT) & COORDINATE_MASK
+            p[event] = key & 1
+        return
+    place[:] = 0
     for key in keys:
         place[(key >> TIME_SHIFT) + 1] += 1
     for time in range(SLICE_US):
         place[time + 1] += place[time]
-    t_us = np.empty(len(keys), np.int64)
-    x = np.empty(len(keys), np.uint16)
-    y = np.empty(len(keys), np.uint16)
-    p = np.empty(len(keys), np.uint8)
     for key in keys:
         time = key >> TIME_SHIFT
         event = place[time]
@@ -47,4 +77,3 @@ def sorted_columns(
         x[event] = (key >> COLUMN_SHIFT) & COORDINATE_MASK
         y[event] = (key >> ROW_SHIFT) & COORDINATE_MASK
         p[event] = key & 1
-    return t_us, x, y, p

@@ -54,7 +54,7 @@ def add_noise(
     """
     rate_hz, hot_pixel, hot_cumulative_hz, on_share, step_us = noise
     background_hz = rate_hz * frame_px[0] * frame_px[1]
-    total_hz = background_hz + hot_cumulative_hz[-1]
+    total_hz = background_hz + float(hot_cumulative_hz[-1])
     uniform = rng.random((rng.poisson(total_hz * SLICE_US * 1e-6), 2))
     if on_share == 0.5 and step_us == 0.0:
         return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))

@@ -17,6 +17,7 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.force_balance import Three
 from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
@@ -89,13 +90,12 @@ class Stepper:
         if shares.shape != state.stuck.shape:
             raise ValueError(f"shares must have the shape of the grid {state.stuck.shape}, found {shares.shape}")
         theta = solver.theta
-        wanted = state.twist
+        wanted = (0.0, 0.0, 0.0)
         if prescribed_twist is not None:
-            wanted = np.array(prescribed_twist, dtype=np.float64)
-            if not wanted.any():  # nothing swings on an object that is held still: damped most, the gel rests soonest
+            wanted = _three(prescribed_twist)
+            if not any(wanted):  # nothing swings on an object that is held still: damped most, the gel rests soonest
                 theta = 1.0
-        force = np.array(body_force_n, dtype=np.float64)
-        load = (state.gripping(shares), *force_n, force, prescribed_twist is not None, wanted)
+        load = (state.gripping(shares), *force_n, _three(body_force_n), prescribed_twist is not None, wanted)
         settings = (self.slice_s, theta, solver.residual, self._fixed_steps)
         arrays, law = state.arrays, friction.law
         second = None
@@ -118,6 +118,12 @@ class Stepper:
         return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
 
 
+def _three(given: Sequence[float] | Floats) -> Three:
+    """Three numbers of Python, as compiled code is handed them soonest."""
+    x, y, turn = given
+    return float(x), float(y), float(turn)
+
+
 @njit(cache=True, inline="always")
 def _nodal_forces(memory: Floats, shares: Floats, normal_n: float) -> Floats:
     """Shares of nodes (rows, columns) of a normal force, in the memory of their pad."""
@@ -132,7 +138,7 @@ def _nodal_forces(memory: Floats, shares: Floats, normal_n: float) -> Floats:
 @njit(cache=True, _nrt=False)
 def _step_slice(
     arrays: NodeArrays,
-    load: tuple[Floats, float, float, Floats, bool, Floats],
+    load: tuple[Floats, float, float, Three, bool, Three],
     friction: FrictionLaw,
     settings: tuple[float, float, float, int],
     rule: tuple[float, int],

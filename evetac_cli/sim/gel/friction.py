@@ -22,6 +22,7 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 
 WAVES = 256  # that make up a smooth random field
+NONE_LEFT = 28.0  # beyond it exp(-x^2) is 0 in double precision, and to find that out takes long
 
 
 @njit(cache=True, _nrt=False)
@@ -30,7 +31,9 @@ def coefficient_after(
 ) -> float:
     """Friction coefficient of a node after so many seconds of slip at a constant speed in m/s: exact."""
     ratio = slip_speed / stribeck
-    steady = kinetic + (static - kinetic) * math.exp(-ratio * ratio)
+    steady = kinetic
+    if not ratio >= NONE_LEFT:
+        steady = kinetic + (static - kinetic) * math.exp(-ratio * ratio)
     if memory == 0.0:
         return steady
     return steady + (coefficient - steady) * math.exp(-(slip_speed + stribeck) * seconds / memory)

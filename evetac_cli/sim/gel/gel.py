@@ -28,6 +28,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -105,7 +106,7 @@ class Friction:
             check_range(entry.name, getattr(self, entry.name), above=entry.name == "stribeck_speed_m_s")
         check_range("kinetic", self.kinetic, 0.0, self.static)
 
-    @property
+    @cached_property
     def law(self) -> FrictionLaw:
         """The same as `step_nodes` is handed it."""
         return float(self.static), float(self.kinetic), float(self.stribeck_speed_m_s), float(self.memory_m)
@@ -175,6 +176,7 @@ class GelState:
     _creep_arms: Floats
     layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
     info: Floats
+    _numbers: Floats  # those of the arrays above that a step changes, in one piece, so that it is quick to copy
     _memory: Floats
     _stuck_before: Flags
     friction_factor: Floats | None = None
@@ -187,7 +189,7 @@ class GelState:
         """
         return normal if self.friction_factor is None else normal * self.friction_factor
 
-    @property
+    @cached_property
     def arrays(self) -> NodeArrays:
         """All arrays that a step reads or changes, as `step_nodes` is handed them."""
         return (
@@ -208,7 +210,7 @@ class GelState:
             self._stuck_before,
         )
 
-    @property
+    @cached_property
     def fields(self) -> Fields:
         """The arrays of the pad alone, without the object, as `step_nodes` is handed those of a second pad."""
         return (*self.arrays[:7], *self.arrays[10:])
@@ -216,29 +218,42 @@ class GelState:
     def copy(self) -> "GelState":
         """The state as it is now, independent of what happens to this one."""
         twin = copy.copy(self)
-        for name in _CHANGING:
-            setattr(twin, name, getattr(self, name).copy())
+        for of_arrays in ("arrays", "fields"):
+            twin.__dict__.pop(of_arrays, None)
+        twin.stuck, twin._numbers = self.stuck.copy(), self._numbers.copy()
+        rows, columns = self.stuck.shape
+        for name, part in _parts(twin._numbers, rows, columns, len(self.creep_n)).items():
+            setattr(twin, name, part)
         return twin
 
     def restore(self, earlier: "GelState") -> None:
         """Go back to an earlier copy."""
-        for name in _CHANGING:
-            getattr(self, name)[...] = getattr(earlier, name)
+        self._numbers[:] = earlier._numbers
+        self.stuck[:] = earlier.stuck
 
 
-_CHANGING = (
-    "inertia",
-    "pose",
-    "twist",
-    "displacement_m",
-    "velocity_m_s",
-    "maxwell_n",
-    "creep_n",
-    "slip_m_s",
-    "friction_coefficient",
-    "stuck",
-    "_mean_m_s",
-)
+def _parts(numbers: Floats, rows: int, columns: int, arms: int) -> dict[str, Floats]:
+    """All numbers of a pad and an object that a step changes, and its inertia, by name, in one piece of memory."""
+    grid = (rows, columns)
+    shapes: dict[str, tuple[int, ...]] = {
+        "inertia": (3,),
+        "pose": (3,),
+        "twist": (3,),
+        "displacement_m": (*grid, 2),
+        "velocity_m_s": (*grid, 2),
+        "maxwell_n": (*grid, 2),
+        "_mean_m_s": (*grid, 2),
+        "creep_n": (arms, *grid, 2),
+        "slip_m_s": grid,
+        "friction_coefficient": grid,
+    }
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
+    assert ends[-1] == len(numbers)
+    starts = (0, *ends)
+    return {
+        name: numbers[start:end].reshape(shape)
+        for (name, shape), start, end in zip(shapes.items(), starts, ends, strict=False)
+    }
 
 
 def start(
@@ -294,22 +309,20 @@ def start(
         pads=float(pads),
     )
     grid = (rows, columns)
+    arms = len(material.creep_share)
+    numbers = np.zeros(9 + rows * columns * (10 + 2 * arms))
+    parts = _parts(numbers, rows, columns, arms)
+    parts["inertia"][:] = body_mass_kg, body_mass_kg, body_inertia_kg_m2
+    parts["pose"][:2] = body_xy_m
+    parts["friction_coefficient"][:] = np.inf
     return GelState(
         node_xy_m=nodes,
         material=material,
         pads=pads,
         cell_area_m2=area,
-        inertia=np.array([body_mass_kg, body_mass_kg, body_inertia_kg_m2], dtype=np.float64),
-        pose=np.array([*body_xy_m, 0.0], dtype=np.float64),
-        twist=np.zeros(3),
-        displacement_m=np.zeros((*grid, 2)),
-        velocity_m_s=np.zeros((*grid, 2)),
-        maxwell_n=np.zeros((*grid, 2)),
-        creep_n=np.zeros((len(material.creep_share), *grid, 2)),
-        slip_m_s=np.zeros(grid),
-        friction_coefficient=np.full(grid, np.inf),
+        **parts,
         stuck=np.zeros(grid, dtype=np.bool_),
-        _mean_m_s=np.zeros((*grid, 2)),
+        _numbers=numbers,
         _layer=layer,
         _creep_arms=np.array([material.creep_share, material.creep_time_s]).T.copy(),
         layer_constants=tuple(layer),
@@ -342,8 +355,8 @@ def step(
     not finite or out of range.
     """
     nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
-    force = np.ascontiguousarray(body_force_n, dtype=np.float64)
-    wanted = state.twist if prescribed_twist is None else np.ascontiguousarray(prescribed_twist, dtype=np.float64)
+    force = np.asarray(body_force_n, dtype=np.float64)
+    wanted = np.zeros(3) if prescribed_twist is None else np.asarray(prescribed_twist, dtype=np.float64)
     if nodal.shape != state.stuck.shape:
         raise ValueError(f"nodal_force_n must have the shape of the grid {state.stuck.shape}, found {nodal.shape}")
     if force.shape != (3,) or wanted.shape != (3,):
@@ -355,7 +368,7 @@ def step(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
-    load = (state.gripping(nodal), force, prescribed_twist is not None, wanted)
+    load = (state.gripping(nodal), tuple(force.tolist()), prescribed_twist is not None, tuple(wanted.tolist()))
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
     fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info, None)
     if fault:

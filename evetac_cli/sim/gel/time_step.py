@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel.force_balance import imbalance, relax, set_object_velocity, work_in
+from evetac_cli.sim.gel.force_balance import Three, imbalance, relax, set_object_velocity, work_in
 from evetac_cli.sim.gel.object_move import move_object
 from evetac_cli.sim.gel.pad_equation import (
     Fields,
@@ -70,7 +70,7 @@ NodeArrays = tuple[
     Flags,
 ]
 # normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
-Load = tuple[Floats, Floats, bool, Floats]
+Load = tuple[Floats, Three, bool, Three]
 # dt, theta, tolerance, max_sweeps, and an Allowed
 StepSettings = tuple[float, float, float, int, float, float, bool]
 # the second finger's pad: its arrays, the normal force of each of its nodes, and its constants
@@ -133,7 +133,7 @@ def step_nodes(
     scale = max(scale + abs(force[2]) / reach, 1e-300)
     body = memory[-3:]
     for axis in range(3):
-        body[axis] = wanted[axis]
+        body[axis] = wanted[axis] if prescribed else twist[axis]
     weight = (inertia[0] / h, inertia[1] / h, inertia[2] / h)
     _set_flags(stuck_before, stuck)
     sweeps = 0

@@ -69,6 +69,7 @@ class GroundTruthSlip:
         self.visible = visible_nodes(state.node_xy_m, mm_per_px, window_px)
         self._displacement_m = state.displacement_m.copy()
         self._slid_m = np.zeros((RECENT_MS, *state.displacement_m.shape))  # object against gel, in each recent slice
+        self._seen_shares = np.zeros(state.stuck.shape)  # scratch
         self._rested_for = np.full(state.stuck.shape, RECENT_MS)  # slices since each node slid
         self._slices = 0
         self._pose = state.pose.copy()
@@ -82,8 +83,19 @@ class GroundTruthSlip:
         """Take in one slice; shares: of each node in the normal force, (rows, columns); force_n: that force."""
         slid_m = self._slid_m[self._slices % RECENT_MS]
         self._slices += 1
-        arrays = (state.node_xy_m, state.displacement_m, self._displacement_m, slid_m, self._rested_for)
-        whole, recent_share, seen = _relative_motion(arrays, state.pose, self._pose, shares, self.visible, state.stuck)
+        whole, recent_share, seen = _relative_motion(
+            state.node_xy_m,
+            state.displacement_m,
+            self._displacement_m,
+            slid_m,
+            self._rested_for,
+            state.pose,
+            self._pose,
+            shares,
+            self.visible,
+            state.stuck,
+            self._seen_shares,
+        )
         self._pose[:] = state.pose
         touches = force_n > CONTACT_N
         self._share, self._visible_share, stuck, x_m, y_m = whole if touches else (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -203,34 +215,38 @@ def _rigid_motion(nodes: Floats, slid: Floats, weights: Floats) -> tuple[float, 
     return share, math.sqrt(spread), x_m, y_m, rotation
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _relative_motion(
-    arrays: tuple[Floats, Floats, Floats, Floats, NDArray[np.int64]],
+    nodes: Floats,
+    displacement: Floats,
+    before: Floats,
+    slid: Floats,
+    rested_for: NDArray[np.int64],
     pose: Floats,
     pose_before: Floats,
     nodal: Floats,
     visible: Flags,
     stuck: Flags,
+    seen_nodal: Floats,
 ) -> tuple[tuple[float, float, float, float, float], float, tuple[float, float, float, float, float]]:
     """How the object has moved against the gel since pose_before, node by node; weights are the normal forces.
 
-    arrays: nodes, the gel's displacement, that before and for how many slices each node has not slid, both of which are
-    brought up to now, and, filled, the motion of the object's surface against each node, 0 where it bears nothing.
+    displacement: the gel's. before, rested_for: that before and for how many slices each node has not slid, both of
+    which are brought up to now. slid: filled with the motion of the object's surface against each node, 0 where it
+    bears nothing. seen_nodal: filled with the forces of visible nodes.
     Returns the share that slips, of all nodes and of the visible ones, and of all nodes the number that stick and the
     mean motion x, y; the share of the visible ones that slid within RECENT_MS; and their rigid motion. All are 0
     without contact.
     """
-    nodes, displacement, before, slid, rested_for = arrays
     move_x = pose[0] - pose_before[0]
     move_y = pose[1] - pose_before[1]
     turn = pose[2] - pose_before[2]
     force = slipping = sticking = mean_x = mean_y = seen = seen_slipping = recent = 0.0
     rows, columns = nodal.shape
-    seen_nodal = np.zeros((rows, columns))
     for row in range(rows):
         for column in range(columns):
             load = nodal[row, column]
-            slid_x = slid_y = 0.0
+            slid_x = slid_y = seen_load = 0.0
             if load > 0.0:
                 slid_x = move_x - turn * (nodes[row, column, 1] - pose_before[1])
                 slid_y = move_y + turn * (nodes[row, column, 0] - pose_before[0])
@@ -245,12 +261,13 @@ def _relative_motion(
                 mean_x += load * slid_x
                 mean_y += load * slid_y
                 if visible[row, column]:
-                    seen_nodal[row, column] = load
+                    seen_load = load
                     seen += load
                     seen_slipping += slips
                     recent += load if rested_for[row, column] < RECENT_MS else 0.0
             else:
                 rested_for[row, column] += 1
+            seen_nodal[row, column] = seen_load
             slid[row, column, 0] = slid_x
             slid[row, column, 1] = slid_y
             before[row, column, 0] = displacement[row, column, 0]

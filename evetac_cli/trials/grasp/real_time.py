@@ -26,7 +26,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.names import Capability
-from evetac_cli.realtime.processes import set_realtime_priority
+from evetac_cli.realtime.processes import raised_priority, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.store.calibration import MAKE_GRID, read_calibration
@@ -39,6 +39,7 @@ from evetac_cli.trials.grasp.detector_process import DetectorSettings
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.grasp.loop import Timing
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
+from evetac_cli.trials.grasp.recorder import PRIORITY as WATCHING_PRIORITY
 from evetac_cli.trials.grasp.recorder import record
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp
 from evetac_cli.trials.trial import ReplayTrial, device_trials
@@ -205,17 +206,18 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[s
         if servo is not None and servo.pid is not None:
             set_realtime_priority(SERVO_PRIORITY, servo.pid)
         camera_ready, gripper_ready = processes.begin(signals)
-        for note in camera_ready.notes:
-            console.say(note)
-        sensor = {**camera_ready.sensor, **sensor, "t_offset": np.int64(0)}
-        described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
-        if view is not None:
-            view.begin(sensor)
-        recipe = _recipe(trial, described, sensor, parents)
-        writer = RecordingWriter(trial.output, sensor, recipe=recipe)
-        if is_hardware and not signals:
-            console.say(f"{gripper} moves now; {FALLS}")
-        key = opened.enter_context(session.gripper_key(moves=not signals))
+        with raised_priority(WATCHING_PRIORITY):  # the camera runs, and until `go` the time of the grasp is lost
+            for note in camera_ready.notes:
+                console.say(note)
+            sensor = {**camera_ready.sensor, **sensor, "t_offset": np.int64(0)}
+            described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
+            if view is not None:
+                view.begin(sensor)
+            recipe = _recipe(trial, described, sensor, parents)
+            writer = RecordingWriter(trial.output, sensor, recipe=recipe)
+            if is_hardware and not signals:
+                console.say(f"{gripper} moves now; {FALLS}")
+            key = opened.enter_context(session.gripper_key(moves=not signals))
         try:
             if not signals:
                 processes.go()

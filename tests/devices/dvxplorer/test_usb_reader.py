@@ -3,6 +3,7 @@
 import errno
 from array import array
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -98,3 +99,14 @@ def test_a_block_is_no_longer_than_the_largest_read() -> None:
 )
 def test_what_may_end_a_slice(data: bytes, gap: bool, may: bool) -> None:
     assert usb_reader._may_end_slice(Block(data, 0.0, 1.0, gap, True)) == may
+
+
+def test_who_is_behind_gets_more_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the next transfer waits a little where what was due waits already, unless the camera holds more."""
+    slept: list[float] = []
+    monkeypatch.setattr(usb_reader, "time", SimpleNamespace(sleep=slept.append, monotonic=lambda: 0.0))
+    full = COLUMN * (usb_reader.READ_BYTES // len(COLUMN))
+    for reads, times in (((COLUMN, COLUMN, STAMP), 0), ((STAMP, COLUMN, COLUMN), 2), ((STAMP, full, COLUMN), 1)):
+        slept.clear()
+        blocks(*reads)
+        assert slept == [usb_reader.BREATH_S] * times

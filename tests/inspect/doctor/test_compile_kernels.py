@@ -1,6 +1,7 @@
 """doctor --compile: afterwards no command compiles anything, and a command that fails is named."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from evetac_cli.errors import EvetacError
 from evetac_cli.inspect.doctor import compile_kernels, compile_worker
 from evetac_cli.resources import PACKAGE
+from scripts import experiment_steps
 
 # Runs evetac, and prints on stderr the functions that it compiled.
 COUNTED = """
@@ -29,36 +31,51 @@ except SystemExit as end:
     assert not end.code, end.code
 print("compiled", len(compiled), *compiled[:3], file=sys.stderr)
 """
-COMMANDS = (
-    "record --scene slip --object 3,8 --seed 5 --out .",
-    "record --scene slip --object 8 --seed 6 --out unseen.recording.h5",
-    "track slip-obj03-s5-000.recording.h5 slip-obj08-s5-000.recording.h5 unseen.recording.h5",
-    "label slip-obj03-s5-000.recording.h5 slip-obj08-s5-000.recording.h5 unseen.recording.h5",
-    "featurize slip-obj03-s5-000.recording.h5 slip-obj08-s5-000.recording.h5 unseen.recording.h5",
-    "train slip-obj03-s5-000.features.h5 --validate slip-obj08-s5-000.features.h5 --preset adam --epochs 1"
-    " --out m.model.h5",
-    "evaluate slip unseen.features.h5 --model m.model.h5",
-    "evaluate labels unseen.labels.h5",
-    "evaluate tracking unseen.tracks.h5",
-    "grasp --object 17 --lift-s 2 --balance-s 1 --out g.recording.h5",
-    "evaluate grasp g.recording.h5",
-)
+SMALLER = {
+    r"--count \S+": "--count 1",
+    r"--epochs \S+": "--epochs 1",
+    r"--(lift|balance)-s \S+": r"--\1-s 1",
+    r"--jobs 2": "",
+}
+
+
+def readme_commands() -> list[list[str]]:
+    """Commands of README's pipeline, with fewer trials and epochs, and in one process, where all of it is counted."""
+    lines = [line for line in (PACKAGE.parent / "README.md").read_text().splitlines() if line.startswith("evetac ")]
+    for long, short in SMALLER.items():
+        lines = [re.sub(long, short, line) for line in lines]
+    return [line.split() for line in lines]
+
+
+def demo_commands() -> list[list[str]]:
+    """Commands of `make demo`, with fewer trials and epochs."""
+    sizes = {"seed": 0, "learn": 1, "unseen": 1, "epochs": 1}
+    return [*experiment_steps.demo_steps(sizes), *experiment_steps.demo_evaluations(sizes).values()]
 
 
 @pytest.mark.slow
 def test_after_it_no_command_compiles(tmp_path: Path) -> None:
-    """Assert that it leaves nothing to compile for the commands of the README's first tour, on other trials."""
+    """Assert that it leaves nothing to compile for the commands of README and of `make demo`."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(PACKAGE.parent)}
 
-    def compiled(command: str) -> list[str]:
-        run = [sys.executable, "-c", COUNTED, *command.split()]
-        done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    def compiled(command: list[str], folder: Path) -> list[str]:
+        words = [
+            name
+            for word in command[1:]
+            for name in (sorted(str(path.relative_to(folder)) for path in folder.glob(word)) if "*" in word else [word])
+        ]
+        run = [sys.executable, "-c", COUNTED, *words]
+        done = subprocess.run(run, cwd=folder, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{command}: {done.stderr}"
         return done.stderr.splitlines()[-1].split(maxsplit=2)[1:]
 
-    assert compiled("track --help") == ["0"]
+    assert compiled(["evetac", "track", "--help"], tmp_path) == ["0"]
     subprocess.run([sys.executable, "-m", "evetac_cli", "doctor", "--compile"], env=environment, check=True)
-    assert [(command, what) for command in COMMANDS if (what := compiled(command)) != ["0"]] == []
+    for name, commands in (("readme", readme_commands()), ("demo", demo_commands())):
+        folder = tmp_path / name
+        folder.mkdir()
+        assert len(commands) > 8
+        assert [(command, what) for command in commands if (what := compiled(command, folder)) != ["0"]] == []
 
 
 @pytest.mark.slow

@@ -162,6 +162,25 @@ def test_features_that_do_not_fit_into_memory_are_trained_on_in_groups(
     assert recipes[1]["held_bytes"] == 80_000
 
 
+def test_as_much_validates_as_fits_into_memory(
+    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that with patience, of two validating trials one is read where there is room for one, else both."""
+    chosen = small(max_steps=24, patience=5, validate=str(trials[0].with_name("trial-0[23].features.h5")))
+    read: list[Path] = []
+
+    def noted(path: Path, architecture: Any) -> Any:
+        read.append(path)
+        return slip_detectors.read_trajectory(path, architecture)
+
+    monkeypatch.setattr(networks, "read_trajectory", noted)
+    for held_bytes, expected in ((networks.HELD_BYTES, [trials[2], trials[3]]), (80_000, [trials[2]])):
+        read.clear()
+        monkeypatch.setattr(networks, "HELD_BYTES", held_bytes)
+        run_stage(train, trials[:2], chosen, tmp_path / str(held_bytes))
+        assert [path for path in read if path in trials[2:]] == expected
+
+
 @pytest.mark.parametrize("model", ["hist10", "disp-xy", "no-hist-img-6x6"])
 def test_what_features_take_in_memory(trials: list[Path], model: str) -> None:
     """Assert that the bytes are those of the arrays that are read."""

@@ -37,6 +37,7 @@ from evetac_cli.sim.camera.scanning.pixels import FALSE, TRUE, CandidatePixels, 
 # A dot that has lost its list to a line gets a new one once lines have left it alone for so many scans, in which its
 # whole ring is compared: making a list costs about as much.
 LEFT_ALONE_SCANS = 10
+COUNTED_PX = 16  # pixels of a row that are counted together
 
 
 @njit(cache=True, _nrt=False)
@@ -281,13 +282,17 @@ def _compare_ring(
         down = np.float32(row - at_xy[1])
         down2 = down * down
         for first, end in ((left, left_end), (right, right_end)):
-            # Most rows have nothing to report, and counting vectorises: with unsigned indices, and nothing written.
-            fired = np.int32(0)
-            for x in range(np.uint64(first), np.uint64(end)):
-                across = np.float32(np.int32(x) - at_xy[0])
-                position = optics.profile_position(across * across + down2, ink_px, steps)
-                change = optics.profile_level(position, profile) - reference[y, x]
-                fired += np.int32(not (abs(change) < threshold[y, x]))
+            # Most rows have nothing to report, and counting vectorises: with unsigned indices, nothing written, and
+            # always as many pixels, of which some may lie beyond the run, as most runs are shorter than a vector.
+            fired = np.int32(width < COUNTED_PX)
+            for begin in range(first, end if width >= COUNTED_PX else first, COUNTED_PX):
+                offset = np.uint64(min(begin, width - COUNTED_PX))
+                for k in range(COUNTED_PX):
+                    column = offset + np.uint64(k)
+                    across = np.float32(np.int32(column) - at_xy[0])
+                    position = optics.profile_position(across * across + down2, ink_px, steps)
+                    change = optics.profile_level(position, profile) - reference[y, column]
+                    fired += np.int32(not (abs(change) < threshold[y, column]))
             if fired == 0:
                 continue
             for x in range(first, end):

@@ -182,6 +182,7 @@ def compare_outline(
     reference, threshold, _, middle_shift = pixels
     shifted = middle_shift.size > 0
     in_a_row = doubtful.shape[1] // 8
+    nearest = 0
     eights = doubtful.reshape(-1).view(np.uint64)
     for row in range(rows[0], rows[1]):
         for side in range(2):
@@ -197,7 +198,7 @@ def compare_outline(
                         continue
                     level = np.float32(0.0)
                     if drawn[row, x] != np.float32(0.0):
-                        level = _dot_level(dot_xy, ink, x, row)
+                        level, nearest = _dot_level(dot_xy, ink, x, row, nearest)
                     change = level - reference[row, x]
                     if abs(change) < threshold[row, x]:
                         continue
@@ -209,19 +210,24 @@ def compare_outline(
 
 
 @njit(cache=True, _nrt=False)
-def _dot_level(dot_xy: Floats, ink: tuple[Any, ...], x: int, y: int) -> np.float32:
-    """The log brightness of one pixel, as `optics.dot_row` gives it, to the bit."""
+def _dot_level(dot_xy: Floats, ink: tuple[Any, ...], x: int, y: int, guess: int) -> tuple[np.float32, int]:
+    """The log brightness of one pixel, as `optics.dot_row` gives it, to the bit, and the dot there.
+
+    The dot is looked for from `guess` on. As dots lie apart by more than they reach, there is no other.
+    """
     inner, outer, steps_per_px, profile = ink
+    dots = len(dot_xy)
     level = np.float32(0.0)
-    for dot in range(len(dot_xy)):
+    for number in range(guess, guess + dots):
+        dot = number if number < dots else number - dots
         down = y - dot_xy[dot, 1]
         if abs(down) > outer or abs(x - dot_xy[dot, 0]) > outer + 1.0:
             continue
         half = math.sqrt(outer * outer - down * down)
-        if not math.ceil(dot_xy[dot, 0] - half) <= x <= math.floor(dot_xy[dot, 0] + half):
-            continue
-        down2 = np.float32(down) * np.float32(down)
-        across = np.float32(x - dot_xy[dot, 0])
-        position = optics.profile_position(across * across + down2, np.float32(inner), np.float32(steps_per_px))
-        level = min(level, optics.profile_level(position, profile))
-    return level
+        if math.ceil(dot_xy[dot, 0] - half) <= x <= math.floor(dot_xy[dot, 0] + half):
+            down2 = np.float32(down) * np.float32(down)
+            across = np.float32(x - dot_xy[dot, 0])
+            position = optics.profile_position(across * across + down2, np.float32(inner), np.float32(steps_per_px))
+            level = min(level, optics.profile_level(position, profile))
+        return level, dot
+    return level, guess

@@ -1,0 +1,75 @@
+"""What a command costs from its start to its end, on one trial of 4 s: the CPU time of its process, user and system.
+
+Two checkouts take turns, and of each the cheapest round counts: the rest is what else the computer does.
+"""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+RECORD = "record --scene slip --object 3 --seed 20011 -o a.recording.h5"
+STAGES = ("track", "label", "featurize")
+# In a folder with a trial and all that is made of it; what NEW stands for is removed before each round.
+NEW = "new"
+COMMANDS = {
+    "--version": "--version",
+    "--help": "--help",
+    **{f"{stage}, nothing to do": f"{stage} a.recording.h5" for stage in STAGES},
+    "predict-force, nothing to do": "predict-force a.tracks.h5",
+    "record, nothing to do": RECORD,
+    "validate": "validate a.recording.h5",
+    "info": "info a.recording.h5",
+    "info of a folder": "info .",
+    "track": f"track a.recording.h5 -o {NEW}.tracks.h5",
+    "label": f"label a.recording.h5 -o {NEW}.labels.h5",
+    "featurize": f"featurize a.recording.h5 -o {NEW}.features.h5",
+    "predict-force": f"predict-force a.tracks.h5 -o {NEW}.forces.h5",
+    "export parquet": f"export a.recording.h5 --format parquet -o {NEW}.parquet",
+    "export raw": f"export a.recording.h5 --format raw -o {NEW}.raw",
+    "report": f"report . -o {NEW}.html",
+}
+
+
+def cpu_s(code: Path, words: str, folder: Path) -> float:
+    """CPU seconds of `evetac WORDS` in a folder, with the package of a checkout; CalledProcessError if it fails."""
+    for old in folder.glob(f"{NEW}.*"):
+        old.unlink()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    run = [sys.executable, "-P", "-m", "evetac_cli", *words.split()]
+    subprocess.run(run, cwd=folder, env=os.environ | {"PYTHONPATH": str(code)}, capture_output=True, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def cheapest(codes: Sequence[Path], rounds: int, commands: dict[str, str] = COMMANDS) -> dict[str, list[float]]:
+    """CPU seconds of each command with the package of each checkout; the first run of each loads caches and is not one.
+
+    The trial is made with the package of the last.
+    """
+    with tempfile.TemporaryDirectory(prefix="evetac-bench-") as name:
+        folder = Path(name)
+        made = [f"{stage} a.recording.h5" for stage in STAGES]
+        for words in (RECORD, *made, "predict-force a.tracks.h5", "index ."):
+            cpu_s(codes[-1], words, folder)
+        found = {}
+        for what, words in commands.items():
+            spent = [[cpu_s(code, words, folder) for code in codes] for _ in range(rounds + 1)][1:]
+            found[what] = [min(column) for column in zip(*spent, strict=True)]
+        return found
+
+
+def rows(code: Path, rounds: int = 3) -> list[dict[str, object]]:
+    """A row for each command, with the package of this checkout."""
+    return [{"what": what, "cpu_s": spent} for what, (spent,) in cheapest([code], rounds).items()]
+
+
+def against(code: Path, base: Path, rounds: int) -> list[dict[str, object]]:
+    """A row for each command, with the package of this checkout, of another, and their ratio."""
+    return [
+        {"what": what, "cpu_s": ours, "cpu_s_base": theirs, "ratio": ours / theirs}
+        for what, (ours, theirs) in cheapest([code, base], rounds).items()
+    ]
