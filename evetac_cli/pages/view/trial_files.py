@@ -102,10 +102,13 @@ def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
 
 
 def _open(path: Path) -> StageFile:
-    file = StageFile(path, (*KINDS, "model"))
-    if file.kind != "recording":
-        return file
-    file.close()
+    """Open a file of which all makes sense, before it is decided which files are shown."""
+    with ExitStack() as stack:
+        file = stack.enter_context(StageFile(path, (*KINDS, "model")))
+        file.check()
+        if file.kind != "recording":
+            stack.pop_all()
+            return file
     return Recording(path)
 
 
@@ -175,6 +178,7 @@ def _search_recording(trial: OpenTrial, folder: Path, stack: ExitStack) -> None:
     for path in sorted(folder.glob("*.recording.h5"))[:MOST_NEIGHBOURS]:
         try:
             with StageFile(path, "recording") as file:
+                file.check()
                 same = file.header["id"] == trial.recording_id
             if same:
                 trial.recording = stack.enter_context(Recording(path))

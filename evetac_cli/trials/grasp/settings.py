@@ -51,6 +51,7 @@ class DetectorModel:
         """
         path = resources.model_file(params.model)
         with StageFile(path, "model") as model:
+            model.check()
             check_graph(model)
             require_useful(model)
             header = model.header
