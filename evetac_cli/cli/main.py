@@ -105,7 +105,7 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         result: Outcome
         if chosen.compile:
             module = importlib.import_module("evetac_cli.inspect.doctor.compile_kernels")
-            with console.progress_bar("compiling", "commands", quiet=running.quiet) as progress:
+            with console.progress_bar("compiling", "parts", quiet=running.quiet) as progress:
                 result = module.run(progress, say=(lambda line: None) if running.quiet else console.say)
             if not running.quiet or running.as_json:
                 console.show(title, result.rows, result.summary, simulated=False, as_json=running.as_json)
