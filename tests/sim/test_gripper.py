@@ -326,3 +326,13 @@ def test_a_command_given_again_is_no_new_one():
     commands = DelayedCommands(("position", 10.0), 5.0, 0.0, np.random.default_rng(3))
     seen = [commands.at(k, ("position", 20.0)) for k in range(10)]
     assert seen == [("position", 10.0)] * 5 + [("position", 20.0)] * 5
+
+
+def test_a_finger_may_change_its_drive():
+    """Assert that a step with another drive or curve is that of a finger which has known no other."""
+    state = closed_with(DRIVE, CURVE, 300.0, 60.0)
+    step(state, DRIVE, CURVE, "current", 40.0, 1e-3)
+    for drive, curve in ((dataclasses.replace(DRIVE, friction_n=1.0), CURVE), (DRIVE, make_curve(modulus_pa=5e5))):
+        fresh = dataclasses.replace(state, _known=None)
+        assert step(state, drive, curve, "current", 20.0, 1e-3) == step(fresh, drive, curve, "current", 20.0, 1e-3)
+        assert state == fresh

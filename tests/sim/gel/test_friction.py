@@ -47,6 +47,17 @@ def test_without_memory_the_law_is_that_of_the_speed() -> None:
     assert coefficient_after(0.8, 0.01, 1e-9, 0.8, 0.64, 0.01, 0.0) == pytest.approx(0.64 + 0.16 / math.e)
 
 
+@pytest.mark.parametrize("ratio", [0.0, 20.0, 27.0, 27.29, 27.3, 28.0, 28.1, 1e3])
+def test_a_coefficient_at_high_speed_is_that_of_the_formula(ratio: float) -> None:
+    """Assert that where the exponential is left out, as it is 0, the coefficient is that of the formula."""
+    static, kinetic, stribeck, memory, seconds = 0.9, 0.6, 0.01, 2e-5, 1e-3
+    speed = ratio * stribeck
+    steady = kinetic + (static - kinetic) * math.exp(-((speed / stribeck) ** 2))
+    kept = math.exp(-(speed + stribeck) * seconds / memory)
+    found = coefficient_after(0.7, speed, seconds, static, kinetic, stribeck, memory)
+    assert found == pytest.approx(steady + (0.7 - steady) * kept, rel=1e-15)
+
+
 @pytest.mark.parametrize("load_mn", [5.0, 6.0, 7.0, 8.0])
 def test_a_slider_grows_as_its_cubic_says(load_mn: float) -> None:
     """Assert that a disturbance of a steady slide grows with the largest root of its characteristic cubic, within 5 %.

@@ -320,6 +320,31 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
     np.testing.assert_array_equal(states[0].window_reference, states[1].window_reference)
 
 
+def test_slices_at_rest_may_be_scanned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that slices which are not scanned, as nothing moves far enough to be compared, would change nothing."""
+    rests, left_out = camera._rests, []
+
+    def creeps_and_moves(t_ms: float) -> NDArray[np.float64]:
+        creeping, moving = min(t_ms % 100.0, 60.0), max(t_ms % 100.0 - 60.0, 0.0) + 40.0 * (t_ms // 100.0)
+        return np.array([[20.0, 30.0], [45.0, 50.0]]) + 0.0003 * creeping + 0.02 * moving
+
+    def counted(*given: Any) -> bool:
+        left_out.append(bool(rests(*given)))
+        return left_out[-1]
+
+    quick, plain = (small_frames.start(camera, [[20.0, 30.0], [45.0, 50.0]]) for _ in range(2))
+    monkeypatch.setattr(camera, "_rests", counted)
+    seen = small_frames.play(camera, quick, creeps_and_moves, 300)
+    monkeypatch.setattr(camera, "_rests", lambda *_: False)
+    expected = small_frames.play(camera, plain, creeps_and_moves, 300)
+    assert 50 < sum(left_out) < 250
+    assert sum(events.size for events in seen) > 100
+    for events, others in zip(seen, expected, strict=True):
+        assert all(np.array_equal(column, other) for column, other in zip(events, others, strict=True))
+    assert np.array_equal(quick.reference, plain.reference)
+    assert np.array_equal(quick.seen_dot_xy_px, plain.seen_dot_xy_px)
+
+
 def test_texture_density() -> None:
     """Assert 100-250 events per px of slide for a strip of 100 x 480 px, sd 0.06, half-correlation 12 px."""
     model = CameraModel(noise_rate_hz=0.0, hot_pixels=0)
