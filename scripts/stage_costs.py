@@ -78,8 +78,8 @@ def steps(scene: str, grasp_s: float) -> dict[str, Step]:
 def command(step: Step, folder: Path, trials: int) -> list[str]:
     """The words of a step on the trials of a folder, or to make so many of them."""
     if not step.reads:
-        return [*step.words, "--count", str(trials), "--seed", str(SEED)]
-    return [*step.words, *(path.name for path in sorted(folder.glob(f"*.{step.reads}.h5")))]
+        return [*step.words, "--quiet", "--count", str(trials), "--seed", str(SEED)]
+    return [*step.words, "--quiet", *(path.name for path in sorted(folder.glob(f"*.{step.reads}.h5")))]
 
 
 def needed(chosen: Sequence[str], known: dict[str, Step]) -> list[str]:
@@ -193,7 +193,7 @@ def main() -> None:
             say(f"round {number + 1} of {given.rounds}: {len(chosen)} stages")
             rounds.append(measured_round(known, chosen, given.trials, scene))
         rows = table(rounds, given.trials)
-        more = summary(rows) | {"trials": given.trials, "rounds": given.rounds, "commit": commit()}
+        more = summary(rows) | {"trials": given.trials, "rounds": given.rounds, "commit": commit()[0]}
     print_table(f"inside {given.inside}" if given.inside else "stage costs", rows, more, simulated=True)
     if given.out:
         given.out.write_text(json.dumps({"simulated": True, "rows": rows, "summary": more}, indent=1) + "\n")

@@ -77,7 +77,7 @@ ONLY_IN = {
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
-    "numba": ("kernels/compiled.py", "kernel_cache.py", "cli/compiling.py"),
+    "numba": ("kernels/compiled.py", "kernel_cache.py", "cli/compiling.py", "inspect/doctor/compile_worker.py"),
     "dask": ("cli/dask_engine.py",),
     "distributed": ("cli/dask_engine.py",),
     "tornado": ("trials/live_view/server.py",),

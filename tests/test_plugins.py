@@ -178,8 +178,8 @@ def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path)
     assert (recipe["object"], recipe["object_row"]["mass_g"]) == ("can", 350.0)
     assert (recipe["sensor"], recipe["sensor_row"]["noise_hz"]) == ("noisy", 0.3)
     assert (recipe["law"], recipe["law_method"]) == ({"approach_ticks": 2, "step_ticks": 1.0}, 1)
-    with pytest.raises(InputError, match="of a plug-in that is not installed"):
-        StageFile(model, "model")
+    with StageFile(model, "model") as file, pytest.raises(InputError, match="of a plug-in that is not installed"):
+        file.read("architecture")
 
 
 @pytest.mark.parametrize("text", ["1,2,3,0\n", "t_us x y p\n1 2 3 0\n", "# t_us x y p\n1 2 3 0\n"])

@@ -7,6 +7,8 @@ from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from tests.patience import PATIENCE_S
 
+SILENCE_S = 0.001  # after which no ring is still expected
+
 
 def publish(shared: SharedStatus, slips: int) -> None:
     shared.publish(DetectorStatus(SlipSignal(slips), 1, 0.0, 0.0, 0.0, ()))
@@ -15,11 +17,11 @@ def publish(shared: SharedStatus, slips: int) -> None:
 def test_rings_before_and_while_it_is_waited_for() -> None:
     """Assert that a ring before counts once, however many there were, and that silence takes as long as it is given."""
     bell = Bell()
-    assert not bell.wait(0.001)
+    assert not bell.wait(SILENCE_S)
     for _ in range(3):
         bell.ring()
     assert bell.wait(PATIENCE_S)
-    assert not bell.wait(0.0)
+    assert not bell.wait(SILENCE_S)
 
 
 def test_whoever_rings_never_waits() -> None:
@@ -35,7 +37,7 @@ def test_new_slip_rings_and_nothing_else() -> None:
     shared = SharedStatus()
     for slips, rings in ((0, False), (1, True), (1, False), (3, True), (3, False)):
         publish(shared, slips)
-        assert shared.slip_bell.wait(0.0) == rings
+        assert shared.slip_bell.wait(SILENCE_S) == rings
         status = shared.latest()
         assert status is not None
         assert status.signal.slips == slips

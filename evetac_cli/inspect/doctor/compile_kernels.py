@@ -113,7 +113,8 @@ class Worker:
         """Run a part, and yield how many functions more are compiled; EvetacError with the words of one that fails."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(BrokenPipeError):  # why it has ended is said below
-            print(line, file=self._process.stdin, flush=True)
+            self._process.stdin.write(f"{line}\n")
+            self._process.stdin.flush()
         for answer in map(json.loads, self._process.stdout):
             if answer.get("failed"):
                 raise _failed(line, answer["failed"])

@@ -125,7 +125,8 @@ def work(lines: IO[str], answers: IO[str]) -> None:
     """Run what each line names, and answer, until there are no more lines."""
 
     def answer(**what: Any) -> None:
-        print(json.dumps(what), file=answers, flush=True)
+        answers.write(f"{json.dumps(what)}\n")
+        answers.flush()
 
     counter = Counter(lambda functions: answer(functions=functions))
     with event.install_listener("numba:compile", counter):

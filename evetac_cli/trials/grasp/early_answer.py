@@ -32,7 +32,7 @@ from evetac_cli.trials.grasp.loop import Timing
 ROOM_S = 2e-4  # beside the time on the wire: computing, and the pause after it; with less left, the step is as fast
 
 
-class Written(NamedTuple):
+class EarlyCommand(NamedTuple):
     """What was written ahead of a step, on which slices, and when: begun in us of the recording, done in s."""
 
     goal_ticks: int
@@ -41,7 +41,7 @@ class Written(NamedTuple):
     done_s: float
 
 
-NOTHING = Written(-1, 0, math.nan, math.nan)
+NOTHING = EarlyCommand(-1, 0, math.nan, math.nan)
 
 
 class EarlyAnswer:
@@ -76,7 +76,7 @@ class EarlyAnswer:
         self._written = NOTHING
 
     @property
-    def written(self) -> Written:
+    def written(self) -> EarlyCommand:
         """What was written since the last step."""
         return self._written
 
@@ -101,10 +101,10 @@ class EarlyAnswer:
         self._ahead = None
         goal = ahead.step(self._phase, status.signal, self._position)
         self._gripper.write_position(goal)
-        self._written = Written(goal, status.slices, t_us, self._clock())
+        self._written = EarlyCommand(goal, status.slices, t_us, self._clock())
 
 
-def columns(written: Written) -> dict[str, Any]:
+def columns(written: EarlyCommand) -> dict[str, Any]:
     """What a row of the recording says of it."""
     return {
         "control/early_goal_ticks": written.goal_ticks,
