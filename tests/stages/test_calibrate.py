@@ -96,7 +96,7 @@ def seen(halves: tuple[RestImage, RestImage], tmp_path: Path, monkeypatch: pytes
 
     def show(pixels: NDArray[np.bool_]) -> Path:
         shown = tuple(RestImage(half.brighter * pixels, half.darker * pixels) for half in halves)
-        monkeypatch.setattr(calibrate, "rest_images", lambda recording, progress: shown)
+        monkeypatch.setattr(gel_at_rest, "rest_images", lambda recording, progress: shown)
         return recorded(tmp_path / "part.recording.h5", empty())
 
     return show
@@ -238,7 +238,7 @@ def test_a_sensor_that_is_mounted_otherwise(
     turned, places, window = MOUNTED[how]
     pressed = X < 520 if cut else X >= 0
     shown = tuple(RestImage(*(turned(side * pressed) for side in half)) for half in halves)
-    monkeypatch.setattr(calibrate, "rest_images", lambda recording, progress: shown)
+    monkeypatch.setattr(gel_at_rest, "rest_images", lambda recording, progress: shown)
     frame_px = (480, 640) if "90" in how else (640, 480)
     path = recorded(tmp_path / "mounted.recording.h5", empty(), frame_px)
     size = {"gel": "cut"} if cut else {}
@@ -391,7 +391,7 @@ def test_larger_frame(
 ) -> None:
     """Assert that a gel in the middle of a larger frame is found there, once it is said that there are no more dots."""
     larger = tuple(RestImage(*(np.pad(side, ((60, 60), (80, 80))) for side in half)) for half in halves)
-    monkeypatch.setattr(calibrate, "rest_images", lambda recording, progress: larger)
+    monkeypatch.setattr(gel_at_rest, "rest_images", lambda recording, progress: larger)
     path = recorded(tmp_path / "large.recording.h5", empty(), (800, 600))
     with pytest.raises(InputError, match=r"room for more dots(.|\n)*--rows 7 --columns 9 --gel closed"):
         calibrated(path)

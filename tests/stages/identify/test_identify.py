@@ -20,7 +20,8 @@ from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import scene_file, sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
-from evetac_cli.stages import identify, trim
+from evetac_cli.stages import gel_at_rest, identify, trim
+from evetac_cli.stages.identify import pressed
 from evetac_cli.stages.identify.sensor_text import Entry
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record
@@ -189,9 +190,9 @@ def test_a_damaged_press(resting: Path, monkeypatch: pytest.MonkeyPatch) -> None
             raise SchemaError("ms_to_idx does not fit events/t", where=str(resting))
 
         monkeypatch.setattr(recording, "between", damaged)
-        monkeypatch.setattr(identify.pressed.calibrate, "strokes", lambda _: [(0, 100)])
+        monkeypatch.setattr(gel_at_rest, "strokes", lambda _: [(0, 100)])
         with pytest.raises(SchemaError, match="does not fit"):
-            identify.pressed.find(recording, 1.61, None, 0.0, np.random.default_rng(0))
+            pressed.find(recording, 1.61, None, 0.0, np.random.default_rng(0))
 
 
 @pytest.mark.slow

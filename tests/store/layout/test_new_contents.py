@@ -10,6 +10,7 @@ import pytest
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import SchemaError
 from evetac_cli.inspect import validate
+from evetac_cli.kernels.tracking import tracker
 from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout import contents, rules
@@ -168,7 +169,7 @@ def test_a_stage_that_computes_nonsense_writes_nothing(tmp_path: Path, monkeypat
     def lose(state: Any, *events: Any) -> None:
         state.dot_xy_px[...] = np.nan
 
-    monkeypatch.setattr(track.tracker, "step", lose)
+    monkeypatch.setattr(tracker, "step", lose)
     (job,) = track.jobs([recording], Track(), None)
     with pytest.raises(SchemaError, match="dot_xy_px is impossible") as refused:
         track.run(job, Track())
