@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Self
 
 from evetac_cli.store.index.rows import IndexRow, Seen
-from evetac_cli.store.index.table import NAME, Table
+from evetac_cli.store.index.table import NAME, IndexTable
 from evetac_cli.store.layout.provenance import Header, Recipe
 
 
@@ -28,7 +28,7 @@ class Known:
 
     def __init__(self) -> None:
         self._open = ExitStack()
-        self._tables: dict[Path, Table] = {}
+        self._tables: dict[Path, IndexTable] = {}
         self._places: dict[Path, tuple[Path, str] | None] = {}
 
     def __enter__(self) -> Self:
@@ -85,9 +85,9 @@ class Known:
                 missing.setdefault(folder, {})[f"{inner}{path.name}"] = seen
         return missing
 
-    def _table(self, folder: Path) -> Table:
+    def _table(self, folder: Path) -> IndexTable:
         if folder not in self._tables:
-            self._tables[folder] = self._open.enter_context(Table(folder / NAME))
+            self._tables[folder] = self._open.enter_context(IndexTable(folder / NAME))
         return self._tables[folder]
 
 

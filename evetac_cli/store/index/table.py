@@ -69,11 +69,11 @@ def is_index(path: Path) -> bool:
 
 def read(path: Path, wanted: Collection[str]) -> Lies:
     """The rows of files that are there; no other program's database is opened, and nothing that could wait."""
-    with Table(path) as table:
+    with IndexTable(path) as table:
         return table.read(wanted)
 
 
-class Table:
+class IndexTable:
     """An index that was found, open for reading; `note` says why it is none, where evetac did not make what lies there.
 
     What replaces it meanwhile does not change what is read here.
@@ -95,7 +95,7 @@ class Table:
         elif kind.st_size:
             self._open(path)
 
-    def __enter__(self) -> "Table":
+    def __enter__(self) -> "IndexTable":
         return self
 
     def __exit__(self, *_: object) -> None:
