@@ -51,12 +51,12 @@ def files(most_trials: int) -> list[Row]:
             later = [path.rename(place / path.name) for path in many.glob(f"{count}.*.h5")]
             size_gb = sum(path.stat().st_size for path in many.iterdir()) / 1e9
             row: Row = {"trials": count, "files": count * len(OF_TRIAL), "size_gb": size_gb}
-            for name, words in (
+            for what, words in (
                 ("index", ("index", str(many), "--jobs", str(os.cpu_count()))),
                 ("again", ("index", str(many))),
                 ("nothing_to_do", ("label", str(many))),
             ):
-                row[f"{name}_cpu_s"], _ = cpu_of(*words, cwd=place)
+                row[f"{what}_cpu_s"], _ = cpu_of(*words, cwd=place)
             later[0].rename(many / later[0].name)
             row["one_more_cpu_s"], _ = cpu_of("index", str(many), cwd=place)
             rows.append(row)

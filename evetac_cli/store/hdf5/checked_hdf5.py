@@ -46,7 +46,7 @@ ANY = np.dtype("V1")  # in the place of a dtype that is not asked for
 DIMENSION_ONLY = b"This is a netCDF dimension but not a netCDF variable"
 
 
-class FoundDataset(NamedTuple):
+class StoredDataset(NamedTuple):
     """A dataset of a file: its shape is None where it holds no value, `itemsize` the bytes of one."""
 
     id: h5d.DatasetID
@@ -158,27 +158,27 @@ class CheckedHdf5:
         else:
             ids = self._found(only)
             found = {
-                name: FoundDataset(item, item.shape, item.get_type().get_size(), ANY, False)
+                name: StoredDataset(item, item.shape, item.get_type().get_size(), ANY, False)
                 for name, item in ids.items()
             }
         for name, one in found.items():
             self.check(name, one, filters, any_kind=only is not None)
         return {name: h5py.Dataset(one.id) for name, one in found.items()}
 
-    def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, FoundDataset]:
+    def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, StoredDataset]:
         """Every dataset by its path, of which `check` has yet to look at the bytes; InputError names what may not be.
 
         Nothing leads elsewhere, each holds plain numbers or one text, and together they announce no more than the file
         can hold. Dimensions, which hold no numbers, are left out; their lengths are in `dimensions`.
         is_left: whether what lies at a path is not looked at, for nobody reads it, but by `check_left`.
         """
-        found: dict[str, FoundDataset] = {}
+        found: dict[str, StoredDataset] = {}
         with damage_in_words(self.path, "its contents"):
             for name, item in self._found(None, is_left).items():
                 kind, shape = item.get_type(), item.shape
                 self._check_kind(name, item, kind, shape)
                 is_text = shape is not None and kind.get_class() == h5t.STRING
-                found[name] = FoundDataset(item, shape, kind.get_size(), kind.dtype, is_text)
+                found[name] = StoredDataset(item, shape, kind.get_size(), kind.dtype, is_text)
             announced = sum(one.announced_bytes for one in found.values())
             if announced > MOST_EXPANSION * self.size:
                 for name, one in found.items():  # which may say what is wrong more precisely
@@ -187,7 +187,7 @@ class CheckedHdf5:
         return found
 
     def check(
-        self, name: str, one: FoundDataset, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False
+        self, name: str, one: StoredDataset, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False
     ) -> None:
         """Refuse a dataset whose bytes are not all in this file, or are packed in a way that is not read.
 
