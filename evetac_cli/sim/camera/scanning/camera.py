@@ -37,7 +37,7 @@ from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
-from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
+from evetac_cli.sim.camera.scanning.pixel_culling import rests
 from evetac_cli.sim.camera.scanning.pixels import (
     FALSE,
     ZERO,
@@ -53,8 +53,6 @@ from evetac_cli.sim.camera.scanning.readout import Readout
 from evetac_cli.sim.camera.scanning.window import scan_window
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
-# How far dots go that rest for `scan_dots`, whose places between the ends of their paths are rounded.
-RESTS_PX = RESOLUTION_PX * (1.0 - 1e-6)
 # No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
 LOWEST_THRESHOLD = 0.25
 
@@ -314,7 +312,7 @@ def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Gen
     if lines is not None:
         plain = (tuple(lines.start), tuple(lines.end), tuple(lines.outline), *lines[3:])
         made, line_events = scan_lines(plain, path, gel, tuple(object_motion), window, times, state.keys)
-    elif len(state.shapes.inner_px) or not _rests(path, gel[0], *object_motion, window[2], window[4]):
+    elif len(state.shapes.inner_px) or not rests(path, gel[0], *object_motion, window[2], window[4]):
         made = _scan(path, gel, tuple(object_motion), window, times, state.keys)
     else:
         made = 0
@@ -364,38 +362,6 @@ def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, mad
 
 # Why so: Python hands over plain tuples, which are named here. As named tuples a slice of a grasp took 4 to 6 us more,
 # of 43: numba looks up the type of a named tuple anew at every call.
-
-
-@njit(cache=True, _nrt=False)
-def _rests(
-    path: NDArray[np.float64],
-    seen_xy: NDArray[np.float64],
-    object_start: NDArray[np.float64],
-    object_end: NDArray[np.float64],
-    contrast: float,
-    seen_object: NDArray[np.float64],
-    window_reference: NDArray[np.float32],
-) -> bool:
-    """Whether `_scan` would change nothing: no dot moves so far that it would be compared, nor the object at all.
-
-    Why so: the gel mostly creeps, and to hand over what `_scan` works on takes longer than this.
-    """
-    if window_reference.size:
-        for axis in range(2):
-            if not object_start[axis] == object_end[axis] == seen_object[axis]:
-                return False
-        if contrast != seen_object[2]:
-            return False
-    for dot in range(len(path)):
-        for axis in range(2):
-            low = seen_xy[dot, axis]
-            high = low
-            for vertex in range(path.shape[1]):
-                low = min(low, path[dot, vertex, axis])
-                high = max(high, path[dot, vertex, axis])
-            if high - low > RESTS_PX:
-                return False
-    return True
 
 
 @njit(cache=True, _nrt=False)

@@ -22,6 +22,7 @@ from evetac_cli.sim.camera.scanning.pixels import TRUE, CandidatePixels
 # A dot that has moved by no more, on either axis, since it was last compared rests: no level has changed by more than
 # 0.0008, and tremor below it makes no event. It saves the comparison where the gel only creeps.
 RESOLUTION_PX = 0.001
+RESTS_PX = RESOLUTION_PX * (1.0 - 1e-6)  # it surely does, however its places within the path of a slice are rounded
 # A dot that moves by `travel_px` gets a list that holds for a box wider by SKIN_PX * sqrt(travel_px) on each side: what
 # its making costs, spread over the slices until the dot has left the box, and what its length costs in each slice, are
 # then least together. From FAST_PX a slice on a list does not pay.
@@ -30,6 +31,38 @@ FAST_PX = 0.2
 RUSH_PX = 0.25  # half the travel in a slice from which on radii do not pay either
 PIXEL_SHIFT = 16
 COLUMN_MASK = 0xFFFF
+
+
+@njit(cache=True, _nrt=False)
+def rests(
+    path: NDArray[np.float64],
+    seen_xy: NDArray[np.float64],
+    object_start: NDArray[np.float64],
+    object_end: NDArray[np.float64],
+    contrast: float,
+    seen_object: NDArray[np.float64],
+    window_reference: NDArray[np.float32],
+) -> bool:
+    """Whether a scan would change nothing: no dot moves so far that it would be compared, nor the object at all.
+
+    Why so: the gel mostly creeps, and to hand over what a scan works on takes longer than this.
+    """
+    if window_reference.size:
+        for axis in range(2):
+            if not object_start[axis] == object_end[axis] == seen_object[axis]:
+                return False
+        if contrast != seen_object[2]:
+            return False
+    for dot in range(len(path)):
+        for axis in range(2):
+            low = seen_xy[dot, axis]
+            high = low
+            for vertex in range(path.shape[1]):
+                low = min(low, path[dot, vertex, axis])
+                high = max(high, path[dot, vertex, axis])
+            if high - low > RESTS_PX:
+                return False
+    return True
 
 
 @njit(cache=True, _nrt=False)

@@ -322,7 +322,7 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
 
 def test_slices_at_rest_may_be_scanned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that slices which are not scanned, as nothing moves far enough to be compared, would change nothing."""
-    rests, left_out = camera._rests, []
+    rests, left_out = camera.rests, []
 
     def creeps_and_moves(t_ms: float) -> NDArray[np.float64]:
         creeping, moving = min(t_ms % 100.0, 60.0), max(t_ms % 100.0 - 60.0, 0.0) + 40.0 * (t_ms // 100.0)
@@ -333,9 +333,9 @@ def test_slices_at_rest_may_be_scanned(monkeypatch: pytest.MonkeyPatch) -> None:
         return left_out[-1]
 
     quick, plain = (small_frames.start(camera, [[20.0, 30.0], [45.0, 50.0]]) for _ in range(2))
-    monkeypatch.setattr(camera, "_rests", counted)
+    monkeypatch.setattr(camera, "rests", counted)
     seen = small_frames.play(camera, quick, creeps_and_moves, 300)
-    monkeypatch.setattr(camera, "_rests", lambda *_: False)
+    monkeypatch.setattr(camera, "rests", lambda *_: False)
     expected = small_frames.play(camera, plain, creeps_and_moves, 300)
     assert 50 < sum(left_out) < 250
     assert sum(events.size for events in seen) > 100
