@@ -174,9 +174,9 @@ def test_as_much_validates_as_fits_into_memory(
         return slip_detectors.read_trajectory(path, architecture)
 
     monkeypatch.setattr(networks, "read_trajectory", noted)
-    for held_bytes, expected in ((networks.HELD_BYTES, [trials[2], trials[3]]), (80_000, [trials[2]])):
+    for held_bytes, expected in ((plan.HELD_BYTES, [trials[2], trials[3]]), (80_000, [trials[2]])):
         read.clear()
-        monkeypatch.setattr(networks, "HELD_BYTES", held_bytes)
+        monkeypatch.setattr(plan, "HELD_BYTES", held_bytes)
         run_stage(train, trials[:2], chosen, tmp_path / str(held_bytes))
         assert [path for path in read if path in trials[2:]] == expected
 
