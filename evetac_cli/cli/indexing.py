@@ -14,6 +14,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 if TYPE_CHECKING:  # `evetac --help` loads none of it
     from evetac_cli.store.index import Describe, IndexRow, Seen
 
+COMPILES = False  # files are described without a kernel
 MOST_OF_A_JOB = 64  # files: handing one over takes as long as reading some
 JOBS_A_WORKER = 4  # at least, so that none waits long for the others at the end
 FEW = 20  # files that are sooner read than a process is started

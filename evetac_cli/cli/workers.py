@@ -99,6 +99,9 @@ def _work(
     plugins.take_part(parts)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
+    if not getattr(importlib.import_module(f"evetac_cli.{module}"), "COMPILES", True):  # and needs no numba for that
+        _work_off(pipe, module, chosen, force)
+        return
     with compiling.announced(quiet=quiet, interrupted=interrupt_came, say=lambda text: _send_whole(pipe, text)):
         _work_off(pipe, module, chosen, force)
 
