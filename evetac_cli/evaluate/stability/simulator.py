@@ -144,7 +144,7 @@ def _finger_rows(case: FingerCase, steps: int) -> Rows:
     wrong, turns, sign = 0, 0, 0.0
     for _ in range(steps):
         gripper.step(state, drive, curve, "current", current_ma, case.dt_s)
-        wrong += sum(not math.isfinite(value) for value in vars(state).values())
+        wrong += sum(isinstance(value, float) and not math.isfinite(value) for value in vars(state).values())
         turns += sign * state.speed_m_s < 0
         sign = state.speed_m_s or sign
     rests = state.speed_m_s == 0.0
