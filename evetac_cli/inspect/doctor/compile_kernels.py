@@ -11,7 +11,6 @@ import os
 import subprocess
 import sys
 import time
-import tomllib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -26,8 +25,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.resources import SCENES
-from evetac_cli.text_files import as_toml
+from evetac_cli.sim.setup.scene_file import changed
 
 EVENTS, GRID, SCENE = "events.txt", "grid.json", "short-slip.toml"
 Chain = Sequence[str]
@@ -212,7 +210,6 @@ def _write_events(folder: Path) -> None:
 
 def _write_scene(folder: Path) -> None:
     """The scene slip with all its parts, as short as can be."""
-    scene = tomllib.loads((SCENES / "slip.toml").read_text())
-    scene["time"] |= {"rest_s": 0.05, "load_s": 0.05, "hold_s": 0.05, "after_lost_s": 0.02, "longest_s": 0.3}
-    scene["gripper"] = {"start_factor": [1.05, 1.3], "friction_factor": [0.1, 0.12]}
-    (folder / SCENE).write_text(as_toml(scene))
+    time = {"rest_s": 0.05, "load_s": 0.05, "hold_s": 0.05, "after_lost_s": 0.02, "longest_s": 0.3}
+    gripper = {"start_factor": [1.05, 1.3], "friction_factor": [0.1, 0.12]}
+    (folder / SCENE).write_text(changed("slip", {"time": time, "gripper": gripper}))
