@@ -58,8 +58,8 @@ class Course:
         self._lock = Lock()
         progress(0, parts)
         say(
-            f"compiling for this computer, once after installing: {parts} parts, one to two minutes on two quiet"
-            " cores, several on a slow or busy computer"
+            f"compiling for this computer, once after installing: {parts} parts, half a minute on two quiet"
+            " cores, several minutes on a slow or busy computer"
         )
 
     def run(self, line: str, worker: "Worker") -> None:
