@@ -13,7 +13,7 @@ from typing import NamedTuple
 EVERY_S = 0.25  # between two samples, each of which costs some 0.1 ms
 LAST_S = 1.0  # of which words are given where somebody has just been late
 LEAST = 0.05  # of a core, or of the time, that is worth a word
-OTHERS, OUTSIDE = "other programs", "whoever shares this virtual machine's host"
+OTHERS, OUTSIDE = "other programs", "other virtual machines on the same host"
 
 
 class _Sample(NamedTuple):

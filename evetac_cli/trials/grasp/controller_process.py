@@ -100,7 +100,7 @@ class ControllerEnded(NamedTuple):
     released_us: float  # when torque was off; NaN where that is not known
     counted: dict[str, int]
     torque: str = "torque was never on"  # in words, as it was read back
-    missed_by_gripper: int = 0  # of the missed deadlines, such as passed because its answers were late
+    missed_by_gripper: int = 0  # of the missed deadlines, those missed because its answers were late
 
 
 class Watch:

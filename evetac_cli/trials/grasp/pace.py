@@ -21,7 +21,7 @@ class Pace:
         self._began_s = clock()
         self._next = 0
         self.missed = 0
-        self.missed_by_gripper = 0  # of these, such as would not have been if it had answered as fast as it can
+        self.missed_by_gripper = 0  # of these, those that an answer as fast as its fastest would have met
 
     def shift(self, later_us: float) -> None:
         """Move all further deadlines by this time, which may be negative."""
