@@ -30,8 +30,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, friction_factor, friction_of, material, pad
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import object_file, plan, sampling
@@ -182,11 +181,11 @@ class TouchSensor:
         self._gel_slices = GelSlices(self._gel, solver)
         self._friction = friction_of(self.sampled)
         self._slip = GroundTruthSlip(self._gel, self._camera.mm_per_px, self._camera.window_px)
-        self._at_dots = gel.interpolation(nodes, self._camera.rest_m)
-        self._at_seen = gel.interpolation(nodes, np.concatenate([self._camera.rest_m, self._camera.cut_rest_m]))
+        self._at_dots = dots.interpolation(nodes, self._camera.rest_m)
+        self._at_seen = dots.interpolation(nodes, np.concatenate([self._camera.rest_m, self._camera.cut_rest_m]))
         many = solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
-        self._dilation_m = self._shift_m = np.zeros_like(self._camera.rest_m)
+        self._nearer_m = self._shift_m = np.zeros_like(self._camera.rest_m)
         self._cut_m = np.zeros_like(self._camera.cut_rest_m)
         self._now_ns = self._slices = 0
         place = (at_m[0], at_m[1], 0.0)
@@ -337,7 +336,7 @@ class TouchSensor:
 
     def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
         """One slice, at the end of which the contact is as given."""
-        before_n, before_m = self._normal_n, self._dilation_m
+        before_n, before_m = self._normal_n, self._nearer_m
         twist, push_n = None, (0.0, 0.0, 0.0)
         if moved.by == "place_m":
             last = self._moved_to if self._moved_to is not None else self._present("place_m").values
@@ -376,20 +375,19 @@ class TouchSensor:
         still = self._gel_slices.still_for > 0 and pressed_as_before
         if not still:
             if not pressed_as_before:
-                self._dilation_m = self._dilated()
-            seen_m = gel.displacement_at(self._gel, *self._at_seen)
-            dots = len(self._camera.rest_m)
-            self._shift_m, self._cut_m = seen_m[:dots] + self._dilation_m, seen_m[dots:]
-        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
+                self._nearer_m = self._nearer()
+            seen_m = dots.displacement_at(self._gel, *self._at_seen)
+            count = len(self._camera.rest_m)
+            self._shift_m, self._cut_m = seen_m[:count] + self._nearer_m, seen_m[count:]
+        path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
         nowhere, now_us = np.zeros(2), self._slices * SLICE_US
         self._slices += 1
         return self._camera.render(self._shift_m, nowhere, 0.0, now_us, path_m, cut_m=self._cut_m, still=still)
 
-    def _dilated(self) -> Floats:
-        """Shift of the dots by pressure alone."""
+    def _nearer(self) -> Floats:
+        """Shift of the dots as they come nearer to the lens."""
         depth = np.maximum(self._indentation_m - self._surface.gap_m, 0.0)
-        at_dots = gel.field_at(depth[..., None], *self._at_dots)[:, 0]
-        return dilation(self._camera.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
+        return dots.nearer_by(self._camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
 
     def _touch(self, slices: tuple[Events, ...]) -> Touch:
         slip = self._slip.truth()

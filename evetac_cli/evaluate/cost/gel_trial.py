@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel import dots, gel
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 
 GRAVITY_M_S2 = 9.81
@@ -121,7 +121,7 @@ def simulate(
     """Simulate a trial with `gel.step`; ValueError where dt_s does not divide 10 ms."""
     state = trial.start()
     shares = trial.shares(state)
-    weights = None if points_xy_m is None else gel.interpolation(state.node_xy_m, points_xy_m)
+    weights = None if points_xy_m is None else dots.interpolation(state.node_xy_m, points_xy_m)
 
     def advance(first: int, steps: int) -> tuple[int, bool]:
         for k in range(first, first + steps):
@@ -131,7 +131,7 @@ def simulate(
         return steps, False
 
     def sample() -> tuple[Floats, Floats]:
-        field = state.displacement_m.reshape(-1, 2) if weights is None else gel.displacement_at(state, *weights)
+        field = state.displacement_m.reshape(-1, 2) if weights is None else dots.displacement_at(state, *weights)
         return state.pose.copy(), field.copy()
 
     return follow(trial, dt_s, advance, sample)

@@ -29,7 +29,7 @@ from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import PAD_M, GelTrial, draw_trial
 from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Row
-from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel import dots, gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
@@ -104,7 +104,7 @@ def solve(trial: GelTrial, solver: Solver) -> Slide:
     state, stepper = trial.start(), Stepper(solver, SLICE_S)
     shares = trial.shares(state)
     x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
-    places = gel.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
+    places = dots.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
     slip = GroundTruthSlip(state, MM_PER_PX, None)
     samples: list[tuple[Floats, Floats, float, float, float]] = []
     for slice_ in range(round(trial.seconds / SLICE_S)):
@@ -115,7 +115,7 @@ def solve(trial: GelTrial, solver: Solver) -> Slide:
         took_us = (time.thread_time() - started) * 1e6
         slip.follow(state, shares, ends_n[1])
         slid_px = (slip.slid_px, float(slip.truth()["truth/every_node_slid_px"]))
-        samples.append((state.pose.copy(), gel.displacement_at(state, *places), *slid_px, took_us))
+        samples.append((state.pose.copy(), dots.displacement_at(state, *places), *slid_px, took_us))
     return Slide(*(np.array(column) for column in zip(*samples, strict=True)))
 
 

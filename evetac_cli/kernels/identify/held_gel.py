@@ -1,8 +1,7 @@
 """The stiffness and creep of a gel from how far its dots move when it takes over the weight of a held object.
 
-The layer's model is that of sim/gel: a pad of height H on a stiff back, of which each piece of area a answers a
-displacement u with G (a/H u - a H/3 laplace(u)). An object that does not slip moves the gel under it as one piece, and
-around it the displacement fades over H / sqrt(3). Where the object touches is not known: a strip along the weight whose
+The layer is that of the simulator (kernels/gel_layer). An object that does not slip moves the gel under it as one
+piece, and around it the displacement fades. Where the object touches is not known: a strip along the weight whose
 half width may differ at its ends, as of a cylinder between fingers that are not quite parallel. It is fitted to the
 dots.
 """
@@ -15,6 +14,7 @@ from scipy.optimize import least_squares
 from scipy.sparse.linalg import spsolve
 
 from evetac_cli.arrays import Floats
+from evetac_cli.kernels.gel_layer import sheet_stiffness
 
 HOLDS = 300.0  # by how much the object's hold on a piece of gel is stiffer than the layer
 EDGE_M = 0.3e-3  # over which the border of the contact is blurred, so that a fit can move it
@@ -43,27 +43,11 @@ class HeldFit(NamedTuple):
     misfit: float
 
 
-def layer(pad: Pad) -> sparse.csr_matrix:
-    """Stiffness of all nodes over the shear modulus, in m; the pad's edges are free."""
-    nodes, height = pad
-    rows, columns, _ = nodes.shape
-    pitch_x, pitch_y = nodes[0, 1, 0] - nodes[0, 0, 0], nodes[1, 0, 1] - nodes[0, 0, 1]
-    area = pitch_x * pitch_y
-
-    def chain(count: int) -> sparse.csr_matrix:
-        ends = np.full(count, 2.0)
-        ends[[0, -1]] = 1.0
-        return sparse.diags([ends, -np.ones(count - 1), -np.ones(count - 1)], [0, 1, -1])
-
-    across = sparse.kron(sparse.eye(rows), chain(columns)) / pitch_x**2
-    down = sparse.kron(chain(rows), sparse.eye(columns)) / pitch_y**2
-    return sparse.csr_matrix(area / height * sparse.eye(rows * columns) + area * height / 3 * (across + down))
-
-
 def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats, float]:
     """How far each node moves for one of the object (rows, columns), and the force for that over the shear modulus.
 
-    strip: half width in m at the pad's first and last column, and its middle, all across x.
+    stiffness: of the layer, as from `gel_layer.sheet_stiffness`. strip: half width in m at the pad's first and last
+    column, and its middle, all across x.
     """
     nodes = pad.node_xy_m
     along = (nodes[..., 0] - nodes[0, 0, 0]) / (nodes[0, -1, 0] - nodes[0, 0, 0])
@@ -72,8 +56,11 @@ def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats
     inside *= 1 / (1 + np.exp(np.clip(-half / EDGE_M * 4, -50, 50)))
     area = (nodes[0, 1, 0] - nodes[0, 0, 0]) * (nodes[1, 0, 1] - nodes[0, 0, 1])
     hold = (HOLDS * area / pad.height_m * inside).reshape(-1)
-    moved = spsolve((stiffness + sparse.diags(hold)).tocsc(), hold)
-    return moved.reshape(inside.shape), float((stiffness @ moved).sum())
+    count = len(hold)
+    on_nodes = np.concatenate([hold, hold, np.zeros(2 * count)])  # the object does not move across the weight
+    pulled = np.concatenate([hold, np.zeros(3 * count)])
+    moved = spsolve((stiffness + sparse.diags(on_nodes)).tocsc(), pulled)
+    return moved[:count].reshape(inside.shape), float((stiffness @ moved)[:count].sum())
 
 
 def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
@@ -89,7 +76,7 @@ def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
     largest_m = float(np.percentile(displacement_m[on_pad], 90))
     if not largest_m > 0:
         raise ValueError("the dots do not move along the weight")
-    stiffness = layer(pad)
+    stiffness = sheet_stiffness(pad.node_xy_m, pad.height_m)
     half_pad = float(high[1] - low[1]) / 2
 
     def at_dots(moved: Floats) -> Floats:

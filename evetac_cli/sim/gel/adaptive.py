@@ -18,8 +18,8 @@ from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.force_balance import Three
-from evetac_cli.sim.gel.pad_equation import FrictionLaw, LayerConstants
-from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, Second, step_nodes
+from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants
+from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
 # Of `Allowed.steepness`. Why so: at the default tolerance the onset of slip is within 0.25 ms of that of steps of 10 us
@@ -68,6 +68,7 @@ class Stepper:
         self._sums = np.zeros(12)
         self._fixed_steps = self.solver.fixed_steps or 0
         self._rule = (self.solver.tolerance_um * 1e-6, self.solver.halvings)
+        self._pressed = self._squeeze = np.zeros(0)
 
     def advance(
         self,
@@ -95,14 +96,24 @@ class Stepper:
             wanted = _three(prescribed_twist)
             if not any(wanted):  # nothing swings on an object that is held still: damped most, the gel rests soonest
                 theta = 1.0
-        load = (state.gripping(shares), *force_n, _three(body_force_n), prescribed_twist is not None, wanted)
+        if shares is not self._pressed:
+            self._pressed, self._squeeze = shares, state.squeezed(shares)
+        load = (
+            state.gripping(shares),
+            self._squeeze,
+            *force_n,
+            _three(body_force_n),
+            prescribed_twist is not None,
+            wanted,
+        )
         settings = (self.slice_s, theta, solver.residual, self._fixed_steps)
         arrays, law = state.arrays, friction.law
         second = None
         if self.second is not None:
             if second_shares is None or second_shares.shape != self.second.stuck.shape:
                 raise ValueError(f"second_shares must have the shape of the second grid {self.second.stuck.shape}")
-            second = (self.second.fields, self.second.gripping(second_shares), self.second.layer_constants)
+            squeeze = self.second.squeezed(second_shares)
+            second = (self.second.fields, self.second.gripping(second_shares), squeeze, self.second.layer_constants)
         progress[0] = 0.0
         sums[:] = 0.0
         while progress[0] < 1.0:
@@ -138,20 +149,20 @@ def _nodal_forces(memory: Floats, shares: Floats, normal_n: float) -> Floats:
 @njit(cache=True, _nrt=False)
 def _step_slice(
     arrays: NodeArrays,
-    load: tuple[Floats, float, float, Three, bool, Three],
+    load: tuple[Floats, Floats, float, float, Three, bool, Three],
     friction: FrictionLaw,
     settings: tuple[float, float, float, int],
     rule: tuple[float, int],
     constants: LayerConstants,
     results: tuple[Floats, Floats, Floats],
     one: bool,
-    second: Second,
+    second: tuple[Fields, Floats, Floats, LayerConstants] | None,
 ) -> int:
     """The steps of a slice from where `progress` says, or only `one`; returns 0, or the number of what is wrong.
 
     Why so: handed over to Python after each step, a slice took 9 us more for each.
     """
-    shares, first_n, last_n, force, prescribed, wanted = load
+    shares, squeeze, first_n, last_n, force, prescribed, wanted = load
     slice_s, theta, residual, fixed_steps = settings
     allowed_m, halvings = rule
     progress, sums, info = results
@@ -164,14 +175,15 @@ def _step_slice(
         if second is None:
             second_pad = None
         else:
-            fields_2, shares_2, constants_2 = second
-            second_pad = (fields_2, _nodal_forces(fields_2[10], shares_2, normal_n), constants_2)
+            fields_2, shares_2, squeeze_2, constants_2 = second
+            nodal_2_n = _nodal_forces(fields_2[10], shares_2, normal_n)
+            second_pad = (fields_2, nodal_2_n, (squeeze_2, normal_n), constants_2)
         most_m, steepest, shortest = math.inf, math.inf, True
         if not fixed_steps and halved < MOST_HALVINGS:
             most_m, steepest, shortest = allowed_m, math.inf if prescribed else STEEPEST, halved >= halvings
         fault = step_nodes(
             arrays,
-            (nodal_n, force, prescribed, wanted),
+            (nodal_n, (squeeze, normal_n), force, prescribed, wanted),
             friction,
             (dt_s, theta, residual, MOST_SWEEPS, most_m, steepest, shortest),
             constants,

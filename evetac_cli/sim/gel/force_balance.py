@@ -1,8 +1,8 @@
 """The balance of forces in one time step of the gel: node velocities and the object's twist at which it holds.
 
-The minimum of one convex function (see gel) is found in rounds: sweeps of projected over-relaxation over the nodes
-(`relax`), then a Newton step of the object in which the nodes that stick move along (see object_move). Each pad that is
-simulated has a `Stencil` and a `Work` of its own.
+The minimum of one convex function (see gel) is found in rounds: sweeps of projected over-relaxation over the nodes and
+the sheet that couples them (`relax`), then a Newton step of the object in which the nodes that stick move along (see
+object_move). Each pad that is simulated has a `Stencil` and a `Work` of its own.
 """
 
 import math
@@ -12,91 +12,94 @@ import numpy as np
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.gel_layer import SPRING
+from evetac_cli.sim.gel.sheet import Stretch, relax_sheet, sheet_imbalance
 
 Three = tuple[float, float, float]  # along x, along y, and about the axis across both
 ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
+FACTOR = 1.3  # of over-relaxation of the nodes
 
 
 class Stencil(NamedTuple):
-    """The matrix of the nodes in one time step: own + links on the diagonal, -link to each neighbour."""
+    """The matrix of the nodes in one time step: own + spring on the diagonal, -spring to the sheet above a node.
+
+    Both in N s/m. pads: how many pads like this one hold the object.
+    """
 
     own: float
-    link_x: float
-    link_y: float
-    pitch_x: float
-    pitch_y: float
+    spring: float
+    stretch: Stretch
     pads: float
 
 
 class Work(NamedTuple):
-    """Memory for one step, (rows, columns[, 2]); `velocity` and `loose` have a border of zeros all around.
+    """Memory for one step, (rows, columns[, 2]); `loose` and the sheet's fields have a border all around.
 
     It is the pad's from step to step (see `work_memory`), as making it anew took a tenth of a step.
 
-    right, slip, ease and object_velocity have two columns more, so that in memory they run along with `velocity`.
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
-    lever: place of the nodes seen from the object's centre; bound: mu * normal force; diagonal: of the stencil.
+    lever: place of the nodes seen from the object's centre; bound: mu * normal force.
     pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
     loose: 1 where a node does not move along with the object.
     search_direction: how the nodes answer a move of the object.
-    ease: factor of over-relaxation / diagonal, of both components; object_velocity: velocity of the object's surface.
+    Of the sheet, x and y apart (2, ...): sheet, its mean velocity, and sheet_search, how it answers a move; its
+    sheet_right, and sheet_source, that and what the nodes pull it with; sheet_left and search_left, what the balance of
+    sheet and sheet_search lacks.
     """
 
     velocity: Floats
     right: Floats
     lever: Floats
     bound: Floats
-    diagonal: Floats
     pull: Floats
     slip: Floats
     speed: Floats
     loose: Floats
     search_direction: Floats
-    ease: Floats
-    object_velocity: Floats
+    sheet: Floats
+    sheet_search: Floats
+    sheet_right: Floats
+    sheet_source: Floats
+    sheet_left: Floats
+    search_left: Floats
+    after: Floats
+    sheet_rule: Floats
 
 
 def work_memory(rows: int, columns: int) -> Floats:
     """Zeros (numbers,) for the `Work` of a pad of so many nodes, their normal forces, and the object's twist."""
     bordered, longer, plain = (rows + 2) * (columns + 2), rows * (columns + 2), rows * columns
-    return np.zeros(3 * bordered + 8 * longer + 10 * plain + 3)
+    return np.zeros(5 * bordered + 9 * longer + 15 * plain + 3)
 
 
 @njit(cache=True, _nrt=False, inline="always")
-def work_in(memory: Floats, rows: int, columns: int) -> Work:
-    """The memory of a pad (see `work_memory`) by its parts."""
-    border = 2 * (rows + 2) * (columns + 2)
-    long = 2 * rows * (columns + 2)
-    pair = 2 * rows * columns
-    longs = border + border // 2
-    pairs = longs + 4 * long
-    singles = pairs + 3 * pair
+def work_in(memory: Floats, rule: Floats, rows: int, columns: int) -> Work:
+    """The memory of a pad (see `work_memory`) by its parts; rule: of its sheet."""
+    border = (rows + 2) * (columns + 2)
+    row = rows * (columns + 2)
+    plain = rows * columns
+    rows_at = 5 * border
+    pairs = rows_at + 9 * row
+    singles = pairs + 12 * plain
     return Work(
-        velocity=memory[:border].reshape(rows + 2, columns + 2, 2),
-        right=memory[longs : longs + long].reshape(rows, columns + 2, 2),
-        lever=memory[pairs : pairs + pair].reshape(rows, columns, 2),
-        bound=memory[singles : singles + pair // 2].reshape(rows, columns),
-        diagonal=memory[singles + pair // 2 : singles + pair].reshape(rows, columns),
-        pull=memory[pairs + pair : pairs + 2 * pair].reshape(rows, columns, 2),
-        slip=memory[longs + long : longs + 2 * long].reshape(rows, columns + 2, 2),
-        speed=memory[singles + pair : singles + pair + pair // 2].reshape(rows, columns),
-        loose=memory[border:longs].reshape(rows + 2, columns + 2),
-        search_direction=memory[pairs + 2 * pair : singles].reshape(rows, columns, 2),
-        ease=memory[longs + 2 * long : longs + 3 * long].reshape(rows, columns + 2, 2),
-        object_velocity=memory[longs + 3 * long : pairs].reshape(rows, columns + 2, 2),
+        velocity=memory[pairs : pairs + 2 * plain].reshape(rows, columns, 2),
+        right=memory[pairs + 2 * plain : pairs + 4 * plain].reshape(rows, columns, 2),
+        lever=memory[pairs + 4 * plain : pairs + 6 * plain].reshape(rows, columns, 2),
+        pull=memory[pairs + 6 * plain : pairs + 8 * plain].reshape(rows, columns, 2),
+        slip=memory[pairs + 8 * plain : pairs + 10 * plain].reshape(rows, columns, 2),
+        search_direction=memory[pairs + 10 * plain : singles].reshape(rows, columns, 2),
+        bound=memory[singles : singles + plain].reshape(rows, columns),
+        speed=memory[singles + plain : singles + 2 * plain].reshape(rows, columns),
+        loose=memory[:border].reshape(rows + 2, columns + 2),
+        sheet=memory[border : 3 * border].reshape(2, rows + 2, columns + 2),
+        sheet_search=memory[3 * border : rows_at].reshape(2, rows + 2, columns + 2),
+        sheet_right=memory[rows_at : rows_at + 2 * row].reshape(2, row),
+        sheet_source=memory[rows_at + 2 * row : rows_at + 4 * row].reshape(2, row),
+        sheet_left=memory[rows_at + 4 * row : rows_at + 6 * row].reshape(2, row),
+        search_left=memory[rows_at + 6 * row : rows_at + 8 * row].reshape(2, row),
+        after=memory[rows_at + 8 * row : pairs],
+        sheet_rule=rule,
     )
-
-
-# numba takes an index that may be negative from the end of an array, and tests each for that; these are none.
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_FOUR = np.uint64(4)
-
-
-@njit(cache=True, _nrt=False)
-def links(index: int, count: int) -> int:
-    """How many neighbours a node has along a line of count nodes."""
-    return min(index, 1) + min(count - 1 - index, 1)
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
@@ -110,103 +113,70 @@ def friction_projection(x: float, y: float, bound: float) -> float:
     return 1.0 - bound / math.sqrt(square) if square > bound * bound else 0.0
 
 
-@njit(cache=True, _nrt=False)
-def set_object_velocity(work: Work, twist: Floats) -> None:
-    """Fill `object_velocity` for the object's twist."""
+@njit(cache=True, _nrt=False, error_model="numpy")
+def relax(work: Work, stencil: Stencil, stuck: Flags, twist: Three) -> None:
+    """One sweep of projected over-relaxation, with the object's velocity: over the nodes, then over the sheet."""
     rows, columns = work.bound.shape
+    ease = FACTOR / (stencil.own + stencil.spring)
+    keep = 1.0 - FACTOR
+    spring = stencil.spring
+    body_x, body_y, turn = twist
+    velocity, right, sheet = work.velocity, work.right, work.sheet
     for row in range(rows):
         for column in range(columns):
-            work.object_velocity[row, column, 0] = twist[0] - twist[2] * work.lever[row, column, 1]
-            work.object_velocity[row, column, 1] = twist[1] + twist[2] * work.lever[row, column, 0]
+            object_x = body_x - turn * work.lever[row, column, 1]
+            object_y = body_y + turn * work.lever[row, column, 0]
+            pull_x = right[row, column, 0] + spring * sheet[0, row + 1, column + 1]
+            pull_y = right[row, column, 1] + spring * sheet[1, row + 1, column + 1]
+            slip_x = keep * velocity[row, column, 0] + ease * pull_x - object_x
+            slip_y = keep * velocity[row, column, 1] + ease * pull_y - object_y
+            hold = ease * work.bound[row, column]
+            left = 1.0  # as most nodes bear nothing, of them no root is taken
+            if hold > 0.0:
+                left = friction_projection(slip_x, slip_y, hold)
+            if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(object_x) + abs(object_y)):
+                left = 0.0
+            stuck[row, column] = hold > 0.0 and left == 0.0
+            velocity[row, column, 0] = object_x + left * slip_x
+            velocity[row, column, 1] = object_y + left * slip_y
+    if spring > 0.0:
+        pull_sheet(work.velocity, work.sheet_right, work.sheet_source)
+        relax_sheet(work.sheet, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
 
 
-@njit(cache=True, _nrt=False, error_model="numpy")
-def _slip_alone(
-    above: Floats,
-    here: Floats,
-    below: Floats,
-    right: Floats,
-    ease: Floats,
-    object_velocity: Floats,
-    stencil: Stencil,
-    keep: float,
-    slip: Floats,
-) -> None:
-    """What each node would slip after a sweep if there were no friction, `keep` of its velocity being left."""
-    link_x = stencil.link_x
-    link_y = stencil.link_y
-    for k in range(len(slip)):
-        total = right[k] + link_x * (here[k] + here[k + 4])
-        total += link_y * (above[k] + below[k])
-        slip[k] = keep * here[k + 2] + ease[k] * total - object_velocity[k]
-
-
-@njit(cache=True, _nrt=False, error_model="numpy")
-def relax(work: Work, stencil: Stencil, stuck: Flags, factor: float) -> None:
-    """One sweep of projected over-relaxation over the nodes, with the object's velocity as in `object_velocity`.
-
-    Nodes go in the order of a chess board, first one colour, then the other: those of one colour do not wait for each
-    other, neither in the processor nor in the result, which so keeps the symmetries of the problem.
-
-    Why so: what has no branch is computed for both colours at once, in flat loops that numba makes vector code of.
-    """
-    rows, columns = work.bound.shape
-    stride = 2 * columns + 4
-    count = rows * stride - 4
-    velocity = work.velocity.reshape(-1)
-    right = work.right.reshape(-1)
-    slip = work.slip.reshape(-1)
-    ease = work.ease.reshape(-1)
-    object_velocity = work.object_velocity.reshape(-1)
-    bound = work.bound.reshape(-1)
-    sticks = stuck.reshape(-1)
-    above = velocity[2:]
-    here = velocity[stride:]
-    below = velocity[2 * stride + 2 :]
-    for colour in range(2):
-        _slip_alone(above, here, below, right, ease, object_velocity, stencil, 1.0 - factor, slip[:count])
+@njit(cache=True, _nrt=False)
+def pull_sheet(nodes: Floats, right: Floats, source: Floats) -> None:
+    """Fill `source`: what the nodes (rows, columns, 2) pull their sheet with, and its own right-hand side."""
+    rows, columns, _ = nodes.shape
+    for axis in range(2):
         for row in range(rows):
-            first = (row + colour) % 2
-            entry = np.uint64(row * stride + 2 * first)
-            node = np.uint64(row * columns + first)
-            end = np.uint64(row * columns + columns)
-            while node < end:
-                slip_x = slip[entry]
-                slip_y = slip[entry + _ONE]
-                body_x = object_velocity[entry]
-                body_y = object_velocity[entry + _ONE]
-                hold = ease[entry] * bound[node]
-                left = 1.0  # as most nodes bear nothing, of them no root is taken
-                if hold > 0.0:
-                    left = friction_projection(slip_x, slip_y, hold)
-                if left * (abs(slip_x) + abs(slip_y)) <= ROUNDING * (abs(body_x) + abs(body_y)):
-                    left = 0.0
-                sticks[node] = hold > 0.0 and left == 0.0
-                here[entry + _TWO] = body_x + left * slip_x
-                here[entry + _TWO + _ONE] = body_y + left * slip_y
-                entry += _FOUR
-                node += _TWO
+            first = row * (columns + 2)
+            for column in range(columns):
+                source[axis, first + column] = right[axis, first + column] + SPRING * nodes[row, column, axis]
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
 def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags) -> tuple[float, Three]:
-    """Largest force left unbalanced at a node; force and moment of a pad on the object. Fills pull, slip, speed."""
-    velocity = work.velocity
+    """Largest force left unbalanced at a node or at the sheet; force and moment of a pad on the object.
+
+    Fills pull, slip, speed and sheet_left.
+    """
+    velocity, sheet = work.velocity, work.sheet
     rows, columns = work.bound.shape
+    spring, diagonal = stencil.spring, stencil.own + stencil.spring
     worst = wrench_x = wrench_y = moment = 0.0  # sums in memory, not in registers, would wait for each other
+    if spring > 0.0:
+        pull_sheet(velocity, work.sheet_right, work.sheet_source)
+        worst = spring / SPRING * sheet_imbalance(sheet, work.sheet_source, stencil.stretch, work.sheet_left)
     for row in range(rows):
         for column in range(columns):
-            here_x = velocity[row + 1, column + 1, 0]
-            here_y = velocity[row + 1, column + 1, 1]
+            here_x = velocity[row, column, 0]
+            here_y = velocity[row, column, 1]
             x = work.lever[row, column, 0]
             y = work.lever[row, column, 1]
             bound = work.bound[row, column]
-            pull_x = work.diagonal[row, column] * here_x - work.right[row, column, 0]
-            pull_y = work.diagonal[row, column] * here_y - work.right[row, column, 1]
-            pull_x -= stencil.link_x * (velocity[row + 1, column, 0] + velocity[row + 1, column + 2, 0])
-            pull_y -= stencil.link_x * (velocity[row + 1, column, 1] + velocity[row + 1, column + 2, 1])
-            pull_x -= stencil.link_y * (velocity[row, column + 1, 0] + velocity[row + 2, column + 1, 0])
-            pull_y -= stencil.link_y * (velocity[row, column + 1, 1] + velocity[row + 2, column + 1, 1])
+            pull_x = diagonal * here_x - work.right[row, column, 0] - spring * sheet[0, row + 1, column + 1]
+            pull_y = diagonal * here_y - work.right[row, column, 1] - spring * sheet[1, row + 1, column + 1]
             slip_x = 0.0
             slip_y = 0.0
             speed = 0.0

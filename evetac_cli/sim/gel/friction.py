@@ -20,6 +20,7 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.gel_layer import ACROSS, SPRING
 
 WAVES = 256  # that make up a smooth random field
 NONE_LEFT = 28.0  # beyond it exp(-x^2) is 0 in double precision, and to find that out takes long
@@ -44,14 +45,17 @@ def half_wavelength_m(
 ) -> float:
     """Half the wavelength of the shortest pattern of slip that grows where a gel slides; infinity where none does.
 
-    A pattern of wave number k grows where coefficient_drop * pressure / memory > G/H + G H k^2/3: friction that falls
-    over the memory length beats the gel's stiffness (Rice 1993). A grid has to resolve it: ask for 6 nodes, and do not
-    trust the onset of slip below 4. 0 without memory.
+    A pattern of wave number k grows where coefficient_drop * pressure / memory is above the gel's stiffness to it, at
+    the least G/H (1 + a x / (1 + a x / s)), x = (kH)^2 (see kernels/gel_layer): friction that falls over the memory
+    length beats the gel (Rice 1993). A grid has to resolve it: ask for 6 nodes, and do not trust the onset of slip below
+    4. 0 without memory, and where patterns of any length grow.
     """
     if memory_m == 0.0:
         return 0.0 if coefficient_drop * pressure_pa > 0.0 else math.inf
-    surplus = coefficient_drop * pressure_pa / memory_m - shear_modulus_pa / height_m
-    return math.pi * math.sqrt(shear_modulus_pa * height_m / 3 / surplus) if surplus > 0.0 else math.inf
+    surplus = coefficient_drop * pressure_pa / memory_m * height_m / shear_modulus_pa - 1.0
+    if not 0.0 < surplus < SPRING:
+        return math.inf if surplus <= 0.0 else 0.0
+    return math.pi * height_m * math.sqrt(ACROSS * (1.0 / surplus - 1.0 / SPRING))
 
 
 def varied(node_xy_m: Floats, spread: float, length_m: float, rng: np.random.Generator) -> Floats:

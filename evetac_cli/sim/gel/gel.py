@@ -2,12 +2,12 @@
 
 Model, in SI units, x down, y to the side, rotation from x to y:
 
-- Layer. A gel of height H bonded to a stiff back. On a grid of nodes of area a, the surface displacement u is answered
-  by K u = a G/H u - (a G H/3) laplace(u), the Galerkin form for a displacement linear in depth. Its compliance to a
-  pattern of wave number k is 1/(G/H + G H k^2/3), that of the exact layer tanh(kH)/(G k): 0.1 % apart at kH = 0.5, 5 %
-  at 1.5, 25 % at 3 (a wavelength of 8.4 mm). A node carries the mass 4 rho H a/pi^2, which puts the first thickness
-  resonance where the exact layer has it, at sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm; slow
-  creep, where it is asked for: more arms (a Prony series). Arms are solved exactly for a velocity constant in a step.
+- Layer. A gel of height H that keeps its volume, bonded to a stiff back. It answers shear as a vector, stiffer along a
+  wave than across it, and pressure squeezes it aside: what the exact layer does is met by a sheet of nodes inside it
+  and by a force that pressure exerts on the surface (see kernels/gel_layer). A surface node carries the mass
+  4 rho H a/pi^2, a its area, which puts the first thickness resonance where the exact layer has it, at
+  sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm; slow creep, where it is asked for: more arms (a
+  Prony series). Arms are solved exactly for a velocity constant in a step.
 - Friction. Set-valued Coulomb: the friction of a node lies in the disc of radius mu * normal force; where the node
   slips it lies on the rim, against the slip. mu is a state of the node, which falls from static to kinetic with its
   slip speed over a memory length (see friction).
@@ -32,20 +32,19 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.gel_layer import SPRING, Squeeze
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.force_balance import work_memory
 from evetac_cli.sim.gel.friction import half_wavelength_m
-from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, PadConstants, spring
+from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, PadConstants, spring
+from evetac_cli.sim.gel.sheet import rule_of, stretch_of
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
 
 MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
 MOST_ARMS = 8
-DECAY_M = 2.3e-3  # lateral decay of the motion of a layer 4 mm high outside a contact: H / sqrt(3)
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,9 @@ class GelMaterial:
 
     Shear modulus and height are those of a GelSight Mini gel (FEATS, from the same laboratory as Evetac). Density and
     losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, to be drawn at random. To leave out on request:
-    `coupled` False, each node is a spring of its own (Winkler); `with_mass` False, the gel follows without inertia.
-    creep_share, creep_time_s: of more Maxwell arms, MOST_ARMS at most. The shear modulus is that after all creep; a
-    sudden shear is resisted by 1 + all shares times as much.
+    `coupled` False, each node is a spring of its own (Winkler), and pressure squeezes nothing aside; `with_mass` False,
+    the gel follows without inertia. creep_share, creep_time_s: of more Maxwell arms, MOST_ARMS at most. The shear
+    modulus is that after all creep; a sudden shear is resisted by 1 + all shares times as much.
     """
 
     shear_modulus_pa: float = 145e3
@@ -172,13 +171,17 @@ class GelState:
     friction_coefficient: Floats
     stuck: Flags
     _mean_m_s: Floats
+    sheet_m: Floats
+    _sheet_m_s: Floats
+    _squeeze: Squeeze | None
     _layer: PadConstants
     _creep_arms: Floats
-    layer_constants: tuple[float, ...]  # the same as a plain tuple, as `step_nodes` is handed it
+    layer_constants: LayerConstants  # the same as a plain tuple, as `step_nodes` is handed it
     info: Floats
     _numbers: Floats  # those of the arrays above that a step changes, in one piece, so that it is quick to copy
     _memory: Floats
     _stuck_before: Flags
+    _sheet_rule: Floats
     friction_factor: Floats | None = None
 
     def gripping(self, normal: Floats) -> Floats:
@@ -188,6 +191,10 @@ class GelState:
         included, so that the steps need not know of it.
         """
         return normal if self.friction_factor is None else normal * self.friction_factor
+
+    def squeezed(self, normal: Floats) -> Floats:
+        """Force (rows, columns, 2) with which normal forces of the nodes, or their shares, squeeze the gel aside."""
+        return np.zeros_like(self.displacement_m) if self._squeeze is None else self._squeeze.of(normal)
 
     @cached_property
     def arrays(self) -> NodeArrays:
@@ -208,6 +215,9 @@ class GelState:
             self._creep_arms,
             self._memory,
             self._stuck_before,
+            self.sheet_m,
+            self._sheet_m_s,
+            self._sheet_rule,
         )
 
     @cached_property
@@ -246,6 +256,8 @@ def _parts(numbers: Floats, rows: int, columns: int, arms: int) -> dict[str, Flo
         "creep_n": (arms, *grid, 2),
         "slip_m_s": grid,
         "friction_coefficient": grid,
+        "sheet_m": (2, rows + 2, columns + 2),
+        "_sheet_m_s": (2, rows + 2, columns + 2),
     }
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
     assert ends[-1] == len(numbers)
@@ -295,22 +307,23 @@ def start(
     regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
     if not (pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)):
         raise ValueError("node_xy_m must be a regular grid, x rising along columns and y along rows")
-    in_plane = material.shear_modulus_pa * material.height_m / 3 * area if material.coupled else 0.0
+    shear = material.shear_modulus_pa * area / material.height_m
+    stretch = stretch_of(material.height_m, pitch_x, pitch_y)
     layer = PadConstants(
         node_mass=4 * material.density_kg_m3 * material.height_m * area / math.pi**2 if material.with_mass else 0.0,
-        shear=material.shear_modulus_pa * area / material.height_m,
-        coupling_x=in_plane / pitch_x**2,
-        coupling_y=in_plane / pitch_y**2,
+        shear=shear,
+        spring=SPRING * shear if material.coupled else 0.0,
         pitch_x=pitch_x,
         pitch_y=pitch_y,
         viscous_time=float(material.viscous_time_s),
         maxwell_share=float(material.maxwell_share),
         maxwell_time=float(material.maxwell_time_s),
         pads=float(pads),
+        stretch=stretch,
     )
     grid = (rows, columns)
     arms = len(material.creep_share)
-    numbers = np.zeros(9 + rows * columns * (10 + 2 * arms))
+    numbers = np.zeros(9 + rows * columns * (10 + 2 * arms) + 4 * (rows + 2) * (columns + 2))
     parts = _parts(numbers, rows, columns, arms)
     parts["inertia"][:] = body_mass_kg, body_mass_kg, body_inertia_kg_m2
     parts["pose"][:2] = body_xy_m
@@ -325,7 +338,9 @@ def start(
         _numbers=numbers,
         _layer=layer,
         _creep_arms=np.array([material.creep_share, material.creep_time_s]).T.copy(),
-        layer_constants=tuple(layer),
+        layer_constants=(*layer[:-1], tuple(stretch)),
+        _squeeze=Squeeze(nodes, material.height_m) if material.coupled else None,
+        _sheet_rule=rule_of(stretch, rows, columns),
         info=np.zeros(INFO_SIZE),
         _memory=work_memory(rows, columns),
         _stuck_before=np.zeros(grid, dtype=np.bool_),
@@ -368,7 +383,8 @@ def step(
             "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
             f" found {theta}, {tolerance} and {max_sweeps}"
         )
-    load = (state.gripping(nodal), tuple(force.tolist()), prescribed_twist is not None, tuple(wanted.tolist()))
+    squeeze = (state.squeezed(nodal), 1.0)
+    load = (state.gripping(nodal), squeeze, tuple(force.tolist()), prescribed_twist is not None, tuple(wanted.tolist()))
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
     fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info, None)
     if fault:
@@ -419,56 +435,6 @@ def energy(state: GelState) -> float:
     """
     answer = np.empty_like(state.displacement_m)
     layer = state._layer
-    spring(state.displacement_m, layer.shear, layer.coupling_x, layer.coupling_y, answer)
+    spring(state.displacement_m, state.sheet_m, layer.shear, layer.spring, answer)
     pad = (state.displacement_m * answer).sum() + layer.node_mass * (state.velocity_m_s**2).sum()
     return 0.5 * float((state.inertia * state.twist**2).sum() + state.pads * pad)
-
-
-def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY_M) -> tuple[NDArray[np.intp], Floats]:
-    """Nodes and weights, both (points, 4), that give the displacement of points on the gel from that of the nodes.
-
-    Bilinear between nodes and constant to the border of the pad (the outer sides of its cells); beyond, the value at
-    the border decays with exp(-distance / decay_m), as the motion of a bonded layer does outside a contact.
-    """
-    points = np.asarray(points_xy_m, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise ValueError(f"points_xy_m must be finite with shape (points, 2), found shape {points.shape}")
-    check_range("decay_m", decay_m, above=True)
-    rows, columns, _ = node_xy_m.shape
-    low = np.empty((2, len(points)), dtype=np.intp)
-    high = np.empty_like(low)
-    part = np.empty((2, len(points)))
-    beyond = np.empty((2, len(points)))
-    for axis, line in enumerate((node_xy_m[0, :, 0], node_xy_m[:, 0, 1])):
-        half = (line[1] - line[0]) / 2 if len(line) > 1 else 0.0
-        place = points[:, axis]
-        beyond[axis] = np.maximum(0.0, np.maximum(line[0] - half - place, place - line[-1] - half))
-        index = np.interp(place, line, np.arange(len(line)))
-        low[axis] = np.minimum(index.astype(np.intp), len(line) - 1)
-        high[axis] = np.minimum(low[axis] + 1, len(line) - 1)
-        part[axis] = index - low[axis]
-    reach = np.exp(-np.hypot(*beyond) / decay_m)
-    corners = [(low, low, 1 - part[0], 1 - part[1]), (high, low, part[0], 1 - part[1])]
-    corners += [(low, high, 1 - part[0], part[1]), (high, high, part[0], part[1])]
-    indices = np.stack([at_y[1] * columns + at_x[0] for at_x, at_y, _, _ in corners], axis=-1)
-    weights = np.stack([reach * share_x * share_y for _, _, share_x, share_y in corners], axis=-1)
-    return indices, weights
-
-
-def displacement_at(state: GelState, indices: NDArray[np.intp], weights: Floats) -> Floats:
-    """Displacement in m, (points, 2), of the points for which `interpolation` gave these indices and weights."""
-    displacement: Floats = field_at(state.displacement_m, indices, weights)
-    return displacement
-
-
-@njit(cache=True)
-def field_at(field: Floats, indices: NDArray[np.intp], weights: Floats) -> Floats:
-    """Values (points, parts) of a field of the nodes, (rows, columns, parts), where `interpolation` says."""
-    parts = field.shape[2]
-    nodes = field.reshape(field.shape[0] * field.shape[1], parts)
-    values = np.zeros((len(indices), parts))
-    for point in range(len(indices)):
-        for corner in range(indices.shape[1]):
-            for part in range(parts):
-                values[point, part] += nodes[indices[point, corner], part] * weights[point, corner]
-    return values

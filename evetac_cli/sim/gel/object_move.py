@@ -13,25 +13,34 @@ import math
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel.force_balance import Stencil, Three, Work, links
+from evetac_cli.kernels.gel_layer import SPRING
+from evetac_cli.sim.gel.force_balance import Stencil, Three, Work, pull_sheet
+from evetac_cli.sim.gel.sheet import relax_sheet, sheet_imbalance
 
 Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
 
 # The upper triangle of a symmetric 3 x 3 matrix, row by row.
 Matrix = tuple[float, float, float, float, float, float]
 REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
+SWEEPS = 3  # over the sheet for how it answers a move
 WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
 
 
 @njit(cache=True, _nrt=False)
 def _curvature(work: Work, stencil: Stencil) -> Matrix:
-    """A pad's stiffness against moves of the object.
+    """A pad's stiffness against moves of the object, about.
 
-    Nodes that are not loose move along, and bring their springs. A loose node lags behind: its friction resists a turn
-    of the slip, in series with the node's own diagonal.
+    Nodes that are not loose move along, and bring their springs. Beside a loose node the sheet is stretched, over a
+    length at which its stretch and its springs store as much. A loose node lags behind: its friction resists a turn of
+    the slip, in series with the node's own diagonal. Why so: an estimate is enough, as the search along the move is
+    exact, and how the sheet answers three moves takes longer than a round more.
     """
-    loose = work.loose
+    loose, stretch = work.loose, stencil.stretch
     rows, columns = work.bound.shape
+    diagonal = stencil.own + stencil.spring
+    edge = 0.5 * stencil.spring / math.sqrt(SPRING)
+    along_x, along_y = edge * math.sqrt(stretch.along_x), edge * math.sqrt(stretch.along_y)
+    across_x, across_y = edge * math.sqrt(stretch.across_x), edge * math.sqrt(stretch.across_y)
     along_x2 = along_y2 = cross = turn_of_x = turn_of_y = turn = 0.0
     for row in range(rows):
         for column in range(columns):
@@ -41,37 +50,36 @@ def _curvature(work: Work, stencil: Stencil) -> Matrix:
             if loose[row + 1, column + 1] == 0.0:
                 free_x = loose[row + 1, column] + loose[row + 1, column + 2]
                 free_y = loose[row, column + 1] + loose[row + 2, column + 1]
-                # a link between two nodes that move along is bent by a rotation only; each end counts half
-                turn_x = 0.5 * stencil.link_x * stencil.pitch_x**2 * (links(column, columns) - free_x)
-                turn_y = 0.5 * stencil.link_y * stencil.pitch_y**2 * (links(row, rows) - free_y)
-                stiff = stencil.own + stencil.link_x * free_x + stencil.link_y * free_y
-                along_x2 += stiff
-                along_y2 += stiff
-                turn_of_x -= stiff * y
-                turn_of_y += stiff * x
-                turn += stiff * (x * x + y * y) + turn_x + turn_y
+                stiff_x = min(stencil.own + along_x * free_x + across_y * free_y, diagonal)
+                stiff_y = min(stencil.own + across_x * free_x + along_y * free_y, diagonal)
+                along_x2 += stiff_x
+                along_y2 += stiff_y
+                turn_of_x -= stiff_x * y
+                turn_of_y += stiff_y * x
+                turn += stiff_x * y * y + stiff_y * x * x
             elif speed > 0.0 and work.bound[row, column] > 0.0:
-                along_x = work.slip[row, column, 0] / speed
-                along_y = work.slip[row, column, 1] / speed
-                arm = x * along_x + y * along_y
+                slip_x = work.slip[row, column, 0] / speed
+                slip_y = work.slip[row, column, 1] / speed
+                arm = x * slip_x + y * slip_y
                 bound = work.bound[row, column]
-                stiff = bound * work.diagonal[row, column] / (bound + work.diagonal[row, column] * speed)
-                along_x2 += stiff * along_y * along_y
-                cross -= stiff * along_y * along_x
-                along_y2 += stiff * along_x * along_x
-                turn_of_x -= stiff * along_y * arm
-                turn_of_y += stiff * along_x * arm
+                stiff = bound * diagonal / (bound + diagonal * speed)
+                along_x2 += stiff * slip_y * slip_y
+                cross -= stiff * slip_y * slip_x
+                along_y2 += stiff * slip_x * slip_x
+                turn_of_x -= stiff * slip_y * arm
+                turn_of_y += stiff * slip_x * arm
                 turn += stiff * arm * arm
     return along_x2, cross, turn_of_x, along_y2, turn_of_y, turn
 
 
 @njit(cache=True, _nrt=False)
-def _follow(work: Work, move: Three, reach: float) -> int:
+def _follow(work: Work, stencil: Stencil, move: Three, reach: float) -> int:
     """Fill search_direction, how each node answers a move of the object; returns how many nodes it would bring to rest.
 
     Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
     """
     rows, columns = work.bound.shape
+    diagonal = stencil.own + stencil.spring
     caught = 0
     for row in range(rows):
         for column in range(columns):
@@ -89,7 +97,7 @@ def _follow(work: Work, move: Three, reach: float) -> int:
                     work.loose[row + 1, column + 1] = 0.0
                     caught += 1
                 across = along_x * move_y - along_y * move_x
-                across *= bound / (bound + work.diagonal[row, column] * speed)
+                across *= bound / (bound + diagonal * speed)
                 work.search_direction[row, column, 0] = -across * along_y
                 work.search_direction[row, column, 1] = across * along_x
             else:
@@ -99,22 +107,49 @@ def _follow(work: Work, move: Three, reach: float) -> int:
 
 
 @njit(cache=True, _nrt=False)
-def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
-    """Slope and curvature, along search_direction, of one pad's potential without friction."""
-    direction = work.search_direction
+def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
+    """Fill sheet_search: how the sheet answers search_direction, after a few sweeps from where that would have it."""
     rows, columns = work.bound.shape
-    slope = 0.0
-    own = across = down = 0.0  # sums of squares
+    search = work.sheet_search
+    for axis in range(2):
+        for row in range(rows):
+            for column in range(columns):
+                search[axis, row + 1, column + 1] = work.search_direction[row, column, axis]
+    work.sheet_source[:] = 0.0
+    pull_sheet(work.search_direction, work.sheet_source, work.sheet_source)
+    for _ in range(SWEEPS):
+        relax_sheet(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
+
+
+@njit(cache=True, _nrt=False)
+def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
+    """Slope and curvature, along search_direction and sheet_search, of one pad's potential without friction."""
+    direction, search = work.search_direction, work.sheet_search
+    rows, columns = work.bound.shape
+    slope = own = 0.0
     for row in range(rows):
         for column in range(columns):
             x, y = direction[row, column, 0], direction[row, column, 1]
             slope += x * work.pull[row, column, 0] + y * work.pull[row, column, 1]
             own += x * x + y * y
-            if column > 0:
-                across += (x - direction[row, column - 1, 0]) ** 2 + (y - direction[row, column - 1, 1]) ** 2
-            if row > 0:
-                down += (x - direction[row - 1, column, 0]) ** 2 + (y - direction[row - 1, column, 1]) ** 2
-    return slope, stencil.own * own + stencil.link_x * across + stencil.link_y * down
+    bend = stencil.own * own
+    if stencil.spring > 0.0:
+        _answer_of_sheet(work, stencil)
+        of_sheet = gained = 0.0
+        for axis in range(2):
+            for row in range(rows):
+                for column in range(columns):
+                    gained += search[axis, row + 1, column + 1] * work.sheet_left[axis, row * (columns + 2) + column]
+        slope -= stencil.spring / SPRING * gained
+        sheet_imbalance(search, work.sheet_source, stencil.stretch, work.search_left)
+        for axis in range(2):
+            for row in range(rows):
+                for column in range(columns):
+                    node, here = direction[row, column, axis], search[axis, row + 1, column + 1]
+                    lacks = work.search_left[axis, row * (columns + 2) + column]
+                    of_sheet += node * (node - here) - here * lacks / SPRING
+        bend += stencil.spring * of_sheet
+    return slope, bend
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
@@ -197,9 +232,9 @@ def _find_move(
             c00, c01, c02 = c00 + more * m00, c01 + more * m01, c02 + more * m02
             c11, c12, c22 = c11 + more * m11, c12 + more * m12, c22 + more * m22
         move = _solve3((c00 + weight[0], c01, c02, c11 + weight[1], c12, c22 + weight[2]), left, weight)
-        caught = _follow(work, move, reach)
+        caught = _follow(work, stencil, move, reach)
         if other is not None:
-            caught += _follow(work_2, move, reach)
+            caught += _follow(work_2, stencil_2, move, reach)
         if caught == 0:
             break
     return move
@@ -248,12 +283,13 @@ def _search(work: Work, stencil: Stencil, move: Three, weight: Three, inertial: 
 
 @njit(cache=True, _nrt=False)
 def _answer(work: Work, part: float) -> None:
-    """Move the nodes by a part of search_direction."""
+    """Move the nodes by a part of search_direction, and the sheet by one of sheet_search."""
     rows, columns = work.bound.shape
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
-                work.velocity[row + 1, column + 1, axis] += part * work.search_direction[row, column, axis]
+                work.velocity[row, column, axis] += part * work.search_direction[row, column, axis]
+                work.sheet[axis, row + 1, column + 1] += part * work.sheet_search[axis, row + 1, column + 1]
 
 
 @njit(cache=True, _nrt=False)

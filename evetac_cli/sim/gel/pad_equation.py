@@ -7,72 +7,81 @@ import numpy as np
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel.force_balance import Stencil, Work, links
+from evetac_cli.sim.gel.force_balance import Stencil, Work, pull_sheet
 from evetac_cli.sim.gel.friction import coefficient_after
+from evetac_cli.sim.gel.sheet import Stretch, sheet_imbalance
+
+SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
 
 
 class PadConstants(NamedTuple):
-    """Constants of a pad, in SI units: a node's mass, its spring, its links to neighbours along x and y, its losses.
+    """Constants of a pad, in SI units: a node's mass, its springs to the back and to the sheet, and its losses.
 
-    pitch_x, pitch_y: distance of the nodes. viscous_time: of the dashpot. maxwell_share, maxwell_time: of the quick
-    arm. pads: how many pads like this one hold the object.
+    pitch_x, pitch_y: distance of the nodes. stretch: of the sheet. viscous_time: of the dashpot. maxwell_share,
+    maxwell_time: of the quick arm. pads: how many pads like this one hold the object.
     """
 
     node_mass: float
     shear: float
-    coupling_x: float
-    coupling_y: float
+    spring: float
     pitch_x: float
     pitch_y: float
     viscous_time: float
     maxwell_share: float
     maxwell_time: float
     pads: float
+    stretch: Stretch
 
 
 # Plain tuples, as named ones take longer to hand over. Of a pad: displacement, velocity, maxwell, mean (velocity over
 # the last step), slip_speed, friction coefficient, stuck, nodes, force of each slow arm (arms, rows, columns, 2), and
-# their shares and times in s (arms, 2); then scratch: memory of its `Work`, and which nodes stuck before
-Fields = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Flags]
+# their shares and times in s (arms, 2); then scratch: memory of its `Work`, and which nodes stuck before; of the sheet,
+# displacement and mean velocity (2, rows + 2, columns + 2), and its rule
+Fields = tuple[
+    Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats
+]
+# force with which a normal force of 1 N squeezes each node aside (rows, columns, 2), and that normal force
+Squeeze = tuple[Floats, float]
 # static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
 FrictionLaw = tuple[float, float, float, float]
-LayerConstants = tuple[float, ...]  # a PadConstants
+# a PadConstants
+LayerConstants = tuple[float, float, float, float, float, float, float, float, float, tuple[float, ...]]
 
 
 @njit(cache=True, _nrt=False)
 def named_constants(constants: LayerConstants) -> PadConstants:
     """Constants of a pad by their names."""
-    node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads = constants
-    return PadConstants(
-        node_mass, shear, coupling_x, coupling_y, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads
-    )
+    node_mass, shear, spring, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads, stretch = constants
+    along_x, along_y, across_x, across_y, corner = stretch
+    links = Stretch(along_x, along_y, across_x, across_y, corner)
+    return PadConstants(node_mass, shear, spring, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads, links)
 
 
 @njit(cache=True, _nrt=False)
-def spring(field: Floats, shear: float, coupling_x: float, coupling_y: float, answer: Floats) -> None:
-    """Set answer to K field, both (rows, columns, 2); the edges of the pad are free."""
+def spring(field: Floats, sheet: Floats, shear: float, to_sheet: float, answer: Floats) -> None:
+    """Set answer to K field, both (rows, columns, 2), where the sheet, (2, rows + 2, columns + 2), is displaced so."""
     rows, columns, _ = field.shape
+    both = shear + to_sheet
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
-                here = field[row, column, axis]
-                pull = shear * here
-                if column > 0:
-                    pull += coupling_x * (here - field[row, column - 1, axis])
-                if column < columns - 1:
-                    pull += coupling_x * (here - field[row, column + 1, axis])
-                if row > 0:
-                    pull += coupling_y * (here - field[row - 1, column, axis])
-                if row < rows - 1:
-                    pull += coupling_y * (here - field[row + 1, column, axis])
-                answer[row, column, axis] = pull
+                answer[row, column, axis] = (
+                    both * field[row, column, axis] - to_sheet * sheet[axis, row + 1, column + 1]
+                )
 
 
 @njit(cache=True, _nrt=False)
 def begin(
-    state: Fields, nodal: Floats, pose: Floats, friction: FrictionLaw, h: float, layer: PadConstants, work: Work
-) -> tuple[int, float, float, Stencil, float]:
-    """The equation of a pad's nodes over h: what `_set_up` returns, and the factor of over-relaxation."""
+    state: Fields,
+    nodal: Floats,
+    squeeze: Squeeze,
+    pose: Floats,
+    friction: FrictionLaw,
+    h: float,
+    layer: PadConstants,
+    work: Work,
+) -> tuple[int, float, float, Stencil]:
+    """The equation of a pad's nodes over h: what `_set_up` returns, and its matrix."""
     arms = state[9]
     # the Maxwell arm by its exact exponential update: what it keeps of its force, and gains per unit of K velocity
     keep = math.exp(-h / layer.maxwell_time)
@@ -80,21 +89,10 @@ def begin(
     for arm in range(len(arms)):
         gain -= arms[arm, 0] * arms[arm, 1] * math.expm1(-h / arms[arm, 1])
     lag = h + layer.viscous_time + gain
-    stencil = Stencil(
-        layer.node_mass / h + lag * layer.shear,
-        lag * layer.coupling_x,
-        lag * layer.coupling_y,
-        layer.pitch_x,
-        layer.pitch_y,
-        layer.pads,
-    )
-    # the factor of over-relaxation that is best for a smooth pattern on this grid
-    ring = 2.0 * (stencil.link_x + stencil.link_y)
-    smoothness = ring / (stencil.own + ring)
-    factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
-    factors = (h, layer.node_mass / h, keep, factor)
-    fault, scale, square = _set_up(state, nodal, pose, friction, factors, layer, stencil, work)
-    return fault, scale, square, stencil, factor
+    stencil = Stencil(layer.node_mass / h + lag * layer.shear, lag * layer.spring, layer.stretch, layer.pads)
+    factors = (h, layer.node_mass / h, keep, lag)
+    fault, scale, square = _set_up(state, nodal, squeeze, pose, friction, factors, layer, work)
+    return fault, scale, square, stencil
 
 
 @njit(cache=True, _nrt=False)
@@ -135,26 +133,33 @@ def let_go(
 def _set_up(
     state: Fields,
     nodal: Floats,
+    squeeze: Squeeze,
     pose: Floats,
     friction: FrictionLaw,
     factors: tuple[float, float, float, float],
     layer: PadConstants,
-    stencil: Stencil,
     work: Work,
 ) -> tuple[int, float, float]:
-    """Fill the equation of the nodes: right-hand side, diagonal, bounds, levers, and where the search starts.
+    """Fill the equation of the nodes and the sheet: right-hand side, bounds, levers, and where the search starts.
 
-    factors: theta * dt, a node's mass over it, what the Maxwell arm keeps of its force, and that of over-relaxation.
-    Returns the number of what is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their
-    levers.
+    factors: theta * dt, a node's mass over it, what the Maxwell arm keeps of its force, and the time over which a
+    velocity strains the layer, its losses included. Returns the number of what is wrong, or 0; the sum of all forces
+    on the nodes; and that of the squares of their levers.
     """
     displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes, creep, arms = state[:10]
+    sheet, sheet_mean = state[12], state[13]
     static, kinetic, _, _ = friction
-    h, momentum, keep, factor = factors
+    h, momentum, keep, lag = factors
+    unit_squeeze, squeezed_n = squeeze
     rows, columns = nodal.shape
     falls = kinetic < static
     scale = square = 0.0
-    spring(displacement, layer.shear, layer.coupling_x, layer.coupling_y, work.pull)
+    spring(displacement, sheet, layer.shear, layer.spring, work.pull)
+    if layer.spring > 0.0:
+        _right_of_sheet(displacement, sheet, lag, layer, work)
+        starts, lately = work.sheet.reshape(-1), sheet_mean.reshape(-1)
+        for entry in range(starts.size):
+            starts[entry] = lately[entry]
     right, moving, lagging = work.pull.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)
     for entry in range(right.size):
         right[entry] = momentum * moving[entry] - right[entry] - keep * lagging[entry]
@@ -163,7 +168,6 @@ def _set_up(
         for entry in range(right.size):
             right[entry] -= kept * creeping[entry]
     for row in range(rows):
-        links_y = links(row, rows) * stencil.link_y
         for column in range(columns):
             normal = nodal[row, column]
             if not (normal >= 0.0 and normal < np.inf):
@@ -175,11 +179,10 @@ def _set_up(
                 if normal > 0.0:
                     mu = _after(mu, slip_speed[row, column], h, friction)
             for axis in range(2):
-                work.velocity[row + 1, column + 1, axis] = mean[row, column, axis]
-                work.right[row, column, axis] = work.pull[row, column, axis]
+                work.velocity[row, column, axis] = mean[row, column, axis]
+                squeezed = squeezed_n * unit_squeeze[row, column, axis]
+                work.right[row, column, axis] = work.pull[row, column, axis] + squeezed
             work.bound[row, column] = mu * normal
-            work.diagonal[row, column] = stencil.own + links(column, columns) * stencil.link_x + links_y
-            work.ease[row, column, 0] = work.ease[row, column, 1] = factor / work.diagonal[row, column]
             scale += mu * normal + abs(work.right[row, column, 0]) + abs(work.right[row, column, 1])
             x = nodes[row, column, 0] - pose[0]
             y = nodes[row, column, 1] - pose[1]
@@ -189,6 +192,22 @@ def _set_up(
     if not math.isfinite(scale):
         return 4, 0.0, 0.0
     return 0, layer.pads * scale, square
+
+
+@njit(cache=True, _nrt=False)
+def _right_of_sheet(displacement: Floats, sheet: Floats, lag: float, layer: PadConstants, work: Work) -> None:
+    """Set sheet_right to what brings the sheet back to its balance where earlier steps have left it beside.
+
+    Why so: a step finds velocities within its tolerance, and the sheet would drift off with the sum of what is left.
+    What rounding leaves stays, as a gel at rest would never come to rest otherwise.
+    """
+    work.sheet_source[:] = 0.0
+    pull_sheet(displacement, work.sheet_source, work.sheet_source)
+    off_m = sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_right)
+    over = 1.0 / lag if off_m > SHEET_OFF_M else 0.0
+    for axis in range(2):
+        for entry in range(work.sheet_right.shape[1]):
+            work.sheet_right[axis, entry] *= over
 
 
 @njit(cache=True, _nrt=False)
@@ -213,8 +232,8 @@ def refresh(
             if normal > 0.0:
                 speed = 0.0
                 if not stuck[row, column]:
-                    slip_x = work.velocity[row + 1, column + 1, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
-                    slip_y = work.velocity[row + 1, column + 1, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
+                    slip_x = work.velocity[row, column, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
+                    slip_y = work.velocity[row, column, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
                     speed = math.sqrt(slip_x * slip_x + slip_y * slip_y)
                 mu = min(max(coefficient[row, column], kinetic), static)
                 work.bound[row, column] = normal * _after(mu, speed, h, friction)
@@ -233,13 +252,19 @@ def advance(
 ) -> None:
     """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
     displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms = state[:10]
+    sheet, sheet_mean = state[12], state[13]
     static, kinetic, _, _ = friction
     rows, columns = nodal.shape
     for row in range(rows):
         for column in range(columns):
             for axis in range(2):
-                mean[row, column, axis] = work.velocity[row + 1, column + 1, axis]
-    spring(mean, layer.shear, layer.coupling_x, layer.coupling_y, work.search_direction)
+                mean[row, column, axis] = work.velocity[row, column, axis]
+    if layer.spring > 0.0:
+        moved_sheet, sheet_mean_m_s, sheet_m_s = sheet.reshape(-1), sheet_mean.reshape(-1), work.sheet.reshape(-1)
+        for entry in range(moved_sheet.size):
+            sheet_mean_m_s[entry] = sheet_m_s[entry]
+            moved_sheet[entry] += dt * sheet_m_s[entry]
+    spring(mean, work.sheet, layer.shear, layer.spring, work.search_direction)
     fade = math.exp(-dt / layer.maxwell_time)
     build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
     moved, moving, lagging = displacement.reshape(-1), velocity.reshape(-1), maxwell.reshape(-1)

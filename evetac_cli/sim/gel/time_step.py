@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel.force_balance import Three, imbalance, relax, set_object_velocity, work_in
+from evetac_cli.sim.gel.force_balance import Three, imbalance, relax, work_in
 from evetac_cli.sim.gel.object_move import move_object
 from evetac_cli.sim.gel.pad_equation import (
     Fields,
     FrictionLaw,
     LayerConstants,
+    Squeeze,
     advance,
     begin,
     let_go,
@@ -51,7 +52,7 @@ class Allowed(NamedTuple):
 # step of 14 x 10 nodes.
 # displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
 # twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), their shares and times in s (arms, 2), and
-# scratch: memory of its `Work`, and which nodes stuck before
+# scratch: memory of its `Work`, and which nodes stuck before; then the sheet's, as of `Fields`
 NodeArrays = tuple[
     Floats,
     Floats,
@@ -68,13 +69,17 @@ NodeArrays = tuple[
     Floats,
     Floats,
     Flags,
+    Floats,
+    Floats,
+    Floats,
 ]
-# normal force of each node, force and moment on the object, whether its twist is prescribed, and the twist it has then
-Load = tuple[Floats, Three, bool, Three]
+# normal force of each node, how it squeezes them, force and moment on the object, whether its twist is prescribed, and
+# the twist it has then
+Load = tuple[Floats, Squeeze, Three, bool, Three]
 # dt, theta, tolerance, max_sweeps, and an Allowed
 StepSettings = tuple[float, float, float, int, float, float, bool]
-# the second finger's pad: its arrays, the normal force of each of its nodes, and its constants
-Second = tuple[Fields, Floats, LayerConstants] | None
+# the second finger's pad: its arrays, the normal force of each of its nodes, how that squeezes them, and its constants
+Second = tuple[Fields, Floats, Squeeze, LayerConstants] | None
 
 
 @njit(cache=True, _nrt=False)
@@ -93,9 +98,9 @@ def step_nodes(
     `gel.StepInfo` in its order; then the force of the object on the second pad and its moment.
     """
     stuck, pose, twist, inertia = arrays[6:10]
-    memory, stuck_before = arrays[13:]
+    memory, stuck_before = arrays[13:15]
     coefficient = arrays[5]
-    nodal, force, prescribed, wanted = load
+    nodal, squeeze, force, prescribed, wanted = load
     dt, theta, tolerance, max_sweeps, allowed_m, steepest, shortest = settings
     for axis in range(3):
         if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
@@ -107,20 +112,20 @@ def step_nodes(
     h = theta * dt
     state = (*arrays[:7], *arrays[10:])
     rows, columns = nodal.shape
-    work = work_in(memory, rows, columns)
+    work = work_in(memory, arrays[17], rows, columns)
     layer = named_constants(constants)
-    fault, scale, square, stencil, factor = begin(state, nodal, pose, friction, h, layer, work)
+    fault, scale, square, stencil = begin(state, nodal, squeeze, pose, friction, h, layer, work)
     if fault:
         return int(fault)
     if second is None:
         other = None
     else:
-        state_2, nodal_2, constants_2 = second
+        state_2, nodal_2, squeeze_2, constants_2 = second
         coefficient_2, stuck_2, memory_2, stuck_before_2 = state_2[5], state_2[6], state_2[10], state_2[11]
         rows_2, columns_2 = nodal_2.shape
-        work_2 = work_in(memory_2, rows_2, columns_2)
+        work_2 = work_in(memory_2, state_2[14], rows_2, columns_2)
         layer_2 = named_constants(constants_2)
-        fault, scale_2, _, stencil_2, factor_2 = begin(state_2, nodal_2, pose, friction, h, layer_2, work_2)
+        fault, scale_2, _, stencil_2 = begin(state_2, nodal_2, squeeze_2, pose, friction, h, layer_2, work_2)
         if fault:
             return int(fault)
         scale += scale_2
@@ -139,14 +144,12 @@ def step_nodes(
     sweeps = 0
     rounds = 0
     while True:
-        set_object_velocity(work, body)
-        if second is not None:
-            set_object_velocity(work_2, body)
+        body_now = (body[0], body[1], body[2])
         # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
-            relax(work, stencil, stuck, factor)
+            relax(work, stencil, stuck, body_now)
             if second is not None:
-                relax(work_2, stencil_2, stuck_2, factor_2)
+                relax(work_2, stencil_2, stuck_2, body_now)
             sweeps += 1
         if falls and rounds < REFRESHES:
             refresh(work, nodal, coefficient, body, stuck, h, friction)

@@ -19,9 +19,8 @@ from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Slice
-from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
@@ -50,7 +49,6 @@ GONE_M = 0.02  # an object that slid this far is lost
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
 TEXTURE_PX = (1024, 1024)
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
-INDENTATION_STEP_M = 2e-8  # dilation is evaluated anew when the indentation has changed by this: 0.001 px
 OUT_OF_SIGHT_M = np.zeros(2)  # where an object is that no texture shows
 
 
@@ -98,9 +96,9 @@ class GraspSimulation:
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
-        self._shift_indentation_m = -1.0
-        self._dilation_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
-        self._seen = (self._dilation_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
+        self._nearer_at_m = -1.0  # the indentation for which _nearer_m is
+        self._nearer_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
+        self._seen = (self._nearer_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self.slices_in_all = self._planned_slices(lift_s, balance_s)
         rises_at_s = self._time.touch_s + self._time.before_rise_s
         self._hand = Hand(self._scene.hand, rises_at_s, STEP_S, hand_rng)
@@ -203,8 +201,8 @@ class GraspSimulation:
             window_px = np.array(self.gel_camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
             across_m, down_m = (window_px * self.gel_camera.mm_per_px * 1e-3 - self._middle_m).tolist()
             self._window_from_middle_m = (across_m, down_m)
-        self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
+        self._at_dots = dots.interpolation(nodes, self.gel_camera.rest_m)
+        self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
         # memory for the state before a step that may have to be made again
@@ -227,17 +225,17 @@ class GraspSimulation:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
-        before_m, closing_ticks = self._dilation_m, self.finger.closing_ticks
+        before_m, closing_ticks = self._nearer_m, self.finger.closing_ticks
         self._move()
         still = self._gel_slices.still_for > 0 and self.finger.closing_ticks == closing_ticks
         if not still:
-            seen_m = gel.displacement_at(self._gel, *self._at_seen)
-            dots = len(self.gel_camera.rest_m)
-            shift_m, cut_m = seen_m[:dots] + self._dilated(), seen_m[dots:]
+            seen_m = dots.displacement_at(self._gel, *self._at_seen)
+            count = len(self.gel_camera.rest_m)
+            shift_m, cut_m = seen_m[:count] + self._nearer(), seen_m[count:]
             object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
             self._seen = (shift_m, object_m, contrast, cut_m)
         shift_m, object_m, contrast, cut_m = self._seen
-        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
+        path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
         now_us = self.slices * SLICE_US
         events = self._render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
         self.slices += 1
@@ -265,16 +263,14 @@ class GraspSimulation:
         open_mm = max(-self.finger.closing_ticks, 0.0) * self._curve.metres_per_tick * 0.5e3
         return float(np.exp(-open_mm / self._scene.texture.focus_mm))
 
-    def _dilated(self) -> NDArray[np.float64]:
-        """Shift of the dots by pressure alone; evaluated only where the indentation has changed."""
-        if abs(self.finger.indentation_m - self._shift_indentation_m) > INDENTATION_STEP_M:
-            self._shift_indentation_m = self.finger.indentation_m
+    def _nearer(self) -> NDArray[np.float64]:
+        """Shift of the dots as they come nearer to the lens; evaluated only where the indentation has changed."""
+        if self.finger.indentation_m != self._nearer_at_m:
+            self._nearer_at_m = self.finger.indentation_m
             depth = np.maximum(self.finger.indentation_m - self._gap, 0.0)
-            indices, weights = self._at_dots
-            at_dots = gel.field_at(depth[..., None], indices, weights)[:, 0]
-            nodes = self._gel.node_xy_m
-            self._dilation_m = dilation(self.gel_camera.rest_m, nodes, depth, at_dots, self._material.height_m)
-        return self._dilation_m
+            at_dots = dots.field_at(depth[..., None], *self._at_dots)[:, 0]
+            self._nearer_m = dots.nearer_by(self.gel_camera.rest_m, at_dots)
+        return self._nearer_m
 
     def _move(self) -> None:
         """One mechanical step: finger, gel, object, table."""

@@ -16,8 +16,7 @@ from evetac_cli.errors import SceneError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.gel import dots, gel
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.shared import (
@@ -100,11 +99,11 @@ class Pressing:
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
-        self._at_dots = gel.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_seen = gel.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
+        self._at_dots = dots.interpolation(nodes, self.gel_camera.rest_m)
+        self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
-        self._dilation_m = self._shift_m = np.zeros_like(self.gel_camera.rest_m)
+        self._nearer_m = self._shift_m = np.zeros_like(self.gel_camera.rest_m)
         self._cut_m = np.zeros_like(self.gel_camera.cut_rest_m)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
@@ -213,13 +212,13 @@ class Pressing:
 
     def _look(self, still: bool) -> Events:
         """What the camera sees of the gel in this slice; `still` if that is what it saw in the last."""
-        before_m = self._dilation_m
+        before_m = self._nearer_m
         if not still:
-            self._dilation_m = self._dilated(self._weights_now)
-            seen_m = gel.displacement_at(self._gel, *self._at_seen)
-            dots = len(self.gel_camera.rest_m)
-            self._shift_m, self._cut_m = seen_m[:dots] + self._dilation_m, seen_m[dots:]
-        path_m = None if self._path is None else self._path.pieces(before_m, self._dilation_m)
+            self._nearer_m = self._nearer(self._weights_now)
+            seen_m = dots.displacement_at(self._gel, *self._at_seen)
+            count = len(self.gel_camera.rest_m)
+            self._shift_m, self._cut_m = seen_m[:count] + self._nearer_m, seen_m[count:]
+        path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
         now_us, strength = self.slices * SLICE_US, self._strength()
         return self._render(
             self._shift_m, self._xy_m, 0.0, now_us, path_m, cut_m=self._cut_m, strength=strength, still=still
@@ -233,15 +232,13 @@ class Pressing:
         """How clearly the camera sees the face's outline, 0 to 1."""
         return 0.0
 
-    def _dilated(self, weights: Floats) -> Floats:
-        """Shift of the dots by pressure alone."""
+    def _nearer(self, weights: Floats) -> Floats:
+        """Shift of the dots as they come nearer to the lens."""
         if self._force_n <= 0.0:
             return np.zeros_like(self.gel_camera.rest_m)
         area = weights.sum() * self._gel.cell_area_m2
         depth = weights * (self._force_n / (self._stiffness_n_m3 * area))
-        indices, share = self._at_dots
-        at_dots = gel.field_at(depth[..., None], indices, share)[:, 0]
-        return dilation(self.gel_camera.rest_m, self._gel.node_xy_m, depth, at_dots, self._material.height_m)
+        return dots.nearer_by(self.gel_camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
 
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""

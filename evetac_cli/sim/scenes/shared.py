@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.friction import varied
 from evetac_cli.sim.parts import Timer, untimed
@@ -168,13 +168,13 @@ class GelSlices:
     def _has_come_to_rest(self) -> bool:
         """Whether the slice has left gel and object as they were; motion too small to tell is set to 0."""
         for state in self._pads:
-            fields = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state.displacement_m)
-            if state.twist.any() or not _settle(*fields):
+            moving = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state._sheet_m_s)
+            if state.twist.any() or not _settle(*moving, state.displacement_m, state.sheet_m):
                 return False
         if all(
             np.array_equal(getattr(state, name), getattr(before, name))
             for state, before in zip(self._pads, self._before, strict=True)
-            for name in ("displacement_m", "slip_m_s", "friction_coefficient", "stuck", "pose")
+            for name in ("displacement_m", "sheet_m", "slip_m_s", "friction_coefficient", "stuck", "pose")
         ):
             return True
         for state, before in zip(self._pads, self._before, strict=True):
@@ -183,12 +183,24 @@ class GelSlices:
 
 
 @njit(cache=True, _nrt=False)
-def _settle(velocity: Floats, mean: Floats, maxwell: Floats, creep: Floats, displacement: Floats) -> bool:
+def _settle(
+    velocity: Floats,
+    mean: Floats,
+    maxwell: Floats,
+    creep: Floats,
+    of_sheet: Floats,
+    displacement: Floats,
+    sheet: Floats,
+) -> bool:
     """Set velocities and Maxwell forces to 0, if all of them are too small to tell; returns whether they are."""
-    moving, lately = velocity.reshape(-1), mean.reshape(-1)
+    moving, lately, stretching = velocity.reshape(-1), mean.reshape(-1), of_sheet.reshape(-1)
     lagging, moved, creeping = maxwell.reshape(-1), displacement.reshape(-1), creep.reshape(-1)
+    stretched = sheet.reshape(-1)
     for k in range(len(moving)):
         if abs(moving[k]) > SLOWEST_M_S or abs(lately[k]) > SLOWEST_M_S or abs(lagging[k]) > WEAKEST_N:
+            return False
+    for k in range(len(stretching)):
+        if abs(stretching[k]) > SLOWEST_M_S:
             return False
     for k in range(len(creeping)):
         if abs(creeping[k]) > WEAKEST_N:
@@ -200,6 +212,10 @@ def _settle(velocity: Floats, mean: Floats, maxwell: Floats, creep: Floats, disp
         lagging[k] = 0.0
         if abs(moved[k]) < SMALLEST_M:
             moved[k] = 0.0
+    for k in range(len(stretching)):
+        stretching[k] = 0.0
+        if abs(stretched[k]) < SMALLEST_M:
+            stretched[k] = 0.0
     return True
 
 
@@ -239,12 +255,12 @@ class DotPath:
 
     def begin(self) -> None:
         """Begin a slice where the gel is now."""
-        self._reached_s, self._shift_m = [0.0], [gel.displacement_at(self._gel, *self._at_dots)]
+        self._reached_s, self._shift_m = [0.0], [dots.displacement_at(self._gel, *self._at_dots)]
 
     def follow(self, _: gel.StepInfo, dt_s: float) -> None:
         """Take where the gel is after a step."""
         self._reached_s.append(self._reached_s[-1] + dt_s)
-        self._shift_m.append(gel.displacement_at(self._gel, *self._at_dots))
+        self._shift_m.append(dots.displacement_at(self._gel, *self._at_dots))
 
     def pieces(self, before_m: Floats, after_m: Floats) -> Floats:
         """The displacement at the ends of all pieces, (pieces + 1, dots, 2), with what shifts the dots beside shear."""

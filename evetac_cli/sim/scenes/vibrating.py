@@ -5,7 +5,7 @@ subharmonic, which a rattling contact makes. h2 and m drift slowly. Written out,
 5f/2 in steps of f/2, and a linear gel answers each with a gain and a phase of its own. So there is nothing to solve and
 no time step: a dot is where the sum says, at any time. Along each dot's path this adds
 
-- squeeze and lens of the indentation s (see dilation), without delay;
+- how the indentation s squeezes the gel aside, and how dots that come nearer look larger, without delay;
 - a share of s along a fixed direction of the surface, because no speaker is mounted true, times the response of the
   layer's first thickness resonance, f_0 = c / 4H: 1 / (1 - (f / f_0)^2 / g), where g is the complex shear modulus over
   G of the gel that all scenes have (gel.py): 1 + i w tau_v + the sum of g i w tau / (1 + i w tau) over its arms.
@@ -25,12 +25,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
+from evetac_cli.kernels.gel_layer import Squeeze, sheet_stiffness
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel.dilation import CAMERA_DISTANCE_M, SQUEEZE, STICKING_SHARE
-from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
+from evetac_cli.sim.gel import dots
+from evetac_cli.sim.gel.contact import cell_area, pad_nodes
+from evetac_cli.sim.gel.gel import GelMaterial
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.shared import built_of_gel, material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
@@ -41,6 +44,7 @@ ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the su
 FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one
 PIECES = 5  # a slice, or a multiple: the scanning camera scans 5 times a slice, so it interpolates nothing
 PIECES_A_PERIOD = 16  # at least; 8 of the second harmonic
+MARGIN = 2.0  # in heights, beyond which a layer does not notice where it ends
 BLOCK = 50  # slices whose waves are evaluated at once: 0.3 ms a slice otherwise, as numpy is slow to begin
 
 Complexes = NDArray[np.complex128]
@@ -74,20 +78,38 @@ def resonance(frequency_hz: Floats, layer: GelMaterial) -> Complexes:
     return np.asarray(1.0 / (1.0 - (frequency_hz / first_hz) ** 2 / modulus), np.complex128)
 
 
-def pressed_by_disc(points_m: Floats, centre_m: Floats, radius_m: float, height_m: float) -> tuple[Floats, Floats]:
-    """What points on the gel (points, 2) do per metre by which a sticking disc is pressed in.
+def pressed_by_disc(
+    points_m: Floats, centre_m: Floats, radius_m: float, layer: GelMaterial, normal_modulus_pa: float
+) -> tuple[Floats, Floats]:
+    """What points on the gel (points, 2) do for each metre by which a disc that sticks is pressed in or moves aside.
 
-    Returns their shift (points, 2) by squeeze and lens, the closed form of `dilation`, and the share (points,) in which
-    they follow the disc: 1 under it, decaying outside.
+    Returns their shift (points, 2) as it is pressed in, by squeeze and lens; and (points, 2, 2), the motion along x and
+    y for a motion of the disc along x (the last 0) and y (the last 1): its own under it. It is the layer of all scenes
+    (see kernels/gel_layer) in balance, on nodes a quarter of its height apart that reach MARGIN heights beyond all.
     """
-    from_centre = points_m - centre_m
-    distance_m = np.hypot(*from_centre.T)
-    beyond_m = np.maximum(distance_m - radius_m, 0.0)
-    follows = np.exp(-beyond_m / DECAY_M)
-    inside = from_centre * (1.0 - beyond_m / np.maximum(distance_m, radius_m))[:, None]
-    squeeze = STICKING_SHARE * SQUEEZE / (2 * height_m) * inside
-    shift: Floats = (squeeze + points_m / CAMERA_DISTANCE_M) * follows[:, None]
-    return shift, follows
+    height_m = layer.height_m
+    low_m = np.minimum(points_m.min(axis=0), centre_m - radius_m) - MARGIN * height_m
+    high_m = np.maximum(points_m.max(axis=0), centre_m + radius_m) + MARGIN * height_m
+    columns, rows = np.ceil((high_m - low_m) / (height_m / 4)).astype(int).tolist()
+    nodes = pad_nodes(columns, rows, (low_m[0], high_m[0]), (low_m[1], high_m[1]))
+    inside_m = radius_m - np.linalg.norm(nodes - centre_m, axis=2)
+    covered = np.clip(inside_m / (height_m / 4) + 0.5, 0.0, 1.0)
+    pressed_n = normal_modulus_pa / height_m * cell_area(nodes) * covered
+    squeezed = Squeeze(nodes, height_m).of(pressed_n) / layer.shear_modulus_pa
+    count = covered.size
+    held = np.concatenate([np.tile(covered.ravel() >= 0.5, 2), np.zeros(2 * count, np.bool_)])
+    stiffness = sheet_stiffness(nodes, height_m).tocsc()
+    solve = splu(stiffness[~held][:, ~held]).solve
+    pushed = np.zeros((4 * count, 3))
+    pushed[:count, 0], pushed[count : 2 * count, 0] = squeezed[..., 0].ravel(), squeezed[..., 1].ravel()
+    moved = np.zeros((4 * count, 3))
+    moved[:count, 1], moved[count : 2 * count, 2] = held[:count], held[count : 2 * count]
+    moved[~held] = solve(pushed[~held] - stiffness[~held][:, held] @ moved[held])
+    fields = moved[: 2 * count].reshape(2, rows, columns, 3).transpose(1, 2, 0, 3)
+    at_points = dots.interpolation(nodes, points_m)
+    along = dots.field_at(np.ascontiguousarray(fields.reshape(rows, columns, 6)), *at_points).reshape(-1, 2, 3)
+    shift: Floats = along[..., 0] + dots.nearer_by(points_m, dots.field_at(covered[..., None], *at_points)[:, 0])
+    return shift, along[..., 1:]
 
 
 class Drift(NamedTuple):
@@ -171,9 +193,10 @@ class Vibration:
 
         self._hz = plan.tone_hz
         self._along = share * resonance(ORDERS * self._hz, layer)
-        self._shift, follows = pressed_by_disc(self.gel_camera.rest_m, offset_m, radius_m, layer.height_m)
+        rest_m, modulus_pa = self.gel_camera.rest_m, sensor.normal_modulus_pa
+        self._shift, aside = pressed_by_disc(rest_m, offset_m, radius_m, layer, modulus_pa)
         direction = np.array([np.cos(direction_rad), np.sin(direction_rad)])
-        self._sideways = follows[:, None] * direction
+        self._sideways = aside @ direction
         amplitude_m = factor * tone.at(tone.dot_motion_px, self._hz) * self.gel_camera.mm_per_px * 1e-3
         self._amplitude_m = amplitude_m / self._motion_per_metre()
         # A rigid disc on the layer: what the tone's share along the surface pulls, and how deep the press goes.

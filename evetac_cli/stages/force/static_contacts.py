@@ -9,16 +9,15 @@ off by what a tracker errs, and the displacement field is read from them as from
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Floats
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.force.dot_field import lattice_field
-from evetac_cli.kernels.identify import held_gel
+from evetac_cli.kernels.gel_layer import Squeeze, sheet_stiffness
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
-from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.gel.dilation import dilation
+from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.scenes.shared import pad
 from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
@@ -78,24 +77,26 @@ def one_contact(sensor: Sensor, rng: np.random.Generator) -> tuple[Floats, Float
         depth_m = _depth(nodes, stiffness, rng)
     depth_m *= min(1.0, rng.uniform(0.2, 1.0) * DEEPEST_M / depth_m.max())
     normal_n = stiffness * depth_m.sum()
-    share = _shared_shear(nodes, depth_m, rng)
-    # shear force over modulus, for each m that the object moves, in m
-    answer_m = share.sum() * area_m2 / HEIGHT_M
+    modulus_ratio = sensor.normal_modulus_pa / sensor.shear_modulus_pa
+    squeezed_m, share = _moved(nodes, depth_m, modulus_ratio, rng)
+    # shear force (x, y) over modulus, in m, for each m that the object moves along x (first column) and y
+    answer_m = share.sum(axis=(0, 1)) * area_m2 / HEIGHT_M
     size_m2 = rng.uniform(0.0, FRICTION, SHEARS) * rng.random(SHEARS) ** 0.3
     size_m2 *= normal_n / sensor.shear_modulus_pa
     size_m2[0] = 0.0
     angle = rng.uniform(0.0, 2 * np.pi, SHEARS)
-    moved_m = np.minimum(size_m2 / answer_m, FARTHEST_M)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    moved_m = np.minimum(size_m2 / (answer_m.trace() / 2), FARTHEST_M)[:, None]
+    moved_m = moved_m * np.column_stack([np.cos(angle), np.sin(angle)])
 
     grid_px = dot_grid(sensor, cut).reshape(-1, 2)
     mm_per_px = sensor.mm_per_px
     middle_px = np.array(sensor.frame_px) / 2
     rest_m = (grid_px - middle_px) * mm_per_px * 1e-3
-    at_dots = gel.interpolation(nodes, rest_m)
-    depth_at_dots = gel.field_at(depth_m[..., None], *at_dots)[:, 0]
-    share_at_dots = gel.field_at(share[..., None], *at_dots)[:, 0]
-    spread_m = dilation(rest_m, nodes, depth_m, depth_at_dots, HEIGHT_M)
-    shift_m = spread_m + moved_m[:, None] * share_at_dots[None, :, None]
+    at_dots = dots.interpolation(nodes, rest_m)
+    depth_at_dots = dots.field_at(depth_m[..., None], *at_dots)[:, 0]
+    share_at_dots = dots.field_at(share.reshape(*depth_m.shape, 4), *at_dots).reshape(-1, 2, 2)
+    spread_m = dots.field_at(squeezed_m, *at_dots) + dots.nearer_by(rest_m, depth_at_dots)
+    shift_m = spread_m + np.einsum("dij,nj->ndi", share_at_dots, moved_m)
     lens = Lens.of_sensor(sensor)
     dots_px = grid_px + shift_m * (1e3 / mm_per_px)
     if lens is not None:
@@ -107,7 +108,7 @@ def one_contact(sensor: Sensor, rng: np.random.Generator) -> tuple[Floats, Float
     tracked = np.ones(moved_mm.shape[:2], np.bool_)
     field_mm = lattice_field(moved_mm, (grid_px - middle_px) * mm_per_px, tracked)
     normal_mm2 = np.full(SHEARS, 1e6 * normal_n / sensor.normal_modulus_pa)
-    return field_mm, np.column_stack([1e6 * answer_m * moved_m, normal_mm2])
+    return field_mm, np.column_stack([1e6 * moved_m @ answer_m.T, normal_mm2])
 
 
 def _depth(nodes: Floats, stiffness: float, rng: np.random.Generator) -> Floats:
@@ -146,16 +147,28 @@ def _pressed(gap_m: Floats, stiffness: float, normal_n: float) -> Floats:
     return depth_m
 
 
-def _shared_shear(nodes: Floats, depth_m: Floats, rng: np.random.Generator) -> Floats:
-    """Displacement of each node (rows, columns) for each m that the object moves: 1 where it sticks."""
-    layer = held_gel.layer(held_gel.Pad(nodes, HEIGHT_M))
-    sticks = (depth_m > 0).ravel()
-    share = np.ones(depth_m.size)
-    if not sticks.all():
-        pulled = -np.asarray(layer[~sticks][:, sticks].sum(axis=1)).ravel()
-        share[~sticks] = spsolve(layer[~sticks][:, ~sticks].tocsc(), pulled)
+def _moved(nodes: Floats, depth_m: Floats, modulus_ratio: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Displacement of each node as the object is pressed in, (rows, columns, 2) in m, and as it moves aside.
+
+    The latter is (rows, columns, 2, 2): along x and y, for each m of the object along x (the last 0) and y. What bears
+    a load sticks; in some contacts it slips to a part, in all directions alike. modulus_ratio: normal over shear.
+    """
+    stiffness = sheet_stiffness(nodes, HEIGHT_M).tocsc()
+    count = depth_m.size
+    sticks = np.concatenate([np.tile((depth_m > 0).ravel(), 2), np.zeros(2 * count, np.bool_)])
+    aside = Squeeze(nodes, HEIGHT_M).of(modulus_ratio * contact.cell_area(nodes) / HEIGHT_M * depth_m)
+    pushed = np.zeros((4 * count, 3))
+    pushed[: 2 * count, 0] = np.concatenate([aside[..., 0].ravel(), aside[..., 1].ravel()])
+    moved = np.zeros((4 * count, 3))
+    moved[:count, 1], moved[count : 2 * count, 2] = sticks[:count], sticks[count : 2 * count]
+    loose = stiffness[~sticks]
+    moved[~sticks] = splu(loose[:, ~sticks]).solve(pushed[~sticks] - loose[:, sticks] @ moved[sticks])
     if rng.random() < SLIPPING_SHARE:
-        slipping = spsolve(layer.tocsc(), depth_m.ravel())
-        share += rng.random() * (slipping * share.sum() / slipping.sum() - share)
-    result: Floats = share.reshape(depth_m.shape)
-    return result
+        pushed[:count, 1] = pushed[count : 2 * count, 2] = depth_m.ravel()
+        slipping = splu(stiffness).solve(pushed)
+        for first, column in ((0, 1), (count, 2)):
+            own = slice(first, first + count)
+            slipping[:, column] *= moved[own, column].sum() / slipping[own, column].sum()
+        moved += rng.random() * (slipping - moved)
+    fields = moved[: 2 * count].reshape(2, *depth_m.shape, 3).transpose(1, 2, 0, 3)
+    return np.ascontiguousarray(fields[..., 0]), np.ascontiguousarray(fields[..., 1:])

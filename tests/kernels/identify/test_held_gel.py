@@ -1,12 +1,19 @@
 """Stiffness and creep of a gel under a held object, against closed forms and a numerical solution."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from evetac_cli.kernels.gel_layer import sheet_stiffness
 from evetac_cli.kernels.identify import held_gel
 from evetac_cli.sim.gel import contact
 
 HEIGHT_M = 4e-3
+
+
+def layer(one: held_gel.Pad) -> Any:
+    return sheet_stiffness(one.node_xy_m, one.height_m)
 
 
 def pad(columns: int = 36, rows: int = 81) -> held_gel.Pad:
@@ -17,7 +24,7 @@ def test_a_strip_in_closed_form() -> None:
     """Assert force and displacement of a strip: under it all moves as one, beside it exp(-y sqrt(3) / H)."""
     wide = pad()
     half_m = 3e-3
-    moved, force_m = held_gel.shape(wide, held_gel.layer(wide), np.array([half_m, half_m, 0.0]))
+    moved, force_m = held_gel.shape(wide, layer(wide), np.array([half_m, half_m, 0.0]))
     length_m = 20e-3
     assert force_m == pytest.approx(length_m * (2 * half_m / HEIGHT_M + 2 / np.sqrt(3)), rel=0.04)
     y = wide.node_xy_m[:, 0, 1]
@@ -32,7 +39,7 @@ def test_held_again(strip_mm: tuple[float, float, float]) -> None:
     """Assert that displacement and stiffness come back from what dots show of a strip, with noise of 2 %."""
     one = held_gel.Pad(contact.pad_nodes(36, 27, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)), HEIGHT_M)
     strip = np.array(strip_mm) * 1e-3
-    moved, force_m = held_gel.shape(one, held_gel.layer(one), strip)
+    moved, force_m = held_gel.shape(one, layer(one), strip)
     rows, columns = np.meshgrid(np.arange(2, 26, 4), np.arange(2, 35, 4), indexing="ij")
     dots = one.node_xy_m[rows, columns].reshape(-1, 2)
     shown = moved[rows, columns].reshape(-1) * 0.3e-3

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evetac_cli.sim.gel import contact, gel
+from evetac_cli.kernels.gel_layer import ACROSS, SPRING, compliance
+from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.friction import coefficient_after, half_wavelength_m, varied
 
 LAW = (0.8, 0.64, 0.01, 20e-6)
@@ -100,14 +101,20 @@ def test_a_slider_grows_as_its_cubic_says(load_mn: float) -> None:
 
 
 def test_the_half_wavelength_is_where_growth_begins() -> None:
-    """Assert that at the half wavelength friction takes away what the gel resists; infinite where slip is stable."""
+    """Assert that at the half wavelength friction takes away what the gel resists across a wave.
+
+    Infinite where slip is stable, 0 where patterns of any length grow.
+    """
     shear_pa, height_m, pressure_pa, memory_m = 145e3, 4e-3, 22e3, 20e-6
     half_m = half_wavelength_m(0.16, pressure_pa, memory_m, shear_pa, height_m)
-    k = math.pi / half_m
-    assert 0.16 * pressure_pa / memory_m == pytest.approx(shear_pa / height_m + shear_pa * height_m * k**2 / 3)
-    assert half_m / 0.833e-3 == pytest.approx(4.4, abs=0.1)
+    x = (math.pi / half_m * height_m) ** 2
+    stiffness = shear_pa / height_m * (1 + ACROSS * x / (1 + ACROSS * x / SPRING))
+    assert 0.16 * pressure_pa / memory_m == pytest.approx(stiffness)
+    exact = compliance(np.array([math.pi / half_m]), height_m, shear_pa).across[0]
+    assert stiffness * exact == pytest.approx(1, rel=0.1)
     assert half_wavelength_m(0.16, 1e3, memory_m, shear_pa, height_m) == math.inf
     assert half_wavelength_m(0.16, 1e3, 0.0, shear_pa, height_m) == 0.0
+    assert half_wavelength_m(0.16, 1e5, memory_m, shear_pa, height_m) == 0.0
 
 
 def pad(columns: int, rows: int, **more: np.ndarray) -> gel.GelState:
@@ -163,9 +170,9 @@ def test_friction_that_varies_over_a_gel() -> None:
     apart = (logs[:, :, :-3] * logs[:, :, 3:]).mean() / (logs * logs).mean()  # 3 nodes are 1.5 mm
     assert apart == pytest.approx(math.exp(-0.5), abs=0.04)
     coarse, fine = (
-        gel.field_at(
+        dots.field_at(
             varied(p.node_xy_m, 0.2, 5e-3, np.random.default_rng(3))[..., None],
-            *gel.interpolation(p.node_xy_m, np.array([[0.0, 0.0], [4e-3, -3e-3], [-6e-3, 2e-3]])),
+            *dots.interpolation(p.node_xy_m, np.array([[0.0, 0.0], [4e-3, -3e-3], [-6e-3, 2e-3]])),
         )
         for p in (pad(24, 18), pad(96, 72))
     )

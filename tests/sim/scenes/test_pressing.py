@@ -9,7 +9,6 @@ import pytest
 from evetac_cli.events import concatenate
 from evetac_cli.formats.imports import read_events
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.text_files import as_toml
@@ -58,26 +57,6 @@ def test_strokes_move_every_dot(tmp_path: Path) -> None:
     assert times.min() >= 2
     assert moved[-1].max() < 0.2
     assert moved.max() < 60
-
-
-@pytest.mark.parametrize(("half", "share"), [((7e-3, 7e-3), (0.5, 0.5)), ((9e-3, 1e-3), (1 / 82, 81 / 82))])
-def test_squeeze_follows_the_closed_form(half: tuple[float, float], share: tuple[float, float]) -> None:
-    """Assert that a pressed patch pushes gel out by 0.3 * 0.75 s / H times the place, by the shorter way."""
-    line = [np.linspace(-10e-3, 10e-3, 201)[1:] - 0.5e-4, np.linspace(-10e-3, 10e-3, 201)[1:] - 0.5e-4]
-    nodes = np.stack(np.meshgrid(*line), axis=-1)
-    depth = np.where((np.abs(nodes) < half).all(axis=2), 1e-4, 0.0)
-    points = np.array([[0.5e-3, 0.0], [0.0, 0.5e-3], [0.5e-3, 0.5e-3]])
-    shift = dilation(points, nodes, depth, np.zeros(3), 4e-3)
-    assert shift == pytest.approx(0.3 * 0.75 * 1e-4 / 4e-3 * points * share, rel=0.02, abs=1e-12)
-
-
-def test_lens_and_nothing() -> None:
-    """Assert that a dot that comes nearer by s moves out by r s / 25 mm, and that nothing pressed moves nothing."""
-    nodes = np.stack(np.meshgrid([0.0, 1e-3], [0.0, 1e-3]), axis=-1)
-    points = np.array([[3e-3, -4e-3]])
-    assert dilation(points, nodes, np.zeros((2, 2)), np.array([1e-4]), 4e-3).tolist() == [[0.0, 0.0]]
-    depth = np.full((2, 2), 1e-12)
-    assert dilation(points, nodes, depth, np.array([1e-4]), 4e-3) == pytest.approx(points * 1e-4 / 25e-3, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["evetac", "second", "bare-dvxplorer"])

@@ -17,8 +17,7 @@ from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.inspect import validate
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.gel.dilation import dilation
-from evetac_cli.sim.gel.gel import DECAY_M, GelMaterial
+from evetac_cli.sim.gel.gel import GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import first_plan, tones_hz
@@ -84,19 +83,21 @@ def test_resonance_is_that_of_the_layer(frequency_hz: float) -> None:
     assert amplitude == pytest.approx(resonance(np.array([frequency_hz]), layer)[0], rel=1e-4)
 
 
-def test_disc_is_the_dilation_of_a_disc() -> None:
-    """Assert that under the disc dots shift as `dilation` has it, and decay as the layer does outside."""
-    line = np.linspace(-10e-3, 10e-3, 201)[1:] - 0.5e-4
-    nodes = np.stack(np.meshgrid(line, line), axis=-1)
-    depth = np.where(np.hypot(*np.moveaxis(nodes, 2, 0)) < 5e-3, 1.0, 0.0)
-    points = np.array([[0.0, 0.0], [1e-3, 2e-3], [-3e-3, 3e-3], [5e-3, 0.0]])
-    shift, follows = pressed_by_disc(points, np.zeros(2), 5e-3, 4e-3)
-    assert follows == pytest.approx(np.ones(4))
-    assert shift == pytest.approx(dilation(points, nodes, depth, np.ones(4), 4e-3), rel=0.02, abs=1e-12)
-    outside, follows = pressed_by_disc(np.array([[5e-3 + DECAY_M, 0.0]]), np.zeros(2), 5e-3, 4e-3)
-    assert follows == pytest.approx(np.exp(-1.0))
-    squeeze, _ = pressed_by_disc(points[3:], np.zeros(2), 5e-3, 4e-3)
-    assert outside[0, 0] == pytest.approx((squeeze[0, 0] + DECAY_M / 25e-3) * np.exp(-1.0))
+def test_a_disc_moves_what_it_holds() -> None:
+    """Assert that what a disc holds moves as it does and is not squeezed but seen larger, and that others move less.
+
+    Outside, half of the motion is left at half a height to a height from the rim, more across the motion than along it;
+    what is squeezed out moves away, by less than the indentation.
+    """
+    layer = GelMaterial()
+    points = np.array([[0.0, 0.0], [1e-3, 2e-3], [-3e-3, 2.5e-3], [8e-3, 0.0], [0.0, -8e-3], [14e-3, 0.0]])
+    shift, aside = pressed_by_disc(points, np.zeros(2), 5e-3, layer, 1e6)
+    assert aside[:3] == pytest.approx(np.broadcast_to(np.eye(2), (3, 2, 2)), abs=1e-9)
+    assert shift[:3] == pytest.approx(points[:3] / 25e-3, rel=1e-6, abs=1e-12)
+    assert 0.05 < aside[3, 0, 0] < aside[3, 1, 1] < 0.6
+    assert aside[4, 1, 1] == pytest.approx(aside[3, 0, 0], rel=0.05)
+    assert 0.1 < shift[3, 0] < 1.0 and shift[4, 1] == pytest.approx(-shift[3, 0], rel=0.05)
+    assert abs(shift[5, 0]) < 0.3 * shift[3, 0] and abs(aside[5, 0, 0]) < 0.1
 
 
 @given(seed=st.integers(0, 1000))

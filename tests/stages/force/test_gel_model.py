@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evetac_cli.sim.gel.dilation import dilation
 
 from evetac_cli import resources
 from evetac_cli.commands.evaluate import EvaluateForce
@@ -20,7 +21,6 @@ from evetac_cli.evaluate import force as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.dilation import dilation
 from evetac_cli.sim.scenes.shared import pad
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import Sensor

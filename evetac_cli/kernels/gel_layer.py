@@ -1,0 +1,135 @@
+"""A soft layer bonded to a stiff back, and how its surface answers shear and pressure: exact, and by a sheet inside it.
+
+Exact. A layer of height H and shear modulus G that keeps its volume answers a traction of wave number k at its surface
+as a vector: shear along the wave (L) moves it less than shear across (T), as it has to push gel up where it is thin,
+and pressure moves it sideways, too. `compliance` is the closed form; across the wave it is tanh(kH) / (G k).
+
+Sheet. A simulator wants the inverse of that on a grid, from node to node. Each surface node is held by a spring G/H to
+the back, and by a spring SPRING G/H to a sheet inside the layer that resists being stretched with ALONG G H along a
+wave and with ACROSS G H across it. In balance the sheet is the surface, smoothed, and the surface's stiffness to a
+pattern is G/H (1 + a x / (1 + a x / SPRING)), x = (kH)^2, a = ALONG or ACROSS: a Pade approximant of the exact one.
+`sheet_stiffness` is it on a grid.
+
+Pressure acts as if the surface was pushed by -H/2 grad p, p smoothed by a Gaussian of SMOOTHING H: what the exact layer
+moves under pressure, times its stiffness along the wave, is that within 4 % of its largest.
+
+Constants were fitted to the exact layer at wavelengths of 2 to 30 heights (8 to 120 mm), where the sheet is off by 2 %
+at most. Shorter waves find it too soft, by a quarter at 6 mm along the wave; dots, 2 mm apart, show none under 4 mm.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from evetac_cli.arrays import Floats
+
+SPRING = 8.25
+ALONG = 1.675
+ACROSS = 0.305
+SMOOTHING = 0.82
+
+
+class Compliance(NamedTuple):
+    """How a layer's surface moves at some wave numbers (n,), in m per Pa.
+
+    across, along: in its plane, under shear across and along the wave. aside: in its plane along the wave, under
+    pressure, as a factor on the pressure's slope over the wave number: negative, away from where it is high. down: into
+    the layer under pressure.
+    """
+
+    across: Floats
+    along: Floats
+    aside: Floats
+    down: Floats
+
+
+def compliance(
+    wave_number_per_m: Floats, height_m: float, shear_modulus_pa: float = 1.0, poisson: float = 0.5
+) -> Compliance:
+    """The exact answer of a bonded layer to tractions on its surface: the closed form in Fourier space.
+
+    wave_number_per_m: (n,) above 0. poisson: up to 0.5, where the layer keeps its volume. The displacement is a sum of
+    four functions of depth, in two of which the depth is a factor; that it is 0 at the back and the traction as given
+    at the surface are four equations for each wave number.
+    """
+    wave = np.asarray(wave_number_per_m, dtype=np.float64) * height_m  # all lengths in heights
+    ratio = 3.0 - 4.0 * poisson
+    fades = np.exp(-wave)
+
+    def displacement(depth: float) -> tuple[Floats, Floats]:
+        """Parts along the wave and up of the four functions, (n, 4), at a depth below the surface."""
+        rise, fall, below = np.exp(-wave * depth), np.exp(-wave * (1.0 - depth)), -depth
+        along = np.stack([rise, wave * below * rise, fall, wave * (1.0 - depth) * fall], -1)
+        up = np.stack([rise, (wave * below - ratio) * rise, -fall, -(wave * (1.0 - depth) + ratio) * fall], -1)
+        return along, up
+
+    top, back = displacement(0.0), displacement(1.0)
+    slope_along = np.stack([wave, wave, -wave * fades, wave * (1.0 - wave) * fades], -1)
+    slope_up = np.stack([wave, wave * (1.0 - ratio), wave * fades, -wave * (1.0 - (wave + ratio)) * fades], -1)
+    swelling = np.stack([0 * wave, -4 * poisson * wave, 0 * wave, 4 * poisson * wave * fades], -1)
+    equations = np.stack([*back, slope_along + wave[:, None] * top[1], swelling + 2 * slope_up], axis=1)
+    given = np.zeros((len(wave), 4, 2))
+    given[:, 2, 0], given[:, 3, 1] = 1.0, -1.0
+    weights = np.linalg.solve(equations, given)
+    along, up = (np.einsum("ni,nij->nj", part, weights) for part in top)
+    scale = height_m / shear_modulus_pa
+    return Compliance(scale * np.tanh(wave) / wave, scale * along[:, 0], scale * along[:, 1], -scale * up[:, 1])
+
+
+def sheet_stiffness(node_xy_m: Floats, height_m: float) -> sparse.csr_matrix:
+    """Stiffness over the shear modulus, in m, of a pad of nodes (rows, columns, 2) and its sheet; their edges are free.
+
+    (4 n, 4 n) for n nodes: displacements of the surface along x, along y, then those of the sheet.
+    """
+    rows, columns, _ = node_xy_m.shape
+    pitch_x, pitch_y = node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0], node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]
+    one = sparse.eye(rows * columns)
+
+    def step(count: int) -> sparse.csr_matrix:
+        """Differences of neighbours along a line."""
+        return sparse.diags([-np.ones(count), np.ones(count - 1)], [0, 1], shape=(count - 1, count))
+
+    def middle(count: int) -> sparse.csr_matrix:
+        """Means of neighbours along a line."""
+        return sparse.diags([np.full(count, 0.5), np.full(count - 1, 0.5)], [0, 1], shape=(count - 1, count))
+
+    across, down = sparse.kron(sparse.eye(rows), step(columns)), sparse.kron(step(rows), sparse.eye(columns))
+    bends_x, bends_y = across.T @ across * (height_m / pitch_x) ** 2, down.T @ down * (height_m / pitch_y) ** 2
+    wide_x, wide_y = sparse.kron(middle(rows), step(columns)), sparse.kron(step(rows), middle(columns))
+    swells = (ALONG - ACROSS) * height_m**2 / (pitch_x * pitch_y) * (wide_x.T @ wide_y)
+    blocks = [
+        [(1 + SPRING) * one, None, -SPRING * one, None],
+        [None, (1 + SPRING) * one, None, -SPRING * one],
+        [-SPRING * one, None, SPRING * one + ALONG * bends_x + ACROSS * bends_y, swells],
+        [None, -SPRING * one, swells.T, SPRING * one + ACROSS * bends_x + ALONG * bends_y],
+    ]
+    return sparse.csr_matrix(pitch_x * pitch_y / height_m * sparse.bmat(blocks))
+
+
+class Squeeze:
+    """The force on each surface node with which pressure moves a layer aside: -H/2 grad p, smoothed."""
+
+    def __init__(self, node_xy_m: Floats, height_m: float) -> None:
+        """For a regular grid of nodes (rows, columns, 2); what they bear is spread over their cells' middles."""
+        self._smooth_x, slope_x = _gaussian(node_xy_m[0, :, 0], height_m)
+        self._slope_x = np.ascontiguousarray(slope_x.T)
+        self._smooth_y, self._slope_y = _gaussian(node_xy_m[:, 0, 1], height_m)
+
+    def of(self, normal: Floats) -> Floats:
+        """Force (rows, columns, 2) in the unit of the nodes' normal forces (rows, columns)."""
+        aside = np.empty((*normal.shape, 2))
+        np.matmul(self._smooth_y @ normal, self._slope_x, out=aside[..., 0])
+        np.matmul(self._slope_y @ normal, self._smooth_x, out=aside[..., 1])
+        return aside
+
+
+def _gaussian(line_m: Floats, height_m: float) -> tuple[Floats, Floats]:
+    """Matrices that smooth along a line of nodes, and that smooth and take -H/2 of the slope; see `Squeeze`."""
+    pitch_m = line_m[1] - line_m[0] if len(line_m) > 1 else height_m
+    sd_m = SMOOTHING * height_m
+    apart = (line_m[:, None] - line_m[None, :]) / sd_m
+    smooth: Floats = np.exp(-0.5 * apart**2) * (pitch_m / (sd_m * math.sqrt(2 * math.pi)))
+    slope: Floats = 0.5 * height_m / sd_m * apart * smooth
+    return smooth, slope

@@ -1,0 +1,72 @@
+"""Where points of the gel's surface are seen: what its nodes do at them, and how a dot that comes nearer looks larger.
+
+A dot that the gel brings nearer to the lens by s moves away from the image's centre by r s / Z, r being its distance
+from there. Z is a guess: the distance of a GelSight Mini's camera, rounded.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Floats
+from evetac_cli.checks import check_range
+from evetac_cli.kernels.compiled import njit
+from evetac_cli.sim.gel.gel import GelState
+
+DECAY_M = 2.3e-3  # over which the motion of a layer 4 mm high dies off outside a contact, about: H / sqrt(3)
+CAMERA_DISTANCE_M = 25e-3
+
+
+def nearer_by(points_m: Floats, depth_m: Floats) -> Floats:
+    """Shift (points, 2) in m that a camera sees of points (points, 2) from its axis that come nearer by depths in m."""
+    shift_m: Floats = points_m * (depth_m / CAMERA_DISTANCE_M)[:, None]
+    return shift_m
+
+
+def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY_M) -> tuple[NDArray[np.intp], Floats]:
+    """Nodes and weights, both (points, 4), that give the displacement of points on the gel from that of the nodes.
+
+    Bilinear between nodes and constant to the border of the pad (the outer sides of its cells); beyond, the value at
+    the border decays with exp(-distance / decay_m), as the motion of a bonded layer does outside a contact.
+    """
+    points = np.asarray(points_xy_m, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise ValueError(f"points_xy_m must be finite with shape (points, 2), found shape {points.shape}")
+    check_range("decay_m", decay_m, above=True)
+    rows, columns, _ = node_xy_m.shape
+    low = np.empty((2, len(points)), dtype=np.intp)
+    high = np.empty_like(low)
+    part = np.empty((2, len(points)))
+    beyond = np.empty((2, len(points)))
+    for axis, line in enumerate((node_xy_m[0, :, 0], node_xy_m[:, 0, 1])):
+        half = (line[1] - line[0]) / 2 if len(line) > 1 else 0.0
+        place = points[:, axis]
+        beyond[axis] = np.maximum(0.0, np.maximum(line[0] - half - place, place - line[-1] - half))
+        index = np.interp(place, line, np.arange(len(line)))
+        low[axis] = np.minimum(index.astype(np.intp), len(line) - 1)
+        high[axis] = np.minimum(low[axis] + 1, len(line) - 1)
+        part[axis] = index - low[axis]
+    reach = np.exp(-np.hypot(*beyond) / decay_m)
+    corners = [(low, low, 1 - part[0], 1 - part[1]), (high, low, part[0], 1 - part[1])]
+    corners += [(low, high, 1 - part[0], part[1]), (high, high, part[0], part[1])]
+    indices = np.stack([at_y[1] * columns + at_x[0] for at_x, at_y, _, _ in corners], axis=-1)
+    weights = np.stack([reach * share_x * share_y for _, _, share_x, share_y in corners], axis=-1)
+    return indices, weights
+
+
+def displacement_at(state: GelState, indices: NDArray[np.intp], weights: Floats) -> Floats:
+    """Displacement in m, (points, 2), of the points for which `interpolation` gave these indices and weights."""
+    displacement: Floats = field_at(state.displacement_m, indices, weights)
+    return displacement
+
+
+@njit(cache=True)
+def field_at(field: Floats, indices: NDArray[np.intp], weights: Floats) -> Floats:
+    """Values (points, parts) of a field of the nodes, (rows, columns, parts), where `interpolation` says."""
+    parts = field.shape[2]
+    nodes = field.reshape(field.shape[0] * field.shape[1], parts)
+    values = np.zeros((len(indices), parts))
+    for point in range(len(indices)):
+        for corner in range(indices.shape[1]):
+            for part in range(parts):
+                values[point, part] += nodes[indices[point, corner], part] * weights[point, corner]
+    return values
