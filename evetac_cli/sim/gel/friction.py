@@ -47,8 +47,8 @@ def half_wavelength_m(
 
     A pattern of wave number k grows where coefficient_drop * pressure / memory is above the gel's stiffness to it, at
     the least G/H (1 + a x / (1 + a x / s)), x = (kH)^2 (see kernels/gel_layer): friction that falls over the memory
-    length beats the gel (Rice 1993). A grid has to resolve it: ask for 6 nodes, and do not trust the onset of slip below
-    4. 0 without memory, and where patterns of any length grow.
+    length beats the gel (Rice 1993). A grid has to resolve it: ask for 6 nodes, and do not trust the onset of slip
+    below 4. 0 without memory, and where patterns of any length grow.
     """
     if memory_m == 0.0:
         return 0.0 if coefficient_drop * pressure_pa > 0.0 else math.inf

@@ -53,9 +53,9 @@ class GelMaterial:
 
     Shear modulus and height are those of a GelSight Mini gel (FEATS, from the same laboratory as Evetac). Density and
     losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, to be drawn at random. To leave out on request:
-    `coupled` False, each node is a spring of its own (Winkler), and pressure squeezes nothing aside; `with_mass` False,
-    the gel follows without inertia. creep_share, creep_time_s: of more Maxwell arms, MOST_ARMS at most. The shear
-    modulus is that after all creep; a sudden shear is resisted by 1 + all shares times as much.
+    `coupled` False, each node is a spring of its own (Winkler); `squeezes` False, pressure moves no gel aside;
+    `with_mass` False, the gel follows without inertia. creep_share, creep_time_s: of more Maxwell arms, MOST_ARMS at
+    most. The shear modulus is that after all creep; a sudden shear is resisted by 1 + all shares times as much.
     """
 
     shear_modulus_pa: float = 145e3
@@ -65,6 +65,7 @@ class GelMaterial:
     maxwell_share: float = 0.15
     maxwell_time_s: float = 10e-3
     coupled: bool = True
+    squeezes: bool = True
     with_mass: bool = True
     creep_share: tuple[float, ...] = ()
     creep_time_s: tuple[float, ...] = ()
@@ -339,7 +340,7 @@ def start(
         _layer=layer,
         _creep_arms=np.array([material.creep_share, material.creep_time_s]).T.copy(),
         layer_constants=(*layer[:-1], tuple(stretch)),
-        _squeeze=Squeeze(nodes, material.height_m) if material.coupled else None,
+        _squeeze=Squeeze(nodes, material.height_m) if material.coupled and material.squeezes else None,
         _sheet_rule=rule_of(stretch, rows, columns),
         info=np.zeros(INFO_SIZE),
         _memory=work_memory(rows, columns),

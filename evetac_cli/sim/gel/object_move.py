@@ -115,8 +115,7 @@ def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
         for row in range(rows):
             for column in range(columns):
                 search[axis, row + 1, column + 1] = work.search_direction[row, column, axis]
-    work.sheet_source[:] = 0.0
-    pull_sheet(work.search_direction, work.sheet_source, work.sheet_source)
+    pull_sheet(work.search_direction, work.sheet_source)
     for _ in range(SWEEPS):
         relax_sheet(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
 

@@ -9,7 +9,7 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work, pull_sheet
 from evetac_cli.sim.gel.friction import coefficient_after
-from evetac_cli.sim.gel.sheet import Stretch, sheet_imbalance
+from evetac_cli.sim.gel.sheet import Stretch, relax_sheet, sheet_imbalance
 
 SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
 
@@ -90,7 +90,7 @@ def begin(
         gain -= arms[arm, 0] * arms[arm, 1] * math.expm1(-h / arms[arm, 1])
     lag = h + layer.viscous_time + gain
     stencil = Stencil(layer.node_mass / h + lag * layer.shear, lag * layer.spring, layer.stretch, layer.pads)
-    factors = (h, layer.node_mass / h, keep, lag)
+    factors = (h, layer.node_mass / h, keep)
     fault, scale, square = _set_up(state, nodal, squeeze, pose, friction, factors, layer, work)
     return fault, scale, square, stencil
 
@@ -136,27 +136,25 @@ def _set_up(
     squeeze: Squeeze,
     pose: Floats,
     friction: FrictionLaw,
-    factors: tuple[float, float, float, float],
+    factors: tuple[float, float, float],
     layer: PadConstants,
     work: Work,
 ) -> tuple[int, float, float]:
-    """Fill the equation of the nodes and the sheet: right-hand side, bounds, levers, and where the search starts.
+    """Fill the equation of the nodes: right-hand side, bounds, levers, and where the search starts.
 
-    factors: theta * dt, a node's mass over it, what the Maxwell arm keeps of its force, and the time over which a
-    velocity strains the layer, its losses included. Returns the number of what is wrong, or 0; the sum of all forces
-    on the nodes; and that of the squares of their levers.
+    factors: theta * dt, a node's mass over it, and what the Maxwell arm keeps of its force. Returns the number of what
+    is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their levers.
     """
     displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes, creep, arms = state[:10]
     sheet, sheet_mean = state[12], state[13]
     static, kinetic, _, _ = friction
-    h, momentum, keep, lag = factors
+    h, momentum, keep = factors
     unit_squeeze, squeezed_n = squeeze
     rows, columns = nodal.shape
     falls = kinetic < static
     scale = square = 0.0
     spring(displacement, sheet, layer.shear, layer.spring, work.pull)
     if layer.spring > 0.0:
-        _right_of_sheet(displacement, sheet, lag, layer, work)
         starts, lately = work.sheet.reshape(-1), sheet_mean.reshape(-1)
         for entry in range(starts.size):
             starts[entry] = lately[entry]
@@ -195,19 +193,15 @@ def _set_up(
 
 
 @njit(cache=True, _nrt=False)
-def _right_of_sheet(displacement: Floats, sheet: Floats, lag: float, layer: PadConstants, work: Work) -> None:
-    """Set sheet_right to what brings the sheet back to its balance where earlier steps have left it beside.
+def _settle_sheet(displacement: Floats, sheet: Floats, layer: PadConstants, work: Work) -> None:
+    """Bring the displaced sheet nearer to its balance, where steps have left it beside.
 
     Why so: a step finds velocities within its tolerance, and the sheet would drift off with the sum of what is left.
     What rounding leaves stays, as a gel at rest would never come to rest otherwise.
     """
-    work.sheet_source[:] = 0.0
-    pull_sheet(displacement, work.sheet_source, work.sheet_source)
-    off_m = sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_right)
-    over = 1.0 / lag if off_m > SHEET_OFF_M else 0.0
-    for axis in range(2):
-        for entry in range(work.sheet_right.shape[1]):
-            work.sheet_right[axis, entry] *= over
+    pull_sheet(displacement, work.sheet_source)
+    if sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_left) > SHEET_OFF_M:
+        relax_sheet(sheet, work.sheet_source, layer.stretch, work.sheet_rule, work.after)
 
 
 @njit(cache=True, _nrt=False)
@@ -273,6 +267,8 @@ def advance(
         moved[entry] += dt * here[entry]
         lagging[entry] = fade * lagging[entry] + build * pull[entry]
         moving[entry] += (here[entry] - moving[entry]) / theta
+    if layer.spring > 0.0:
+        _settle_sheet(displacement, sheet, layer, work)
     for arm in range(len(arms)):
         fade, creeping = math.exp(-dt / arms[arm, 1]), creep[arm].reshape(-1)
         build = -arms[arm, 0] * arms[arm, 1] * math.expm1(-dt / arms[arm, 1])

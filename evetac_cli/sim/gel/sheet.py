@@ -18,7 +18,7 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, ALONG, SPRING
 
 # Factor of over-relaxation. In a slip on 24 x 18 nodes 1.3, 1.5 and 1.7 took 7.2, 6.3 and 6.0 sweeps a step.
-RELAXATION = 1.6
+RELAXATION = 1.45
 
 
 class Stretch(NamedTuple):

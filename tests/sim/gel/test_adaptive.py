@@ -16,7 +16,7 @@ WEIGHT_N = np.array([0.981, 0.0, 0.0])
 def cylinder(columns: int = 12, rows: int = 9) -> tuple[gel.GelState, np.ndarray]:
     """A pad that holds a cylinder of 100 g, tilted, and the shares of its nodes in the normal force."""
     nodes = pad_nodes(columns, rows, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
-    state = gel.start(nodes, gel.GelMaterial(), 0.1, 4e-5, body_xy_m=(1e-3, 1e-3))
+    state = gel.start(nodes, gel.GelMaterial(squeezes=False), 0.1, 4e-5, body_xy_m=(1e-3, 1e-3))
     return state, pressure(0.4e-3, gap_profile(nodes, "cylinder", 0.06, 0.01), 1.0)
 
 
@@ -66,10 +66,21 @@ def test_a_slice_that_is_too_coarse_is_taken_back_whole() -> None:
     """Assert that a step above its error changes nothing of the state, and that it is then made in halves."""
     state, shares = cylinder()
     before = state.copy()
-    load = (2.0 * shares, 100.0 * WEIGHT_N, False, state.twist)
+    nodal_n = 2.0 * shares
+    load = (nodal_n, (state.squeezed(nodal_n), 1.0), 100.0 * WEIGHT_N, False, state.twist)
     settings = (1e-3, 0.51, 1e-6, 400, *Allowed(error_m=1e-9, shortest=False))
     assert step_nodes(state.arrays, load, FRICTION.law, settings, state.layer_constants, state.info, None) == TOO_LONG
-    for name in ("displacement_m", "velocity_m_s", "maxwell_n", "pose", "twist", "stuck", "slip_m_s", "_mean_m_s"):
+    for name in (
+        "displacement_m",
+        "velocity_m_s",
+        "maxwell_n",
+        "pose",
+        "twist",
+        "stuck",
+        "slip_m_s",
+        "_mean_m_s",
+        "sheet_m",
+    ):
         assert (getattr(state, name) == getattr(before, name)).all()
     assert (state.friction_coefficient == before.friction_coefficient).all()
 

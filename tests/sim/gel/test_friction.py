@@ -68,7 +68,7 @@ def test_a_slider_grows_as_its_cubic_says(load_mn: float) -> None:
     """
     static, kinetic, stribeck, memory = LAW
     load_n, speed = 1e-3 * load_mn, 3e-3
-    material = gel.GelMaterial(maxwell_share=0.0)
+    material = gel.GelMaterial(squeezes=False, maxwell_share=0.0)
     state = one_node(speed, material)
     k, m = state._layer.shear, state._layer.node_mass
     c = k * material.viscous_time_s
@@ -82,6 +82,7 @@ def test_a_slider_grows_as_its_cubic_says(load_mn: float) -> None:
     state.friction_coefficient[:] = steady
     state.slip_m_s[:] = speed
     state.displacement_m[0, 0, 0] = rest_m * (1 + 1e-6)
+    state.sheet_m[0] = rest_m * (1 + 1e-6)
     nodal, friction, dt_s = np.full((1, 1), load_n), gel.Friction(*LAW), 2e-6
     away_m = np.empty(10_000)
     for step in range(len(away_m)):
@@ -120,7 +121,7 @@ def test_the_half_wavelength_is_where_growth_begins() -> None:
 def pad(columns: int, rows: int, **more: np.ndarray) -> gel.GelState:
     """A pad of 20 x 15 mm under a face that is driven."""
     nodes = contact.pad_nodes(columns, rows, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
-    return gel.start(nodes, gel.GelMaterial(), 1.0, 1.0, pads=1, **more)
+    return gel.start(nodes, gel.GelMaterial(squeezes=False), 1.0, 1.0, pads=1, **more)
 
 
 @pytest.mark.parametrize("node", range(12))

@@ -23,7 +23,7 @@ def balanced(columns: int, rows: int, sweeps: int) -> tuple[np.ndarray, float]:
     stretch = stretch_of(HEIGHT_M, 0.8e-3, 1e-3)
     rule = rule_of(stretch, rows, columns)
     planes, source = np.zeros((2, rows + 2, columns + 2)), np.zeros((2, rows * (columns + 2)))
-    pull_sheet(moved, np.zeros_like(source), source)
+    pull_sheet(moved, source)
     for _ in range(sweeps):
         relax_sheet(planes, source, stretch, rule, np.zeros(source.shape[1]))
     left = sheet_imbalance(planes, source, stretch, np.zeros_like(source))

@@ -18,7 +18,7 @@ MASS_KG = 0.1
 
 def pads(stiffness: float = 1.0, factor: float = 1.0) -> tuple[gel.GelState, gel.GelState]:
     """The first pad with the object, and another of its own stiffness and friction."""
-    material = gel.GelMaterial()
+    material = gel.GelMaterial(squeezes=False)
     first = gel.start(NODES, material, MASS_KG, 4e-5, pads=1, body_xy_m=(1e-3, 1e-3))
     stiff = replace(material, shear_modulus_pa=material.shear_modulus_pa * stiffness)
     uneven = np.full(EVEN.shape, factor) if factor != 1.0 else None
@@ -30,7 +30,7 @@ def pads(stiffness: float = 1.0, factor: float = 1.0) -> tuple[gel.GelState, gel
 def test_equal_pads_are_mirrored_pads(law: gel.Friction) -> None:
     """Assert that two pads that do not differ do what one does that counts twice, through slip and to 1e-9 m."""
     first, second = pads()
-    mirrored = gel.start(NODES, gel.GelMaterial(), MASS_KG, 4e-5, pads=2, body_xy_m=(1e-3, 1e-3))
+    mirrored = gel.start(NODES, gel.GelMaterial(squeezes=False), MASS_KG, 4e-5, pads=2, body_xy_m=(1e-3, 1e-3))
     shares = contact.pressure(3e-4, GAP, 1.0)
     solver = Solver(residual=1e-9)
     two, one = Stepper(solver, second=second), Stepper(solver)

@@ -86,7 +86,7 @@ def test_resonance_is_that_of_the_layer(frequency_hz: float) -> None:
 def test_a_disc_moves_what_it_holds() -> None:
     """Assert that what a disc holds moves as it does and is not squeezed but seen larger, and that others move less.
 
-    Outside, half of the motion is left at half a height to a height from the rim, more across the motion than along it;
+    Three quarters of a height from the rim a third of the motion is left before and behind, less beside it;
     what is squeezed out moves away, by less than the indentation.
     """
     layer = GelMaterial()
@@ -94,7 +94,7 @@ def test_a_disc_moves_what_it_holds() -> None:
     shift, aside = pressed_by_disc(points, np.zeros(2), 5e-3, layer, 1e6)
     assert aside[:3] == pytest.approx(np.broadcast_to(np.eye(2), (3, 2, 2)), abs=1e-9)
     assert shift[:3] == pytest.approx(points[:3] / 25e-3, rel=1e-6, abs=1e-12)
-    assert 0.05 < aside[3, 0, 0] < aside[3, 1, 1] < 0.6
+    assert 0.02 < aside[3, 1, 1] < aside[3, 0, 0] < 0.6
     assert aside[4, 1, 1] == pytest.approx(aside[3, 0, 0], rel=0.05)
     assert 0.1 < shift[3, 0] < 1.0 and shift[4, 1] == pytest.approx(-shift[3, 0], rel=0.05)
     assert abs(shift[5, 0]) < 0.3 * shift[3, 0] and abs(aside[5, 0, 0]) < 0.1
