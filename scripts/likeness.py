@@ -10,6 +10,7 @@ the folder (likeness/ unless named), and a run goes on where it was stopped. `ma
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from likeness_tables import FOLDER, WHEN
@@ -37,7 +38,7 @@ OBJECTS = (
 )  # that the usual grid resolves, and 18
 RATE_OBJECT = 8  # of the paper's figure of the onset; it names none for its data rates
 # What no table of docs/results has, but a page or a study says in words: figures, and where.
-SAID = {
+SAID: dict[str, dict[str, tuple[list[float | None], str]]] = {
     "before": {
         "force-by-papers-tracker": ([4.2, 2.1, None, None], "docs/results.md, in words: a smaller run, the regression"),
     },
@@ -62,7 +63,6 @@ def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
     """What is kept of the rows of the command."""
     head, changed = commit()
     header = report_header(chosen.folder / "all.report.h5")
-    said = SAID[when]
     return {
         "name": f"{FOLDER}-{when}",
         "simulated": True,
@@ -72,18 +72,18 @@ def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
         "commands": [" ".join(command) for command in commands(chosen)],
         "methods": methods([header]),
         "sizes": facts([header]),
-        "rows": [
-            {
-                "name": row["name"],
-                "values": json.loads(row["simulated_values"]) or said.get(row["name"], ([], ""))[0],
-                "n": row["simulated_n"],
-                "from": row["simulated_from"] or said.get(row["name"], ([], ""))[1],
-                "not_told": row["not_told"],
-            }
-            for row in rows
-            if "fact" in row
-        ],
+        "rows": [figures(row, SAID[when]) for row in rows if "fact" in row],
     }
+
+
+def figures(row: Row, said: Mapping[str, tuple[list[float | None], str]]) -> Row:
+    """What is kept of a fact: as it was measured, or as it is said, or why there is nothing."""
+    values = json.loads(row["simulated_values"])
+    if not values and row["name"] in said:
+        values, origin = said[row["name"]]
+        return {"name": row["name"], "values": values, "n": None, "from": origin, "not_told": None}
+    told = {"n": row["simulated_n"], "from": row["simulated_from"], "not_told": row["not_told"]}
+    return {"name": row["name"], "values": values, **told}
 
 
 def main() -> None:

@@ -52,8 +52,14 @@ def table(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[list[str]]:
         kind = fact.kind + (f": {fact.fits}" if fact.fits else "")
         cells = [ours(fact, measured) for measured in known.values()]
         public = f"{fact.public} ({fact.source})"
-        rows.append([f"{number}`{fact.name}`: {fact.fact}", public, kind, *cells, fact.command])
+        rows.append([f"{number}`{fact.name}`: {fact.fact}", public, kind, *cells, as_code(fact.command)])
     return [heads, *rows]
+
+
+def as_code(command: str) -> str:
+    """A command as code, what is said of it behind; words as they are."""
+    line, space, about = command.partition(" (")
+    return f"`{line}`{space}{about}" if line.startswith(("evetac", "make")) else command
 
 
 def counts(of: Iterable[Fact], measured: Measured) -> dict[str, int]:
@@ -100,7 +106,7 @@ def as_pages(results: Path, as_table: Callable[[list[str], list[list[str]]], str
         heads, *rows = table(of, known)
         parts = ["Simulated, but for what is public:", as_table(heads, rows)]
         if of is counted:
-            parts += ["\n\n".join(said(counted, known)), "Off, and why:", "\n".join(misses(counted, known))]
-        parts += [how_made(when, measured) for when, measured in known.items()]
+            parts += [*said(counted, known), "Off, and why:", "\n".join(misses(counted, known))]
+            parts += [how_made(when, measured) for when, measured in known.items()]
         texts[name] = "\n\n".join(parts) + "\n"
     return texts
