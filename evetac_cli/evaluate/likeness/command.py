@@ -5,6 +5,8 @@ real ones, and how both compare. What needs trainings, grasps or many trials is 
 tells a fact, the row says what would. Then a row for each recording with all that it tells.
 `_values` are the figures as a JSON list, as a fact may have several.
 
+Kernels are imported where they are called, so that a report that is up to date loads none.
+
 A measure that belongs to a scene is taken of this scene alone where recordings are simulated; of a real recording, who
 made it knows what was done. Means over recordings for shares of a data rate, as in the paper, medians for all else.
 """
@@ -15,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,17 +25,17 @@ from evetac_cli import resources
 from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate import report, report_job
-from evetac_cli.evaluate.data_rate import labels_beside
-from evetac_cli.evaluate.likeness import single_slice
+from evetac_cli.evaluate.likeness import beside
 from evetac_cli.evaluate.likeness.constants import constant_of
-from evetac_cli.evaluate.likeness.counts import count
-from evetac_cli.evaluate.likeness.facts import NEAR, WITHIN, Fact, as_text, facts
-from evetac_cli.evaluate.likeness.measures import dot_places, measure
+from evetac_cli.evaluate.likeness.facts import NEAR, WITHIN, Fact, as_text, facts, named_tables
 from evetac_cli.evaluate.likeness.tables import Ours, ResultTables
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
+
+if TYPE_CHECKING:
+    from evetac_cli.evaluate.likeness.single_slice import Slip
 
 OUTPUT = "report"
 METHOD = 1
@@ -48,7 +50,7 @@ class Told:
     row: Row
     simulated: bool
     scene: str | None
-    slip: single_slice.Slip | None
+    slip: "Slip | None"
 
 
 def jobs(files: list[Path], params: EvaluateLikeness, out: Path | None) -> list[Job]:
@@ -62,13 +64,10 @@ def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Pr
     tables = ResultTables(params.results)
     parents: list[Header] = []
     for path in job.inputs:
-        with open_recording(path) as recording, dot_places(recording) as dots:
-            labels = None if recording.has("truth") else labels_beside(recording)
-            tracks = dots[0].header if dots is not None and dots[0] is not recording else None
-            parents += [recording.header, *([labels.header] if labels else []), *([tracks] if tracks else [])]
+        with open_recording(path) as recording:
+            parents += beside.headers(recording)
     listed = hashlib.sha256((resources.DATA / "likeness.toml").read_bytes()).hexdigest()
-    versions = tables.commits([fact.table for fact in facts() if fact.table])
-    parameters = {**recipe_of(params), "facts": listed, "tables": versions}
+    parameters = {**recipe_of(params), "facts": listed, "tables": tables.digests(named_tables())}
 
     def measured() -> tuple[Rows, dict[str, Any]]:
         told = []
@@ -101,6 +100,10 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
 
 
 def _told(path: Path) -> Told:
+    from evetac_cli.evaluate.likeness import single_slice
+    from evetac_cli.evaluate.likeness.counts import count
+    from evetac_cli.evaluate.likeness.measures import measure
+
     with open_recording(path) as recording:
         header = recording.header
         simulated = bool(header["simulated"])
@@ -151,7 +154,7 @@ def _of_recordings(fact: Fact, told: list[Told]) -> Ours:
     """The figures of a fact by recordings of one kind, simulated or real."""
     if not fact.measures:
         return Ours(untold=fact.needs)
-    judged = single_slice.judge([one.slip for one in told if one.slip is not None])
+    judged = _judged(told)
     values: list[float | None] = []
     numbers: list[int] = []
     for named in fact.measures:
@@ -168,6 +171,13 @@ def _of_recordings(fact: Fact, told: list[Told]) -> Ours:
     return Ours(tuple(values), min(number for number in numbers if number), "these recordings")
 
 
+def _judged(told: list[Told]) -> Row:
+    """How well one threshold tells the slips of recordings; empty where they are of one object."""
+    from evetac_cli.evaluate.likeness.single_slice import judge
+
+    return judge([one.slip for one in told if one.slip is not None])
+
+
 def _middle(name: str, values: list[float]) -> float:
     return float(np.mean(values) if name.startswith(SHARES) else np.median(values))
 
@@ -175,7 +185,6 @@ def _middle(name: str, values: list[float]) -> float:
 def _summary(rows: Rows, told: list[Told]) -> Row:
     """How many recordings there were, how many facts are told, and how many that count compare in each way."""
     counted = [row for row in rows if row["counts"] is not None]
-    judged = single_slice.judge([one.slip for one in told if one.slip is not None and one.simulated])
     return {
         "recordings": len(told),
         "facts": len(rows),
@@ -184,7 +193,7 @@ def _summary(rows: Rows, told: list[Told]) -> Row:
         "counted_known": sum(row["compared"] is not None for row in counted),
         "counted_within": sum(row["compared"] == WITHIN for row in counted),
         "counted_half_to_twice": sum(row["compared"] == NEAR for row in counted),
-        **judged,
+        **_judged([one for one in told if one.simulated]),
     }
 
 

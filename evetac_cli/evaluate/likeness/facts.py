@@ -103,6 +103,11 @@ def facts() -> tuple[Fact, ...]:
     return found
 
 
+def named_tables() -> list[str]:
+    """The names of the tables of docs/results that facts name."""
+    return sorted({entry["table"] for entry in resources.table("likeness")["fact"] if "table" in entry})
+
+
 def by_name(name: str) -> Fact:
     """The fact of a name; KeyError if there is none."""
     return {one.name: one for one in facts()}[name]

@@ -6,8 +6,6 @@ by truth or by tracks beside it; force, contact and the share that slips by the 
 
 import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -16,14 +14,14 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.data_rate import intervals
+from evetac_cli.evaluate.likeness.beside import dot_places
 from evetac_cli.evaluate.likeness.counts import ABOUT_MS, SliceCounts, about_slip
 from evetac_cli.evaluate.likeness.followed import followed
 from evetac_cli.evaluate.phases import ContactPhase, rest_and_motion, stroked
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.realism import figures
-from evetac_cli.stages.related_files import check_made_from
-from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, first_slice
 
 EVENT_BYTES, RGB_BYTES_S = 5, 540 * 480 * 3 * 25  # of the paper's comparison
@@ -133,24 +131,6 @@ def _of_truth(recording: Recording, counts: SliceCounts) -> Row:
     if touching.any():
         row["sticks_again_share"] = float((visible[onset : onset + STICKS_MS][touching] < HALF).mean())
     return row
-
-
-@contextmanager
-def dot_places(recording: Recording) -> Iterator[tuple[StageFile, str] | None]:
-    """Where the dots of a recording are, as a file and its dataset: its truth, or the tracks beside it; None without.
-
-    InputError for tracks beside it that are another recording's.
-    """
-    if recording.has("truth"):
-        yield recording, "truth/dot_xy_px"
-        return
-    path = output_path(recording.path, "tracks", None)
-    if not path.exists():
-        yield None
-        return
-    with StageFile(path, "tracks") as tracks:
-        check_made_from(tracks, recording)
-        yield tracks, "dot_xy_px"
 
 
 def _of_path(recording: Recording, counts: SliceCounts, dots: tuple[StageFile, str]) -> Row:

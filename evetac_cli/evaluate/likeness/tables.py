@@ -1,5 +1,6 @@
 """What the tables of docs/results say of a public fact: what needs trainings, grasps or many trials."""
 
+import hashlib
 import itertools
 import json
 from collections.abc import Callable, Mapping
@@ -8,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from evetac_cli import resources
 from evetac_cli.errors import InputError
@@ -55,10 +55,11 @@ class ResultTables:
             self._read[name] = found
         return self._read[name]
 
-    def commits(self, names: list[str]) -> dict[str, str]:
-        """Which version of each table there is, for a recipe."""
+    def digests(self, names: list[str]) -> dict[str, str]:
+        """What each table that there is contains, by its SHA-256, for a recipe."""
         tables = {name: self.table(name) for name in sorted(set(names))}
-        return {name: str(one.get("made")) for name, one in tables.items() if one is not None}
+        texts = {name: json.dumps(one, sort_keys=True) for name, one in tables.items() if one is not None}
+        return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
 
     def ours(self, fact: Fact) -> Ours:
         """The figures of a fact that names a table."""
@@ -165,6 +166,8 @@ def _network_over_regression(rows: Rows) -> Values:
 
 
 def _force_follows_mass(rows: Rows) -> Values:
+    from scipy import stats
+
     masses = resources.table("objects")
     of_object = [_of(rows, object=number, setting="paper") for number in LIFTED]
     known = [(masses[str(row["object"])]["mass_g"], row["force_end_n"]) for row in of_object if row is not None]
