@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 OUTPUT = "report"
 METHOD = 1
 SLIPS = ("slip", "slip-varied")  # scenes whose slips one threshold is judged on
+HERE = "these recordings"  # where a figure comes from
 SHARES = "share_"  # measures that are means, as in the paper
 
 
@@ -81,22 +82,38 @@ def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Pr
 
 
 def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
-    """The facts that something is told of, and how many of those that are counted hold; what is not told, in words."""
+    """The facts that these recordings tell, how many of those that count are known and hold, and what is not told."""
     of_facts = [row for row in rows if "fact" in row]
+    told = [row for row in of_facts if row["simulated_from"] == HERE or row["real"] is not None]
     shown = [
-        {name: row[name] for name in ("counts", "fact", "unit", "public", "simulated", "real", "compared", "class")}
-        for row in of_facts
-        if row["simulated"] is not None or row["real"] is not None
+        {
+            "fact": row["name"],
+            "public": row["published"],
+            "simulated": row["simulated"] if row["simulated_from"] == HERE else None,
+            "compared": row["compared"] if row["simulated_from"] == HERE else None,
+            "real": row["real"],
+            "real_compared": row["real_compared"],
+            "class": row["class"],
+        }
+        for row in told
     ]
     counted = [row for row in of_facts if row["counts"] is not None]
     within, near = (sum(row["compared"] == one for row in counted) for one in (WITHIN, NEAR))
     known = sum(row["compared"] is not None for row in counted)
+    elsewhere = sum(row["not_told"] is None for row in of_facts) - len(told)
     lines = [
-        f"Of the {len(counted)} facts that count, {known} are known: {within} within the published spread, {near} more"
-        " of the same sign and between half and twice."
+        f"These recordings tell {len(told)} facts, docs/results and constants {elsewhere} more (--json has them all);"
+        " docs/likeness.md says what each is.",
+        f"Of the {len(counted)} simulated facts that count, {known} are known: {within} within the published spread,"
+        f" {near} more of the same sign and between half and twice.",
     ]
-    lines += [f"Not told: {row['fact']}: {row['not_told']}." for row in of_facts if row["not_told"]]
-    return shown, lines
+    if any(row["real"] is not None for row in told):
+        lines.append("A real recording is taken for what each fact is about: who made it knows what was done.")
+    reasons: dict[str, list[str]] = defaultdict(list)
+    for row in of_facts:
+        if row["not_told"]:
+            reasons[row["not_told"]].append(row["name"])
+    return shown, [*lines, *(f"Not told, as {why}: {', '.join(names)}." for why, names in reasons.items())]
 
 
 def _told(path: Path) -> Told:
@@ -127,12 +144,13 @@ def _fact_row(fact: Fact, told: Iterable[Told], tables: ResultTables) -> Row:
     elif not simulated.values and fact.constant:
         simulated = Ours(constant_of(fact.constant), origin=f"{'.'.join(fact.constant)} as it is set")
     elif not simulated.values and not fact.measures:
-        simulated = Ours(untold=fact.needs or "no command measures it")
+        simulated = Ours(untold=f"it needs {fact.needs}" if fact.needs else "no command measures it")
     return {
         "counts": fact.counts,
         "name": fact.name,
         "fact": fact.fact,
         "public": fact.public,
+        "published": fact.published,
         "class": fact.kind,
         "unit": fact.unit,
         "simulated": as_text(simulated.values) or None,
@@ -167,8 +185,8 @@ def _of_recordings(fact: Fact, told: list[Told]) -> Ours:
         values.append(None if not fitting else _middle(name, fitting))
         numbers.append(len(fitting))
     if all(value is None for value in values):
-        return Ours(untold=f"these recordings do not have it; it needs {fact.needs}")
-    return Ours(tuple(values), min(number for number in numbers if number), "these recordings")
+        return Ours(untold=f"these recordings do not have {fact.needs}")
+    return Ours(tuple(values), min(number for number in numbers if number), HERE)
 
 
 def _judged(told: list[Told]) -> Row:

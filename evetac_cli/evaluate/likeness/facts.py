@@ -59,6 +59,14 @@ class Fact:
     fits: str = ""
     miss: str = ""
 
+    @property
+    def published(self) -> str:
+        """The public figures and the ends of their spread, as far as there are any, with their unit."""
+        ends = "; ".join(f"{_shown(low)} to {_shown(high)}" for low, high in zip(self.low, self.high, strict=True))
+        figures = as_text(self.value)
+        both = f"{figures} ({ends})" if figures and ends else figures or ends
+        return f"{both} {self.unit}".strip() if both else "in words alone"
+
     def compare(self, ours: Values) -> Within | None:
         """How our figures lie beside the public ones; None where all are missing, or one is and no other is off.
 
@@ -151,7 +159,10 @@ def _published(key: Iterable[str | float], where: str) -> float:
 def as_text(values: Iterable[float | None]) -> str:
     """Figures of ours in words: three digits each, `unknown` where one is missing; empty without any."""
     known = list(values)
-    shown = [
-        "unknown" if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}" for value in known
-    ]
-    return "" if all(value is None for value in known) else "; ".join(shown)
+    if all(value is None for value in known):
+        return ""
+    return "; ".join("unknown" if value is None else _shown(value) for value in known)
+
+
+def _shown(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"

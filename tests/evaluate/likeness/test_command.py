@@ -75,9 +75,12 @@ def test_what_is_not_told_says_what_would_tell_it(tmp_path: Path) -> None:
     assert "a recording of the paper's manoeuvre" in rows["data-rate-whole"]["not_told"]
     assert rows["grasps-kept"]["simulated_from"].startswith("docs/results/grasps.json, commit")
     shown, lines = command.for_people(outcome.rows, EvaluateLikeness())
-    assert 0 < len(shown) < len(rows)
-    assert lines[0].startswith("Of the 19 facts that count, ")
-    assert len(lines) == 1 + sum(row["not_told"] is not None for row in rows.values())
+    assert {row["fact"] for row in shown} >= {"half-slipped-time", "path-per-gram"}
+    assert {row["fact"] for row in shown}.isdisjoint({"grasps-kept", "gel-stiffness"})
+    assert lines[1].startswith("Of the 19 simulated facts that count, ")
+    reasons = {row["not_told"] for row in rows.values()} - {None}
+    assert len(lines) == 2 + len(reasons)
+    assert sum(f" {name}" in line for line in lines[2:] for name in ("data-rate-whole", "one-threshold")) == 2
 
 
 def test_a_real_recording_is_not_mixed_with_simulated_ones(tmp_path: Path) -> None:

@@ -98,3 +98,23 @@ def test_figures_in_words() -> None:
     """Assert that figures have three digits, that a missing one says so, and that none are an empty text."""
     assert as_text((0.12345, None, 1234.5)) == "0.123; unknown; 1,234"
     assert as_text((None,)) == as_text(()) == ""
+
+
+def test_public_figures_in_short() -> None:
+    """Assert that figures, their spread and their unit stand together, and that words alone are said to be that."""
+    assert by_name("data-rate-slip").published == "0.119 (0.113 to 0.125)"
+    assert by_name("half-slipped-time").published == "0 to 30 ms"
+    assert by_name("loudest-slice").published == "4,000 events"
+    assert by_name("background-filter").published == "in words alone"
+
+
+def test_what_constants_are_fitted_to_is_on_the_list() -> None:
+    """Assert that a comment `fitted to NAME` names a fact, and one that may be fitted to."""
+    named = [
+        (path.name, name)
+        for pattern in ("*.py", "*.toml")
+        for path in resources.PACKAGE.rglob(pattern)
+        for name in re.findall(r"fitted to `?([a-z0-9]+(?:-[a-z0-9]+)+)\b", path.read_text())
+    ]
+    kinds = {one.name: one.kind for one in facts()}
+    assert [(where, name, kinds.get(name)) for where, name in named if kinds.get(name) != FIT] == []
