@@ -335,16 +335,7 @@ class TouchSensor:
     def _height_of_surface(self, place: tuple[float, ...]) -> Floats:
         """Height of the surface over each cell's points, where it is at x, y, turned; infinite beside a round one."""
         x_m, y_m, turn = place
-        from_middle = self._samples_m - np.array([x_m, y_m])
-        if turn:
-            cosine, sine = math.cos(turn), math.sin(turn)
-            from_middle = from_middle @ np.array([[cosine, -sine], [sine, cosine]])
-        height_m = contact.surface(from_middle, *self._shape)
-        shape, radius_m, _ = self._shape
-        if shape != "flat":
-            across = from_middle[..., 1] if shape == "cylinder" else np.hypot(from_middle[..., 0], from_middle[..., 1])
-            height_m[np.abs(across) > radius_m] = np.inf
-        return height_m
+        return contact.surface(self._samples_m, *self._shape, place=(x_m, y_m, turn), round_ends=True)
 
     def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
         """The surface of an object at a place: the present one where it is near enough.

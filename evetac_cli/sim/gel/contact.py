@@ -8,6 +8,7 @@ Axes are those of the image, seen in a top grasp: x points down (along gravity),
 centre of the view.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,10 +50,19 @@ def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad
     return gaps_of(height - height.min())
 
 
-def surface(xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> Floats:
+def surface(
+    xy_m: Floats,
+    shape: Shape,
+    radius_m: float = 0.0,
+    tilt_rad: float = 0.0,
+    *,
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    round_ends: bool = False,
+) -> Floats:
     """Height of a rigid surface over points (..., 2), (...) in m, from where its middle would be without a tilt.
 
-    Shapes as in `gap_profile`; the middle is at the origin of xy_m.
+    Shapes as in `gap_profile`. place: where its middle is, x and y in m, and how far it is turned from x to y.
+    round_ends: a cylinder and a sphere are infinitely far beside their radius.
     """
     if not np.isfinite(tilt_rad):
         raise ValueError(f"tilt_rad must be finite, found {tilt_rad}")
@@ -60,12 +70,37 @@ def surface(xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float =
         raise ValueError(f"shape must be flat, cylinder or sphere, found {shape!r}")
     if shape != "flat":
         check_range("radius_m", radius_m, above=True)
-    x, y = xy_m[..., 0], xy_m[..., 1]
-    height: Floats = tilt_rad * x
-    if shape == "cylinder":
-        height = height + y**2 / (2 * radius_m)
-    elif shape == "sphere":
-        height = height + (x**2 + y**2) / (2 * radius_m)
+    points = np.ascontiguousarray(xy_m, dtype=np.float64).reshape(-1, 2)
+    curves = (shape == "sphere", shape != "flat")
+    x_m, y_m, turn = place
+    at = (float(x_m), float(y_m), math.cos(turn), math.sin(turn))
+    height: Floats = _heights(points, curves, float(radius_m), float(tilt_rad), at, round_ends)
+    return height.reshape(xy_m.shape[:-1])
+
+
+@njit(cache=True)
+def _heights(
+    points: Floats,
+    curves: tuple[bool, bool],
+    radius: float,
+    tilt: float,
+    at: tuple[float, float, float, float],
+    round_ends: bool,
+) -> Floats:
+    """See `surface`; curves: along x, along y. at: place, and cosine and sine of the turn."""
+    x_m, y_m, cosine, sine = at
+    height = np.empty(len(points))
+    for k in range(len(points)):
+        from_x = points[k, 0] - x_m
+        from_y = points[k, 1] - y_m
+        x = cosine * from_x + sine * from_y
+        y = cosine * from_y - sine * from_x
+        square = (x * x if curves[0] else 0.0) + (y * y if curves[1] else 0.0)
+        height[k] = tilt * x
+        if square > 0.0:
+            height[k] += square / (2.0 * radius)
+            if round_ends and square > radius * radius:
+                height[k] = np.inf
     return height
 
 

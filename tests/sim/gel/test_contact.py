@@ -12,6 +12,7 @@ from evetac_cli.sim.gel.contact import (
     lookup,
     pad_nodes,
     pressure,
+    surface,
     turning_arm,
 )
 
@@ -65,6 +66,20 @@ def test_gap_shapes():
         np.testing.assert_allclose(gaps.sample_m, height - height.min(), atol=1e-18)
     for shape in ("flat", "cylinder", "sphere"):
         assert gap_profile(nodes, shape, 0.01, 0.02).least_m == 0.0
+
+
+def test_a_surface_at_a_place_is_that_seen_from_there():
+    """Assert that moving and turning a surface is moving and turning the points, and that round ones end."""
+    points = pad(9, 7)
+    from_middle = points - (1.2e-3, -0.7e-3)
+    turned = from_middle @ np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    for shape in ("flat", "cylinder", "sphere"):
+        wanted = surface(turned, shape, 6e-3, 0.02)
+        found = surface(points, shape, 6e-3, 0.02, place=(1.2e-3, -0.7e-3, 0.4), round_ends=True)
+        across = {"flat": 0 * turned[..., 0], "cylinder": turned[..., 1], "sphere": np.linalg.norm(turned, axis=-1)}
+        ended = np.abs(across[shape]) > 6e-3
+        assert ended.any() == (shape != "flat")
+        np.testing.assert_allclose(found, np.where(ended, np.inf, wanted), rtol=1e-12, atol=1e-18)
 
 
 @pytest.mark.parametrize(
