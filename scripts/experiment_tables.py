@@ -74,7 +74,9 @@ def having(evaluations: Evaluations, *columns: str) -> Rows:
 
 
 def slip_rows(evaluations: Evaluations) -> Rows:
-    return having(evaluations, "setting", "seeds")
+    """A row a setting, with the intervals in which its first detections lie."""
+    timing = {row["setting"]: row for row in having(evaluations, "setting", "10_to_0_ms_ahead")}
+    return [{**timing.get(row["setting"], {}), **row} for row in having(evaluations, "setting", "seeds")]
 
 
 def cost_rows(evaluations: Evaluations) -> Rows:
@@ -89,6 +91,7 @@ SLIP_COLUMNS = (
     Column("sd of seeds", "{slip_correct_sd_seeds:.2f}"),
     Column("early", "{slip_early:.2f}"),
     Column("late", "{slip_late:.2f}"),
+    Column("first in -10..0 ms (paper)", "{10_to_0_ms_ahead:.2f}", "{paper_10_to_0_ms_ahead:.2f}"),
     Column("F1 (paper)", "{f1:.2f}", "{paper_f1:.2f}"),
     Column("sd of seeds, F1", "{f1_sd_seeds:.2f}"),
 )

@@ -3,7 +3,8 @@
     python scripts/results.py [--results docs/results] [README.md docs/...]
 
 A page says where a table belongs by two comments, `<!-- table NAME -->` and `<!-- end of NAME -->`; the text of
-docs/results/NAME.json is put between them. The table `summary`, of the README, has one cell of each of several tables.
+docs/results/NAME.json is put between them. The table `summary`, of the README, has one cell of each of several tables;
+those of docs/likeness.md are made by likeness_tables.py.
 
 A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
 and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
@@ -20,6 +21,8 @@ import string
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import likeness_tables
 
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
@@ -94,6 +97,7 @@ SUMMARY = (
         "share (paper)",
     ),
 )
+LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, see likeness_tables.py
 # Where each command has the number of its method.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
 MODULES["train-force --method gel"] = "stages.force.train_gel"
@@ -213,6 +217,8 @@ def fill_page(page: str, results: Path) -> str:
     def replace(match: re.Match[str]) -> str:
         if match["name"] == "summary":
             return f"{match['begin']}{summary(results)}\n{match['end']}"
+        if match["name"] in LIKENESS:
+            return f"{match['begin']}\n{likeness_tables.as_pages(results, as_table)[match['name']]}\n{match['end']}"
         result = json.loads((results / f"{match['name']}.json").read_text())
         return f"{match['begin']}\n{text(result)}\n{match['end']}"
 

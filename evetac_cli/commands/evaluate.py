@@ -76,6 +76,16 @@ class EvaluateRealism:
 
 
 @dataclass(frozen=True)
+class EvaluateLikeness:
+    """Measure what recordings, simulated or real, say of the public facts about the sensor, and what they cannot."""
+
+    results: Path | None = parameter(
+        None, "Folder of tables that tell what needs trainings or grasps; default: docs/results of the clone.",
+        recipe=False,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class EvaluateLabels:
     """Compare the onset of labels with the true onset of gross slip (simulated recordings)."""
 
@@ -249,6 +259,17 @@ COMMANDS = (
         "A real recording, then a simulated one.",
         unit="files",
         examples=("evetac evaluate realism real.recording.h5 simulated.recording.h5",),
+    ),
+    Command(
+        "likeness",
+        EvaluateLikeness,
+        "evaluate.likeness.command",
+        "Recordings: rests, presses, slips, what there is.",
+        unit="files",
+        examples=(
+            "evetac evaluate likeness slip rest.recording.h5",
+            "evetac evaluate likeness real.recording.h5 --json",
+        ),
     ),
     Command(
         "cost",

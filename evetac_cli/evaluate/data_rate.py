@@ -57,7 +57,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
             if len(recording) == 0:
                 raise InputError("the recording has no slices, so no data rate", where=str(path))
             parents.append(recording.header)
-            labels = None if recording.has("truth") else _labels_beside(recording)
+            labels = None if recording.has("truth") else labels_beside(recording)
             parents += [labels.header] if labels else []
 
     as_papers = all(_as_the_papers(header) for header in parents)
@@ -151,7 +151,7 @@ def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
             return SliceInterval(0, 0, "no slip")
         onset = true
     else:
-        labels = _labels_beside(recording)
+        labels = labels_beside(recording)
         if labels is None:
             return SliceInterval(0, 0, "neither truth nor labels beside the recording")
         onset = labels.onset
@@ -169,7 +169,7 @@ class _Labels(NamedTuple):
     onset: int
 
 
-def _labels_beside(recording: Recording) -> _Labels | None:
+def labels_beside(recording: Recording) -> _Labels | None:
     """The labels that lie beside a recording, if there are any; InputError if they are another recording's."""
     path = output_path(recording.path, "labels", None)
     if not path.exists():

@@ -12,7 +12,6 @@ other second of the real one against the seconds between.
 
 import functools
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,51 +24,21 @@ from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import picture, report, report_job
-from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.evaluate.phases import SHORTEST_MOTION, ContactPhase, rest_and_motion, stroked
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.calibration import rest_image
-from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.kernels.realism import classifier, figures
-from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed
-from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
+from evetac_cli.stages.identify.at_rest import SHORTEST_REST
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
 METHOD = 3
-SHORTEST_MOTION = 300  # slices
-MOST_EVENTS = 5_000_000  # of one phase
 MOST_WINDOWS = 240  # of a recording, for the classifier: two minutes
 NEAR = 0.10  # a distance that the summary counts as near
 EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
 RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
-
-Counts = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class ContactPhase:
-    """The events of one phase, time going on without what lies between, and how many each slice has."""
-
-    events: Events
-    counts: Counts
-
-    @property
-    def duration_us(self) -> int:
-        """How long it lasts."""
-        return len(self.counts) * SLICE_US
-
-    def part(self, first: int, stop: int) -> "ContactPhase":
-        """Some of its slices, time starting at 0."""
-        begin, end = (int(self.counts[:place].sum()) for place in (first, stop))
-        events = self.events.part(begin, end)
-        return ContactPhase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
-
-    def halves(self) -> tuple["ContactPhase", "ContactPhase"]:
-        """Its first and its second half."""
-        middle = len(self.counts) // 2
-        return self.part(0, middle), self.part(middle, 2 * middle)
 
 
 @dataclass(frozen=True)
@@ -214,35 +183,9 @@ def auc_of_halves(of: Floats) -> float | None:
 
 
 def _side(recording: Recording) -> Side:
-    counts = np.diff(recording.starts)
-    spells = rest_image.quiet_spells(counts)
-    first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
-    stop = min(stop, first + LONGEST_REST)
-    rest = _phase(recording, [(first, stop)]) if stop - first >= SHORTEST_REST else None
-    if rest is not None and not _is_still(rest, recording.frame_px):
-        rest, spells = None, []  # the slowest motion of a recording in which something always moves
-    edges = [0, *(edge for spell in spells for edge in spell), len(counts)]
-    moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
-    whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
-    motion = _phase(recording, moving) if whole else None
-    log_contrast = one_sensor("evetac").log_contrast
-    noise_hz = 0.0 if rest is None else _at_rest(rest, recording.frame_px)[0]["ordinary_hz"]
-    press = None
-    if motion is not None:
-        with suppress(ValueError):  # no dots were stroked
-            press = pressed.find(recording, log_contrast, None, noise_hz, np.random.default_rng(0))
+    rest, motion = rest_and_motion(recording)
+    press = None if motion is None else stroked(recording, rest)
     return Side(recording.path.name, rest, motion, press)
-
-
-def _is_still(phase: ContactPhase, frame_px: tuple[int, int]) -> bool:
-    width, height = frame_px
-    pixel = phase.events.y.astype(np.int64) * width + phase.events.x
-    hot = find_hot(np.bincount(pixel, minlength=width * height), phase.duration_us * 1e-6)
-    try:
-        check_still(hot.reshape(height, width))
-    except ValueError:
-        return False
-    return True
 
 
 def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
@@ -252,24 +195,6 @@ def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
     slices = min(len(real.rest.counts), len(simulated.rest.counts))
     first, second = (replace(side, rest=side.rest.part(0, slices)) for side in (real, simulated) if side.rest)
     return first, second
-
-
-def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> ContactPhase | None:
-    """Pieces of a recording one after the other, up to MOST_EVENTS; None where the first slice has more."""
-    parts: list[Events] = []
-    counts: list[Counts] = []
-    slices, held = 0, 0
-    for first, end in pieces:
-        room = recording.starts[first] + MOST_EVENTS - held
-        stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
-        if stop <= first:
-            break
-        events = recording.between(first, stop)
-        parts.append(events._replace(t=events.t + (slices - first) * SLICE_US))
-        counts.append(np.diff(recording.starts[first : stop + 1]))
-        slices += stop - first
-        held += events.size
-    return ContactPhase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
 
 
 def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:

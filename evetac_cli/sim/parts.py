@@ -91,6 +91,7 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
     spread = f"by {friction.patch_spread or 0.0:.0%} over {friction.patch_mm or 0.0:.3g} mm"
     arms = () if creep is None else zip(creep.share, creep.time_s, strict=True)
     even = replace(friction, patch_spread=None, patch_mm=None)
+    driven = scene.kind in ("press", "rub")
     return [
         ScenePart(
             "gel and friction",
@@ -102,6 +103,12 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
             spread,
             "nothing slips" if scene.kind == "tone" else "the sensor has none",
             _sensor(friction=even),
+        ),
+        ScenePart(
+            "friction that grows less than pressure",
+            _pressure_law(plan),
+            "nothing slips" if scene.kind == "tone" else "a face presses evenly" if driven else "grows in proportion",
+            _sensor(friction=replace(friction, pressure_exponent=0.0)),
         ),
         ScenePart(
             "slow creep",
@@ -116,6 +123,13 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ScenePart("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
         ScenePart("falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "none named", _scene(drop=None)),
     ]
+
+
+def _pressure_law(plan: Plan) -> str:
+    """With which power of pressure friction goes."""
+    own = plan.sensor.friction.pressure_exponent
+    low, high = plan.scene.randomise.pressure_exponent if own is None else (own, own)
+    return f"as pressure to the power {1 - high:.3g}" + (f" to {1 - low:.3g}" if high > low else "")
 
 
 def _touching(plan: Plan) -> str:

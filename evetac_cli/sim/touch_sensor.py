@@ -3,8 +3,8 @@
 Gel, friction and camera are those of the scenes (sim/gel, sim/camera); a rigid object takes the place of a scene. Axes
 are those of the image, from the middle of the view: x right, y down. In a grasp from the top x is along gravity.
 
-- Pressing. Indentation and normal force belong together by one table (gel.contact); either may be given. The surface
-  moves over the pad with its object, and may leave it.
+- Pressing. Indentation and normal force belong together by the shape of the object (gel.contact); either may be given.
+  The surface moves over the pad with its object, and may leave it.
 - Along the gel, either where the object is, or the force that pushes it. Where it is given, the gel finds the force.
 
 Why so: a simulator's contact that sticks says a force and next to no motion; one that slides says a motion, and its
@@ -31,7 +31,18 @@ from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.sensitivity import Sensitivity
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, dots, gel
-from evetac_cli.sim.scenes.shared import STEP_S, DotPath, GelSlices, friction_factor, friction_of, material, pad
+from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of
+from evetac_cli.sim.scenes.shared import (
+    STEP_S,
+    DotPath,
+    GelSlices,
+    friction_factor,
+    friction_of,
+    material,
+    pad,
+    press,
+    pressure_law,
+)
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import object_file, plan, sampling
 from evetac_cli.sim.setup.object_file import TouchedObject
@@ -95,16 +106,33 @@ class _Goal(NamedTuple):
 
 
 class _Surface(NamedTuple):
-    """An object's surface at a place (x, y, turned): its gap to each node, and `contact.indentation_curve` there."""
+    """An object's surface at a place (x, y, turned), over the gel, and what presses the gel flat there.
+
+    stiffness_n_m: of a node. deepest_m, most_n: the indentation and the force that press the gel flat.
+    """
 
     place: tuple[float, ...]
-    gap_m: Floats
-    table: tuple[Floats, Floats]
+    gaps: CellGaps
+    stiffness_n_m: float
+    deepest_m: float
+    most_n: float
 
     def is_near(self, place: tuple[float, ...]) -> bool:
         """Whether the surface presses as it would at another place."""
         x_m, y_m, turn = (abs(to - since) for to, since in zip(place, self.place, strict=True))
         return max(x_m, y_m, turn * PUSHER_ARM_M) <= SURFACE_STEP_M
+
+    def force_n(self, indentation_m: float) -> float:
+        """Normal force at an indentation."""
+        return min(self.stiffness_n_m * float(self.gaps.depth_m(indentation_m).sum()), self.most_n)
+
+    def indentation_m(self, force_n: float) -> float:
+        """Indentation under a normal force; that at which the surface touches where there is none."""
+        if self.most_n == 0.0:
+            return self.deepest_m
+        if force_n <= 0.0:
+            return self.gaps.least_m
+        return self.gaps.indentation_m(force_n / self.stiffness_n_m, self.deepest_m)
 
 
 class TouchSensor:
@@ -170,12 +198,14 @@ class TouchSensor:
 
     def _build(self, sensor: Sensor, touched: TouchedObject, scene: Scene, at_m: tuple[float, ...]) -> None:
         nodes = pad(scene.solver, sensor, cut=scene.gel.cut)
+        self._samples_m = cell_samples(nodes)
         self._material = material(sensor)
         self._shape = (touched.shape, touched.width_mm * 0.5e-3, self.sampled.tilt_rad)
         self._node_stiffness_n_m = sensor.normal_modulus_pa / self._material.height_m * contact.cell_area(nodes)
         mass_kg = PUSHER_N_S_M * STEP_S
         start = (mass_kg, mass_kg * PUSHER_ARM_M**2, 1)
-        varies = friction_factor(sensor, nodes)
+        self._friction_factor, self._pressure_law = friction_factor(sensor, nodes), pressure_law(self.sampled)
+        varies = self._friction_factor
         self._gel = gel.start(nodes, self._material, *start, body_xy_m=(at_m[0], at_m[1]), friction_factor=varies)
         solver = scene.solver
         self._gel_slices = GelSlices(self._gel, solver)
@@ -279,15 +309,16 @@ class TouchSensor:
             raise _refused("normal_n beside indentation_m", "one of the two: the other follows from it", "both")
         if normal_n is None and indentation_m is None:
             return self._pressing
-        force_n, depth_m = self._pressed_at(self._end_of(moving)).table
+        surface = self._pressed_at(self._end_of(moving))
         if normal_n is not None:
             (force,) = _finite("normal_n", (normal_n,), 1, math.inf)
-            if not 0.0 <= force <= force_n[-1]:
-                raise _refused("normal_n: cannot be", f"0 to {force_n[-1]:.4g} N, which press the gel flat", f"{force}")
+            if not 0.0 <= force <= surface.most_n:
+                most = f"0 to {surface.most_n:.4g} N, which press the gel flat"
+                raise _refused("normal_n: cannot be", most, f"{force}")
             return _Goal("normal_n", (force,))
         (depth,) = _finite("indentation_m", (indentation_m,), 1, FARTHEST_M)
-        if depth > depth_m[-1]:
-            raise _refused("indentation_m: presses the gel flat", f"up to {depth_m[-1]:.4g} m", f"{depth}")
+        if depth > surface.deepest_m:
+            raise _refused("indentation_m: presses the gel flat", f"up to {surface.deepest_m:.4g} m", f"{depth}")
         return _Goal("indentation_m", (depth,))
 
     def _end_of(self, moving: _Goal) -> tuple[float, ...]:
@@ -298,22 +329,12 @@ class TouchSensor:
         """Normal force at the end of a step."""
         if pressing.by == "normal_n":
             return pressing.values[0]
-        force_n, depth_m = self._pressed_at(self._end_of(moving)).table
-        return float(np.interp(pressing.values[0], depth_m, force_n))
+        return self._pressed_at(self._end_of(moving)).force_n(pressing.values[0])
 
     def _height_of_surface(self, place: tuple[float, ...]) -> Floats:
-        """Height of the object's surface over each node, where it is at x, y, turned; infinite beside a round one."""
+        """Height of the surface over each cell's points, where it is at x, y, turned; infinite beside a round one."""
         x_m, y_m, turn = place
-        from_middle = self._gel.node_xy_m - np.array([x_m, y_m])
-        if turn:
-            cosine, sine = math.cos(turn), math.sin(turn)
-            from_middle = from_middle @ np.array([[cosine, -sine], [sine, cosine]])
-        height_m = contact.surface(from_middle, *self._shape)
-        shape, radius_m, _ = self._shape
-        if shape != "flat":
-            across = from_middle[..., 1] if shape == "cylinder" else np.hypot(from_middle[..., 0], from_middle[..., 1])
-            height_m[np.abs(across) > radius_m] = np.inf
-        return height_m
+        return contact.surface(self._samples_m, *self._shape, place=(x_m, y_m, turn), round_ends=True)
 
     def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
         """The surface of an object at a place: the present one where it is near enough.
@@ -328,11 +349,14 @@ class TouchSensor:
         return self._next
 
     def _surface_over(self, place: tuple[float, ...], gap_m: Floats) -> _Surface:
-        """A surface at a place, with its table; beside the pad nothing is pressed, however deep."""
-        table = np.zeros(1), np.full(1, FARTHEST_M)
-        if np.isfinite(gap_m).any():
-            table = contact.indentation_curve(gap_m, self._node_stiffness_n_m, self._material.height_m)
-        return _Surface(place, gap_m, table)
+        """A surface at a place by its gaps over the points of each cell; beside the pad nothing is pressed."""
+        gaps, stiffness_n_m = gaps_of(gap_m), self._node_stiffness_n_m
+        least_m = gaps.least_m
+        if not math.isfinite(least_m):
+            return _Surface(place, gaps, stiffness_n_m, FARTHEST_M, 0.0)
+        deepest_m = least_m + self._material.height_m
+        most_n = stiffness_n_m * float(gaps.depth_m(deepest_m).sum())
+        return _Surface(place, gaps, stiffness_n_m, deepest_m, most_n)
 
     def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
         """One slice, at the end of which the contact is as given."""
@@ -352,17 +376,17 @@ class TouchSensor:
             )
             self._moved_to = None
         surface = self._pressed_at(self._end_of(moved))
-        force_n, depth_m = surface.table
         if pressed.by == "normal_n":
             self._normal_n = pressed.values[0]
-            self._indentation_m = float(np.interp(self._normal_n, force_n, depth_m))
+            self._indentation_m = surface.indentation_m(self._normal_n)
         else:
             self._indentation_m = pressed.values[0]
-            self._normal_n = float(np.interp(self._indentation_m, depth_m, force_n))
+            self._normal_n = surface.force_n(self._indentation_m)
         pressed_as_before = surface is self._surface and self._indentation_m == self._pressed_m
         if not pressed_as_before:
             self._surface, self._pressed_m = surface, self._indentation_m
-            self._shares = contact.pressure(self._indentation_m, surface.gap_m, 1.0)
+            factor, law = self._friction_factor, self._pressure_law
+            self._shares = press(self._gel, self._indentation_m, surface.gaps, factor, law)
         each = None
         if self._path is not None:
             self._path.begin()
@@ -386,7 +410,7 @@ class TouchSensor:
 
     def _nearer(self) -> Floats:
         """Shift of the dots as they come nearer to the lens."""
-        depth = np.maximum(self._indentation_m - self._surface.gap_m, 0.0)
+        depth = self._surface.gaps.depth_m(self._indentation_m)
         return dots.nearer_by(self._camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
 
     def _touch(self, slices: tuple[Events, ...]) -> Touch:

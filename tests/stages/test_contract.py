@@ -26,6 +26,7 @@ from evetac_cli.commands.evaluate import (
     EvaluateForce,
     EvaluateGrasp,
     EvaluateLabels,
+    EvaluateLikeness,
     EvaluateRealism,
     EvaluateSlip,
     EvaluateTracking,
@@ -51,6 +52,7 @@ from evetac_cli.evaluate import realism as evaluate_realism
 from evetac_cli.evaluate import slip as evaluate_slip
 from evetac_cli.evaluate import tracking as evaluate_tracking
 from evetac_cli.evaluate import vibration as evaluate_vibration
+from evetac_cli.evaluate.likeness import command as evaluate_likeness
 from evetac_cli.inspect import validate
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import (
@@ -207,6 +209,10 @@ STAGES = [
     Stage(
         "evaluate realism", evaluate_realism, some(EvaluateRealism), some(EvaluateRealism),
         two_recordings(0), two_recordings(1),
+    ),
+    Stage(
+        "evaluate likeness", evaluate_likeness, some(EvaluateLikeness), some(EvaluateLikeness),
+        of("recording"), of("recording", 1),
     ),
 ]  # fmt: skip
 FROM_FILES = [stage for stage in STAGES if stage.name not in ("record", "grasp")]

@@ -74,6 +74,11 @@ SECTIONS = (
         "How far figures of a simulated recording are from a real one's.",
     ),
     Section(
+        "likeness",
+        "Public facts about the sensor",
+        "What recordings, and evetac's own trainings and grasps, say of what is publicly known of the real sensor.",
+    ),
+    Section(
         "cost",
         "Error against run time",
         "Run times are of the computer and the moment at which they were measured.",
@@ -331,6 +336,23 @@ SUBJECTS = (
         ),
     ),
     Subject("evaluate realism", "realism", "Figures", having("figure", "distance")),
+    Subject(
+        "evaluate likeness",
+        "likeness",
+        "Facts that something is told of",
+        lambda found: [row for row in having("fact", "public")(found) if row["not_told"] is None],
+        (
+            ReportColumn("counted", "counts"),
+            ReportColumn("fact", "fact"),
+            ReportColumn("public", "public"),
+            ReportColumn("simulated", "simulated"),
+            ReportColumn("from", "simulated_from"),
+            ReportColumn("compared", "compared"),
+            ReportColumn("real", "real"),
+            ReportColumn("unit", "unit"),
+            ReportColumn("class", "class"),
+        ),
+    ),
     Subject("evaluate cost", "cost", "Settings", having("setting")),
     Subject(
         "evaluate stability",

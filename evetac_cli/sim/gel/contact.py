@@ -1,12 +1,14 @@
 """How hard and where a gripped object presses on the gel: gaps, pressure, and force against closing.
 
-Why so: the pad is thin and bonded to a stiff back, so each node is taken as a spring of its own (a Winkler foundation
-of stiffness E/H per area). The force then follows the shape of the object in closed form, and the closing of the
-gripper is the sum of both gels' indentation and the bending of the fingers, which are softer than the gel.
+Why so: the pad is thin and bonded to a stiff back, so each spot is taken as a spring of its own (a Winkler foundation
+of stiffness E/H per area), several to a cell of a node (cell_gaps). The force then follows the shape of the object in
+closed form, and the closing of the gripper is the sum of both gels' indentation and the bending of the fingers, which
+are softer than the gel.
 Axes are those of the image, seen in a top grasp: x points down (along gravity), y to the side, in metres from the
 centre of the view.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +16,7 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of, mean_depth
 from evetac_cli.sim.setup.object_file import Shape
 
 
@@ -36,37 +39,69 @@ def cell_area(node_xy_m: Floats) -> float:
     return float((node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0]) * (node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]))
 
 
-def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> Floats:
-    """Distance of a rigid surface from the undeformed gel when it first touches: (rows, columns) in m, least value 0.
+def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> CellGaps:
+    """Distance of a rigid surface from the undeformed gel when it first touches, over the cells; its least value is 0.
 
     A cylinder stands upright (its axis along x), so it curves away in y; the radius of a flat is not used. Curved
     surfaces are parabolas, right for contacts narrow against the radius. A tilt about y opens the gap by tilt * x: it
     is the misalignment of the fingers, and what makes slip begin at one end.
     """
-    gap = surface(node_xy_m, shape, radius_m, tilt_rad)
-    return np.ascontiguousarray(gap - gap.min())
+    height = surface(cell_samples(node_xy_m), shape, radius_m, tilt_rad)
+    return gaps_of(height - height.min())
 
 
-def surface(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> Floats:
-    """Height of a rigid surface over each node, (rows, columns) in m, from where its middle would be without a tilt.
+def surface(
+    xy_m: Floats,
+    shape: Shape,
+    radius_m: float = 0.0,
+    tilt_rad: float = 0.0,
+    *,
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    round_ends: bool = False,
+) -> Floats:
+    """Height of a rigid surface over points (..., 2), (...) in m, from where its middle would be without a tilt.
 
-    Shapes as in `gap_profile`; the middle is at the origin of node_xy_m.
+    Shapes as in `gap_profile`. place: where its middle is, x and y in m, and how far it is turned from x to y.
+    round_ends: a cylinder and a sphere are infinitely far beside their radius.
     """
-    if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or not np.isfinite(node_xy_m).all():
-        raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {node_xy_m.shape}")
     if not np.isfinite(tilt_rad):
         raise ValueError(f"tilt_rad must be finite, found {tilt_rad}")
     if shape not in ("flat", "cylinder", "sphere"):
         raise ValueError(f"shape must be flat, cylinder or sphere, found {shape!r}")
     if shape != "flat":
         check_range("radius_m", radius_m, above=True)
-    x, y = node_xy_m[..., 0], node_xy_m[..., 1]
-    gap: Floats = tilt_rad * x
-    if shape == "cylinder":
-        gap = gap + y**2 / (2 * radius_m)
-    elif shape == "sphere":
-        gap = gap + (x**2 + y**2) / (2 * radius_m)
-    return gap
+    points = np.ascontiguousarray(xy_m, dtype=np.float64).reshape(-1, 2)
+    curves = (shape == "sphere", shape != "flat")
+    x_m, y_m, turn = place
+    at = (float(x_m), float(y_m), math.cos(turn), math.sin(turn))
+    height: Floats = _heights(points, curves, float(radius_m), float(tilt_rad), at, round_ends)
+    return height.reshape(xy_m.shape[:-1])
+
+
+@njit(cache=True)
+def _heights(
+    points: Floats,
+    curves: tuple[bool, bool],
+    radius: float,
+    tilt: float,
+    at: tuple[float, float, float, float],
+    round_ends: bool,
+) -> Floats:
+    """See `surface`; curves: along x, along y. at: place, and cosine and sine of the turn."""
+    x_m, y_m, cosine, sine = at
+    height = np.empty(len(points))
+    for k in range(len(points)):
+        from_x = points[k, 0] - x_m
+        from_y = points[k, 1] - y_m
+        x = cosine * from_x + sine * from_y
+        y = cosine * from_y - sine * from_x
+        square = (x * x if curves[0] else 0.0) + (y * y if curves[1] else 0.0)
+        height[k] = tilt * x
+        if square > 0.0:
+            height[k] += square / (2.0 * radius)
+            if round_ends and square > radius * radius:
+                height[k] = np.inf
+    return height
 
 
 @dataclass(frozen=True)
@@ -90,7 +125,7 @@ class ForceCurve:
 
 
 def force_curve(
-    gap_m: Floats,
+    gaps: CellGaps,
     cell_area_m2: float,
     normal_modulus_pa: float,
     gel_height_m: float,
@@ -104,13 +139,13 @@ def force_curve(
     """Table of N and indentation d over the closing c of the gripper: c * metres_per_tick = 2 d + N / stiffness.
 
     metres_per_tick is the change of the gap between both fingers; finger_stiffness_n_m that of fingers, links and
-    mounts against the same gap. N(d) = E/H * cell area * sum of (d - gap) over the nodes pressed, which is linear
-    between the gaps of two nodes, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
+    mounts against the same gap. N(d) = E/H * area of a point * sum of (d - gap) over those pressed, which is linear
+    between the gaps of two points, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
     20 mm, 30 N with the fingers' 1.8 N/mm), or before, where the gel would be pressed flat (d = gel height).
     second_stiffness: of the second finger's gel over that of the first, where it is not its mirror image.
     """
-    if gap_m.ndim != 2 or gap_m.size == 0 or not np.isfinite(gap_m).all() or gap_m.min() != 0.0:
-        raise ValueError(f"gap_m must be finite with shape (rows, columns) and least value 0, found {gap_m.shape}")
+    if not np.isfinite(gaps.sample_m).all() or gaps.least_m != 0.0:
+        raise ValueError(f"gaps must be finite with least value 0, found {gaps.least_m:g} m as the least")
     for name, value in (
         ("cell_area_m2", cell_area_m2),
         ("normal_modulus_pa", normal_modulus_pa),
@@ -122,9 +157,9 @@ def force_curve(
         ("second_stiffness", 1.0 if second_stiffness is None else second_stiffness),
     ):
         check_range(name, value, above=True)
-    force, corner = indentation_curve(gap_m, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
+    force, corner = _indentation_curve(gaps, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
     second = corner
-    if second_stiffness is not None:  # a corner wherever one more node of either gel comes into contact
+    if second_stiffness is not None:  # a corner wherever one more point of either gel comes into contact
         pushes = np.unique(np.concatenate([force, second_stiffness * force]))
         pushes = pushes[pushes <= min(1.0, second_stiffness) * force[-1]]
         second = np.interp(pushes / second_stiffness, force, corner)
@@ -141,18 +176,18 @@ def force_curve(
     return ForceCurve(step_ticks, metres_per_tick, force_n, first_m, second_m)
 
 
-def indentation_curve(gap_m: Floats, node_stiffness_n_m: float, gel_height_m: float) -> tuple[Floats, Floats]:
+def _indentation_curve(gaps: CellGaps, node_stiffness_n_m: float, gel_height_m: float) -> tuple[Floats, Floats]:
     """Normal force in N and indentation in m of one gel, (corners,) each, both rising; linear between them.
 
-    gap_m: (rows, columns), of a surface that has not been pressed in yet; the indentation counts from where that is 0.
-    There is a corner wherever one more node comes into contact, and the last where the first gel node is pressed flat.
+    The indentation counts from where a gap is 0. There is a corner wherever one more point of a cell comes into
+    contact, and the last where the first of them is pressed flat.
     """
-    flat_m = gap_m.min() + gel_height_m
-    corner = np.unique(np.append(gap_m[gap_m < flat_m], flat_m))
-    gaps = np.sort(gap_m, axis=None)
-    pressed = np.searchsorted(gaps, corner, side="right")
-    gap_sum = np.concatenate([[0.0], np.cumsum(gaps)])[pressed]
-    return node_stiffness_n_m * (pressed * corner - gap_sum), corner
+    flat_m = gaps.least_m + gel_height_m
+    gap = np.sort(gaps.sample_m, axis=None)
+    corner = np.unique(np.append(gap[gap < flat_m], flat_m))
+    pressed = np.searchsorted(gap, corner, side="right")
+    gap_sum = np.concatenate([[0.0], np.cumsum(gap[: pressed[-1]])])[pressed]
+    return node_stiffness_n_m / gaps.sample_m.shape[2] * (pressed * corner - gap_sum), corner
 
 
 def closing_at(curve: ForceCurve, force_n: float) -> float:
@@ -173,23 +208,22 @@ def lookup(table: Floats, step_ticks: float, closing_ticks: float) -> float:
     return float(table[entry] + (place - entry) * (table[entry + 1] - table[entry]))
 
 
-@njit(cache=True)
-def pressure(indentation_m: float, gap_m: Floats, total_force_n: float) -> Floats:
-    """Normal force of each node, (rows, columns) in N: in proportion to its own indentation, total_force_n together.
+def pressure(indentation_m: float, gaps: CellGaps, total_force_n: float) -> Floats:
+    """Normal force of each node, (rows, columns) in N: in proportion to the depth of its cell, total_force_n together.
 
     Without indentation there is no contact and every node carries 0, whatever the total. ValueError where a value is
     not finite or the total is negative.
     """
+    force: Floats = _pressure(indentation_m, gaps.sample_m, gaps.summary, total_force_n)
+    return force
+
+
+@njit(cache=True)
+def _pressure(indentation_m: float, sample_m: Floats, summary: Floats, total_force_n: float) -> Floats:
     if not (np.isfinite(indentation_m) and np.isfinite(total_force_n) and total_force_n >= 0.0):
         raise ValueError("indentation_m must be finite, total_force_n finite and >= 0")
-    force = np.zeros(gap_m.shape)
-    pressed_m = 0.0
-    for row in range(gap_m.shape[0]):
-        for column in range(gap_m.shape[1]):
-            depth = indentation_m - gap_m[row, column]
-            if depth > 0.0:
-                force[row, column] = depth
-                pressed_m += depth
+    force: Floats = mean_depth(indentation_m, sample_m, summary)
+    pressed_m = force.sum()
     if pressed_m > 0.0:
         force *= total_force_n / pressed_m
     return force

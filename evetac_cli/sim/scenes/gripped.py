@@ -35,6 +35,8 @@ from evetac_cli.sim.scenes.shared import (
     friction_of,
     material,
     pad,
+    press,
+    pressure_law,
 )
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
@@ -108,6 +110,7 @@ class GraspSimulation:
         scene, hand = self._scene, self._scene.hand
         exists = {
             **built_of_gel(self._friction_factor, self._material, scene),
+            "friction that grows less than pressure": self._pressure_law is not None,
             "gripper": True,
             "free object": True,
             "table and hand": self._kind == "lift",
@@ -148,13 +151,13 @@ class GraspSimulation:
         width_m = touched.held_mm * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
         radius_m = touched.width_mm * 0.5e-3
-        self._gap = contact.gap_profile(upright - sampled.touch_m, touched.shape, radius_m, sampled.tilt_rad)
+        self._gaps = contact.gap_profile(upright - sampled.touch_m, touched.shape, radius_m, sampled.tilt_rad)
         self._material = material(sensor)
         second = self._scene.gripper.second_finger
         self._second = None if second is None else SecondFinger(second, sensor, nodes)
         own_stiffness = sensor.gripper.finger_stiffness_n_m
         self._curve = contact.force_curve(
-            self._gap,
+            self._gaps,
             contact.cell_area(nodes),
             sensor.normal_modulus_pa,
             self._material.height_m,
@@ -163,7 +166,10 @@ class GraspSimulation:
             second_stiffness=None if self._second is None else self._second.stiffness_factor,
         )
         self._friction_factor = friction_factor(sensor, nodes)
-        self._slip_limit_n = slip_limit_n(sampled, self._curve, self._gap, nodes, self._friction_factor, self._second)
+        self._pressure_law = pressure_law(sampled)
+        self._slip_limit_n = slip_limit_n(
+            sampled, self._curve, self._gaps, nodes, self._friction_factor, self._second, self._pressure_law
+        )
         own = sensor.gripper
         self.drive = gripper.make_drive(own, sampled.gear_friction_factor, self._faults.backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
@@ -267,7 +273,7 @@ class GraspSimulation:
         """Shift of the dots as they come nearer to the lens; evaluated only where the indentation has changed."""
         if self.finger.indentation_m != self._nearer_at_m:
             self._nearer_at_m = self.finger.indentation_m
-            depth = np.maximum(self.finger.indentation_m - self._gap, 0.0)
+            depth = self._gaps.depth_m(self.finger.indentation_m)
             at_dots = dots.field_at(depth[..., None], *self._at_dots)[:, 0]
             self._nearer_m = dots.nearer_by(self.gel_camera.rest_m, at_dots)
         return self._nearer_m
@@ -302,10 +308,12 @@ class GraspSimulation:
     def _press(self) -> None:
         """Find how the nodes share the normal force where the finger is now."""
         self._shares_at_m = self.finger.indentation_m
-        self._shares = contact.pressure(self._shares_at_m, self._gap, 1.0)
+        gaps, law = self._gaps, self._pressure_law
+        self._shares = press(self._gel, self._shares_at_m, gaps, self._friction_factor, law)
         self._second_shares = None
         if self._second is not None:
-            self._second_shares = self._second.shares(self._curve, self.finger.closing_ticks, self._gap)
+            closing_ticks = self.finger.closing_ticks
+            self._second_shares = self._second.press(self._pads[-1], self._curve, closing_ticks, gaps, law)
 
     def _solve(
         self,

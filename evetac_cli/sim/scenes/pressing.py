@@ -18,6 +18,7 @@ from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import dots, gel
 from evetac_cli.sim.parts import Timer, untimed
+from evetac_cli.sim.scenes.covered import covered
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
@@ -156,15 +157,10 @@ class Pressing:
         return timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:
-        """Share of each node's cell that the face covers, (rows, columns); soft over one cell."""
-        from_centre = self._gel.node_xy_m - centre_m
-        pitch_m = np.sqrt(self._gel.cell_area_m2)
-        if self._face.radius_mm is not None:
-            inside_m = self._face.radius_mm * 1e-3 - np.linalg.norm(from_centre, axis=2)
-        else:
-            inside_m = (np.array(self._face.size_mm) * 0.5e-3 - np.abs(from_centre)).min(axis=2)
-        weights: Floats = np.clip(inside_m / pitch_m + 0.5, 0.0, 1.0)
-        return weights
+        """Share of each node's cell that the face covers, (rows, columns)."""
+        radius_mm, size_mm = self._face.radius_mm, self._face.size_mm
+        half_mm = np.array(size_mm) / 2 if radius_mm is None else np.full(2, radius_mm)
+        return covered(self._gel.node_xy_m, centre_m, half_mm * 1e-3, is_round=radius_mm is not None)
 
     @property
     def slices_in_all(self) -> int:

@@ -4,7 +4,6 @@ What touches is the inside of the outline that the camera sees, an ellipse (a fi
 scissors), and the outline moves with it. Apart from that it is a scene of pressing.
 """
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,9 +11,9 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.parts import Timer, untimed
+from evetac_cli.sim.scenes.covered import NO_HOLE, covered
 from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
@@ -101,14 +100,13 @@ class Rubbing(Pressing):
         return self._starts_px * mm_per_px * 1e-3, timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:
-        """Share of each node's cell inside the outline, (rows, columns); soft over one cell."""
-        mm_per_px = self.gel_camera.mm_per_px
-        pitch_px = math.sqrt(self._gel.cell_area_m2) * 1e3 / mm_per_px
-        half_px, hole_px = self._size_px / 2, np.zeros(0)
+        """Share of each node's cell inside the outline, (rows, columns)."""
+        m_per_px = self.gel_camera.mm_per_px * 1e-3
+        half_px, hole_px = self._size_px / 2, NO_HOLE
         if self._thick_px is not None:
             hole_px = half_px - self._thick_px
-        covered: Floats = _covered(self._gel.node_xy_m, centre_m, mm_per_px, half_px, hole_px, pitch_px)
-        return covered
+        nodes = self._gel.node_xy_m
+        return covered(nodes, centre_m, half_px * m_per_px, is_round=True, hole_m=hole_px * m_per_px)
 
     def _borne(self, covered: float) -> float:
         """Share of the hand's force that the pad bears: an object half over its edge is pressed in no deeper."""
@@ -126,36 +124,6 @@ class Rubbing(Pressing):
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
         return {**super().truth(), "truth/contact_edge_events": self.gel_camera.contact_edge_events}
-
-
-@njit(cache=True)
-def _covered(node_xy_m: Floats, centre_m: Floats, mm_per_px: float, half: Floats, hole: Floats, pitch: float) -> Floats:
-    """Share of each cell (rows, columns) of a pitch inside an ellipse of half axes (2,), and outside its hole.
-
-    Lengths but those in m are in px; an empty hole is none.
-    """
-    rows, columns, _ = node_xy_m.shape
-    weights = np.empty((rows, columns))
-    for row in range(rows):
-        for column in range(columns):
-            x = (node_xy_m[row, column, 0] - centre_m[0]) * 1e3 / mm_per_px
-            y = (node_xy_m[row, column, 1] - centre_m[1]) * 1e3 / mm_per_px
-            inside = _inside(x, y, half)
-            if len(hole):
-                inside = min(inside, -_inside(x, y, hole))
-            weights[row, column] = min(max(inside / pitch + 0.5, 0.0), 1.0)
-    return weights
-
-
-@njit(cache=True, _nrt=False)
-def _inside(x: float, y: float, half: Floats) -> float:
-    """How far a point seen from the middle of an ellipse of half axes (2,) lies inside, to first order at its edge."""
-    scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))
-    if scaled == 0.0:
-        return float(min(half[0], half[1]))
-    steep_x = x / (half[0] * half[0])
-    steep_y = y / (half[1] * half[1])
-    return scaled * (1.0 - scaled) / max(math.sqrt(steep_x * steep_x + steep_y * steep_y), 1e-9)
 
 
 def _direction(from_px: Floats, length_px: float, longest_px: float, rng: np.random.Generator) -> Floats:

@@ -11,7 +11,9 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.scenes.shared import friction_factor
+from evetac_cli.sim.gel.cell_gaps import CellGaps
+from evetac_cli.sim.gel.pressure_law import PressureLaw
+from evetac_cli.sim.scenes.shared import friction_factor, press
 from evetac_cli.sim.setup.held import SecondFingerSettings
 from evetac_cli.sim.setup.sensor import Sensor
 
@@ -33,9 +35,15 @@ class SecondFinger:
         mass_kg, _, inertia = first.inertia.tolist()
         return gel.start(first.node_xy_m, material, mass_kg, inertia, 1, friction_factor=self.friction_factor)
 
-    def shares(self, curve: contact.ForceCurve, closing_ticks: float, gap_m: Floats) -> Floats:
-        """Share of each node in the normal force at a closing of the gripper."""
+    def press(
+        self,
+        state: gel.GelState,
+        curve: contact.ForceCurve,
+        closing_ticks: float,
+        gaps: CellGaps,
+        law: PressureLaw | None,
+    ) -> Floats:
+        """Share of each node of its gel in the normal force at a closing of the gripper, as `shared.press`."""
         assert curve.second_indentation_m is not None
         indentation_m = contact.lookup(curve.second_indentation_m, curve.step_ticks, closing_ticks)
-        shares: Floats = contact.pressure(indentation_m, gap_m, 1.0)
-        return shares
+        return press(state, indentation_m, gaps, self.friction_factor, law)

@@ -13,7 +13,9 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
+from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.friction import varied
+from evetac_cli.sim.gel.pressure_law import PressureLaw
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.sampling import SampledTrial
 from evetac_cli.sim.setup.scene import Scene
@@ -96,6 +98,25 @@ def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Float
         return None
     rng = np.random.default_rng([sensor.seed, FRICTION_SEED, finger])
     return varied(node_xy_m, spread, patch_mm * 1e-3, rng)
+
+
+def pressure_law(sampled: SampledTrial) -> PressureLaw | None:
+    """How the friction of a trial goes with pressure; None where it is proportional."""
+    return PressureLaw(sampled.pressure_exponent) if sampled.pressure_exponent > 0.0 else None
+
+
+def press(
+    state: gel.GelState, indentation_m: float, gaps: CellGaps, own_factor: Floats | None, law: PressureLaw | None
+) -> Floats:
+    """Share of each node in the normal force at an indentation; with a law, the gel's friction factor follows it.
+
+    own_factor: (rows, columns), on the friction of each node whatever the pressure, as of `friction_factor`.
+    """
+    shares = contact.pressure(indentation_m, gaps, 1.0)
+    if law is not None:
+        factor = law.factor(indentation_m, gaps, shares)
+        state.friction_factor = factor if own_factor is None else factor * own_factor
+    return shares
 
 
 def built_of_gel(varies: Floats | None, layer: gel.GelMaterial, scene: Scene) -> dict[str, bool]:

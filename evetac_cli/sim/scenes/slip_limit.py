@@ -6,6 +6,8 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel import contact
+from evetac_cli.sim.gel.cell_gaps import CellGaps
+from evetac_cli.sim.gel.pressure_law import PressureLaw
 from evetac_cli.sim.scenes.second_finger import SecondFinger
 from evetac_cli.sim.setup.sampling import SampledTrial
 
@@ -15,10 +17,11 @@ GRAVITY_M_S2 = 9.81
 def slip_limit_n(
     sampled: SampledTrial,
     curve: contact.ForceCurve,
-    gap_m: Floats,
+    gaps: CellGaps,
     node_xy_m: Floats,
     friction_factor: Floats | None,
     second: SecondFinger | None,
+    law: PressureLaw | None,
 ) -> float:
     """Normal force at which the object slides: its weight, and the moment of one that hangs beside the fingers.
 
@@ -29,11 +32,10 @@ def slip_limit_n(
     """
     limit_n = sampled.mass_kg * GRAVITY_M_S2 / (2 * sampled.static_friction)
     if friction_factor is not None or second is not None:
-        limit_n /= _friction_of_pads(limit_n, curve, gap_m, friction_factor, second)
+        limit_n /= _friction_of_pads(limit_n, curve, gaps, friction_factor, second, law)
     if sampled.lever_m == 0.0:
         return limit_n
-    indentation_m = float(np.interp(limit_n, curve.force_n, curve.indentation_m))
-    arm_m = contact.turning_arm(node_xy_m, contact.pressure(indentation_m, gap_m, limit_n))
+    arm_m = contact.turning_arm(node_xy_m, _gripping(limit_n, curve.force_n, curve.indentation_m, gaps, law))
     arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(node_xy_m)))
     return limit_n * math.hypot(1.0, sampled.lever_m / arm_m)
 
@@ -41,16 +43,24 @@ def slip_limit_n(
 def _friction_of_pads(
     force_n: float,
     curve: contact.ForceCurve,
-    gap_m: Floats,
+    gaps: CellGaps,
     friction_factor: Floats | None,
     second: SecondFinger | None,
+    law: PressureLaw | None,
 ) -> float:
-    """Friction of both pads over that of the trial, in the mean over their pressure under a force."""
+    """Friction of both pads over that of the trial, in the mean over what their nodes hold under a force."""
     pads = [(friction_factor, curve.indentation_m)]
     if second is not None and curve.second_indentation_m is not None:
         pads.append((second.friction_factor, curve.second_indentation_m))
     means = []
     for factor, table_m in pads:
-        shares = contact.pressure(float(np.interp(force_n, curve.force_n, table_m)), gap_m, 1.0)
+        shares = _gripping(force_n, curve.force_n, table_m, gaps, law)
         means.append(1.0 if factor is None else float((shares * factor).sum()) or 1.0)
     return float(np.mean(means)) or 1.0
+
+
+def _gripping(force_n: float, forces_n: Floats, table_m: Floats, gaps: CellGaps, law: PressureLaw | None) -> Floats:
+    """Share of each node in the friction that a contact holds under a force, where friction is even over the gel."""
+    indentation_m = float(np.interp(force_n, forces_n, table_m))
+    shares = contact.pressure(indentation_m, gaps, 1.0)
+    return shares if law is None else shares * law.factor(indentation_m, gaps, shares)

@@ -36,6 +36,7 @@ class SampledTrial:
     kinetic_friction: float
     stribeck_m_s: float
     friction_memory_m: float  # over which friction follows the slip speed: a guess, none is known for this gel
+    pressure_exponent: float  # friction under a pressure p goes with p^(1 - this): 0 is Coulomb's law
     tilt_rad: float
     gear_friction_factor: float
     start_factor: float
@@ -57,8 +58,10 @@ def sample_trial(
 
     Where the scene names kinetic_share_spread, an object (by its number or name) has a kinetic share of its own, about
     which its trials spread; else the share is sampled for each trial from the whole range. An object may name its own.
+    Where the sensor's gel names one, it moves the middle of the range, and objects still differ.
     """
     placement = rng.spawn(1)[0]  # a stream of its own, so that these keys shift no others
+    of_memory, of_pressure = placement.spawn(2)
     varied, texture, own_friction = scene.randomise, scene.texture or Texture(), sensor.friction
 
     def drawn(ends: tuple[float, float]) -> float:
@@ -71,14 +74,19 @@ def sample_trial(
     mass_g = touched.mass_g if scene.object is None else scene.object.mass_g
     mass_kg = mass_g * 1e-3 * drawn(varied.mass)
     kinetic_share = drawn(varied.kinetic_share)
-    spread = varied.kinetic_share_spread
+    spread, of_gel, of_object = varied.kinetic_share_spread, own_friction.kinetic_share, touched.kinetic_share
     off_share = placement.uniform(-1, 1) * (spread or 0.0)
     if spread is not None and called is not None:
         own = np.random.default_rng([OBJECT_SEED, seed_of(called)]).uniform(*varied.kinetic_share)
+        if of_gel is not None and of_object is None:  # objects differ on this gel as on any, about its own share
+            own += of_gel - sum(varied.kinetic_share) / 2
+            of_gel = None
         kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
     # the sensor's gel comes first, then the object, then what the scene samples
-    kinetic_share = _first(own_friction.kinetic_share, touched.kinetic_share, kinetic_share)
+    kinetic_share = _first(of_gel, of_object, kinetic_share)
     stribeck_mm_s = drawn(varied.stribeck_mm_s)
+    memory_um = float(of_memory.uniform(*varied.memory_um))
+    pressure_exponent = float(of_pressure.uniform(*varied.pressure_exponent))
     touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.touch_mm
     lever_m = float(placement.normal()) * varied.lever_mm * 1e-3
     if touched.shape != "flat":
@@ -89,7 +97,8 @@ def sample_trial(
         static_friction=static,
         kinetic_friction=static * kinetic_share,
         stribeck_m_s=_first(own_friction.stribeck_mm_s, stribeck_mm_s) * 1e-3,
-        friction_memory_m=_first(own_friction.memory_um, varied.memory_um) * 1e-6,
+        friction_memory_m=_first(own_friction.memory_um, memory_um) * 1e-6,
+        pressure_exponent=_first(own_friction.pressure_exponent, pressure_exponent),
         tilt_rad=float(np.deg2rad(tilt_deg)),
         gear_friction_factor=drawn(scene.gripper.friction_factor),
         start_factor=drawn(scene.gripper.start_factor),

@@ -125,11 +125,21 @@ class Randomised:
         default=0.0,
     )
     tilt_deg: tuple[float, float] = between("range of the misalignment of the fingers", -5, 5, default=(0.0, 0.0))
-    memory_um: float = number(
-        "distance over which friction follows the slip speed; 20 is a guess, none is known for this gel; 0: at once",
+    memory_um: tuple[float, float] = between(
+        "distance over which friction follows the slip speed, or its range; 20 is a guess, none is known for this gel;"
+        " 0: at once",
         0,
         1000,
-        default=20.0,
+        or_one=True,
+        default=(20.0, 20.0),
+    )
+    pressure_exponent: tuple[float, float] = between(
+        "friction under a pressure p goes with p^(1 - this), or its range: 0 in proportion, 1 not at all; all nodes"
+        " together hold mu N whatever it is",
+        0,
+        1,
+        or_one=True,
+        default=(0.0, 0.0),
     )
 
 

@@ -78,9 +78,14 @@ class GelCreep:
 class GelFriction:
     """Friction of the gel, instead of what a scene samples."""
 
-    kinetic_share: float | None = number("kinetic over static friction", 0, 1, default=None)
+    kinetic_share: float | None = number(
+        "kinetic over static friction; objects that have a share of their own differ about it", 0, 1, default=None
+    )
     stribeck_mm_s: float | None = number("slip speed at which friction falls", 0.01, 1e4, default=None)
     memory_um: float | None = number("distance over which friction follows the slip speed", 0, 1000, default=None)
+    pressure_exponent: float | None = number(
+        "friction under a pressure p goes with p^(1 - this): 0 in proportion, 1 not at all", 0, 1, default=None
+    )
     patch_spread: float | None = number(
         "relative standard deviation of friction over the gel; needs patch_mm", 0, 1, default=None
     )

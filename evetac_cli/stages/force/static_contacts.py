@@ -18,6 +18,7 @@ from evetac_cli.kernels.gel_layer import Squeeze, sheet_stiffness
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.gel import contact, dots, gel
+from evetac_cli.sim.gel.cell_gaps import cell_samples, gaps_of
 from evetac_cli.sim.scenes.shared import pad
 from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
@@ -120,12 +121,13 @@ def _depth(nodes: Floats, stiffness: float, rng: np.random.Generator) -> Floats:
     if kind == "object":
         shape = rng.choice(["flat", "cylinder", "sphere"])
         radius_m, tilt = float(np.exp(rng.uniform(*np.log(RADIUS_M)))), float(rng.uniform(-TILT_RAD, TILT_RAD))
-        gap = contact.gap_profile(from_middle, shape, radius_m, tilt)
+        points = cell_samples(from_middle)
+        height = contact.surface(points, shape, radius_m, tilt)
         if rng.random() < 0.5:  # an object that ends within the view
-            ends = (np.abs(from_middle) > rng.uniform(5e-3, 20e-3, 2)).any(axis=2)
-            gap = np.where(ends, np.inf, gap)
-            gap -= gap.min() if np.isfinite(gap).any() else 0.0
-        return _pressed(gap, stiffness, normal_n)
+            ends = (np.abs(points) > rng.uniform(5e-3, 20e-3, 2)).any(axis=-1)
+            height = np.where(ends, np.inf, height)
+        gaps = gaps_of(height - height.min() if np.isfinite(height).any() else height)
+        return gaps.depth_m(gaps.indentation_m(normal_n / stiffness, DEEPEST_M))
     pitch_m = np.sqrt(contact.cell_area(nodes))
     if kind == "disc":
         inside_m = rng.uniform(4e-3, 12e-3) - np.linalg.norm(from_middle, axis=2)
@@ -134,16 +136,6 @@ def _depth(nodes: Floats, stiffness: float, rng: np.random.Generator) -> Floats:
         inside_m = (half_m - np.abs(from_middle)).min(axis=2)
     weights = np.clip(inside_m / pitch_m + 0.5, 0.0, 1.0)
     depth_m: Floats = weights * (normal_n / (stiffness * max(weights.sum(), 1.0)))
-    return depth_m
-
-
-def _pressed(gap_m: Floats, stiffness: float, normal_n: float) -> Floats:
-    """Indentation of an object over gaps (rows, columns) pressed on with normal_n, by bisection."""
-    low, high = 0.0, DEEPEST_M
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if stiffness * np.maximum(middle - gap_m, 0.0).sum() < normal_n else (low, middle)
-    depth_m: Floats = np.maximum(high - gap_m, 0.0)
     return depth_m
 
 

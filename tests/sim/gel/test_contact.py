@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evetac_cli.sim.gel.cell_gaps import LEAST, cell_samples, gaps_of
 from evetac_cli.sim.gel.contact import (
     cell_area,
     closing_at,
@@ -11,6 +12,7 @@ from evetac_cli.sim.gel.contact import (
     lookup,
     pad_nodes,
     pressure,
+    surface,
     turning_arm,
 )
 
@@ -54,12 +56,30 @@ def test_cell_area_needs_two_rows():
 def test_gap_shapes():
     """Assert that a cylinder curves in y only, a sphere in both, a tilt opens along x, and the least gap is 0."""
     nodes = pad(5, 5)
-    x, y = nodes[..., 0], nodes[..., 1]
-    np.testing.assert_allclose(gap_profile(nodes, "cylinder", 0.03), y**2 / 0.06, atol=1e-18)
-    np.testing.assert_allclose(gap_profile(nodes, "sphere", 0.03), (x**2 + y**2) / 0.06, atol=1e-18)
-    np.testing.assert_allclose(gap_profile(nodes, "flat", tilt_rad=-0.01), 0.01 * (x.max() - x), atol=1e-18)
+    x, y = np.moveaxis(cell_samples(nodes), -1, 0)
+    for shape, tilt, height in (
+        ("cylinder", 0.0, y**2 / 0.06),
+        ("sphere", 0.0, (x**2 + y**2) / 0.06),
+        ("flat", -0.01, -0.01 * x),
+    ):
+        gaps = gap_profile(nodes, shape, 0.03, tilt)
+        np.testing.assert_allclose(gaps.sample_m, height - height.min(), atol=1e-18)
     for shape in ("flat", "cylinder", "sphere"):
-        assert gap_profile(nodes, shape, 0.01, 0.02).min() == 0.0
+        assert gap_profile(nodes, shape, 0.01, 0.02).least_m == 0.0
+
+
+def test_a_surface_at_a_place_is_that_seen_from_there():
+    """Assert that moving and turning a surface is moving and turning the points, and that round ones end."""
+    points = pad(9, 7)
+    from_middle = points - (1.2e-3, -0.7e-3)
+    turned = from_middle @ np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    for shape in ("flat", "cylinder", "sphere"):
+        wanted = surface(turned, shape, 6e-3, 0.02)
+        found = surface(points, shape, 6e-3, 0.02, place=(1.2e-3, -0.7e-3, 0.4), round_ends=True)
+        across = {"flat": 0 * turned[..., 0], "cylinder": turned[..., 1], "sphere": np.linalg.norm(turned, axis=-1)}
+        ended = np.abs(across[shape]) > 6e-3
+        assert ended.any() == (shape != "flat")
+        np.testing.assert_allclose(found, np.where(ended, np.inf, wanted), rtol=1e-12, atol=1e-18)
 
 
 @pytest.mark.parametrize(
@@ -109,13 +129,13 @@ def test_round_shapes_converge_to_closed_form(shape, closed_form):
     assert errors[-1] < errors[0] / 10
 
 
-def test_table_entries_are_the_sum_over_nodes():
-    """Assert that every entry is what a sum over the nodes gives, for a tilted sphere that loads them one by one."""
+def test_table_entries_are_the_sum_over_points():
+    """Assert that every entry is what a sum over all points gives, for a tilted sphere that loads them one by one."""
     nodes = pad(7, 6)
-    gap = gap_profile(nodes, "sphere", 0.01, 0.05)
-    curve = curve_of(gap, cell_area(nodes), reach_ticks=60.0, step_ticks=0.5)
-    depth = curve.indentation_m[:, None, None] - gap
-    force = MODULUS_PA / HEIGHT_M * cell_area(nodes) * np.maximum(depth, 0).sum(axis=(1, 2))
+    gaps = gap_profile(nodes, "sphere", 0.01, 0.05)
+    curve = curve_of(gaps, cell_area(nodes), reach_ticks=60.0, step_ticks=0.5)
+    depth = np.maximum(curve.indentation_m[:, None, None, None] - gaps.sample_m, 0)
+    force = MODULUS_PA / HEIGHT_M * cell_area(nodes) * depth.mean(axis=3).sum(axis=(1, 2))
     np.testing.assert_allclose(curve.force_n, force, rtol=1e-12, atol=1e-15)
     closing = (2 * curve.indentation_m + force / FINGER_N_M) / TICK_M
     np.testing.assert_allclose(closing, 0.5 * np.arange(len(closing)), rtol=1e-12, atol=1e-12)
@@ -138,20 +158,20 @@ def test_force_curve_refuses_nonsense(place, value):
     constants = [1e-6, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M]
     constants[place] = value
     with pytest.raises(ValueError, match="expected above 0"):
-        force_curve(np.zeros((2, 2)), *constants)
+        force_curve(gaps_of(np.zeros((2, 2, 1))), *constants)
 
 
-@pytest.mark.parametrize("gap", [np.zeros(3), np.full((2, 2), np.nan), np.full((2, 2), 1e-3), np.zeros((0, 2))])
-def test_force_curve_refuses_gaps(gap):
-    """Assert that a gap has to be a finite grid of least value 0."""
-    with pytest.raises(ValueError, match="gap_m"):
-        curve_of(gap, 1e-6)
+@pytest.mark.parametrize("gap_m", [1e-3, -1e-9, np.inf])
+def test_force_curve_refuses_gaps(gap_m):
+    """Assert that gaps have to be finite and the least of them 0."""
+    with pytest.raises(ValueError, match="gaps must be finite"):
+        curve_of(gaps_of(np.full((2, 2, 1), gap_m)), 1e-6)
 
 
 def test_force_curve_needs_room_for_one_step():
     """Assert that a table of a single entry is refused."""
     with pytest.raises(ValueError, match="step_ticks"):
-        curve_of(np.zeros((2, 2)), 1e-6, step_ticks=1e4, reach_ticks=1e5)
+        curve_of(gaps_of(np.zeros((2, 2, 1))), 1e-6, step_ticks=1e4, reach_ticks=1e5)
 
 
 def test_lookup_is_linear_and_clamped():
@@ -175,12 +195,12 @@ def test_closing_at_is_the_inverse_of_lookup():
 
 def test_pressure_sums_to_the_force():
     """Assert that nodal forces add up to the total, in proportion to indentation, and only where the gel is pressed."""
-    gap = gap_profile(pad(), "sphere", 0.02, 0.004)
-    force = pressure(150e-6, gap, 2.5)
+    gaps = gap_profile(pad(), "sphere", 0.02, 0.004)
+    force = pressure(150e-6, gaps, 2.5)
     assert force.sum() == pytest.approx(2.5, rel=1e-13)
-    assert ((force > 0) == (gap < 150e-6)).all()
-    pressed = force > 0
-    np.testing.assert_allclose(force[pressed] / (150e-6 - gap[pressed]), force.max() / 150e-6, rtol=1e-9)
+    assert ((force > 0) == (gaps.summary[..., LEAST] < 150e-6)).all()
+    depth = gaps.depth_m(150e-6)
+    np.testing.assert_allclose(force, depth * (2.5 / depth.sum()), rtol=1e-12)
 
 
 def test_pressure_without_indentation_is_zero():
@@ -195,7 +215,7 @@ def test_pressure_without_indentation_is_zero():
 def test_pressure_refuses_nonsense(values):
     """Assert that values that are not finite, and negative totals, are refused."""
     with pytest.raises(ValueError, match="finite"):
-        pressure(values[0], np.zeros((2, 2)), values[1])
+        pressure(values[0], gaps_of(np.zeros((2, 2, 1))), values[1])
 
 
 def test_turning_arm_of_a_disc_and_of_one_node():

@@ -19,6 +19,7 @@ from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.cell_gaps import MEAN
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.setup import sampling
@@ -215,7 +216,8 @@ def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None
 def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that an object touched 3 mm aside presses there, and moves the dots there most."""
     held = off_middle(monkeypatch, 8, touch_m=(0.0, 3e-3))
-    nearest = held._gel.node_xy_m[np.unravel_index(held._gap.argmin(), held._gap.shape)]
+    gap_m = held._gaps.summary[..., MEAN]
+    nearest = held._gel.node_xy_m[np.unravel_index(gap_m.argmin(), gap_m.shape)]
     assert nearest[1] == pytest.approx(3e-3, abs=0.5e-3)
     rows, _ = play_trial(held, 900)
     sunk_px = rows[-1]["truth/dot_xy_px"][:, 0] - held.gel_camera.grid_xy_px[..., 0].ravel()  # type: ignore[index, call-overload]

@@ -49,12 +49,12 @@ def test_a_second_finger_that_does_not_differ() -> None:
 def test_both_fingers_press_with_one_force(stiffness: float) -> None:
     """Assert that both gels are pressed in as their stiffness says, and that these and the links make the closing."""
     one = with_second_finger("slip", {"stiffness_factor": stiffness})
-    finger, curve, gap_m = one.finger, one._curve, one._gap
+    finger, curve, gaps = one.finger, one._curve, one._gaps
     node_n_m = one_sensor("evetac").normal_modulus_pa / one._material.height_m * one._gel.cell_area_m2
     assert curve.second_indentation_m is not None
     second_m = float(np.interp(finger.force_n, curve.force_n, curve.second_indentation_m))
     pressed_n = [
-        factor * node_n_m * np.maximum(depth_m - gap_m, 0.0).sum()
+        factor * node_n_m * gaps.depth_m(depth_m).sum()
         for factor, depth_m in ((1.0, finger.indentation_m), (stiffness, second_m))
     ]
     assert pressed_n == pytest.approx([finger.force_n] * 2, rel=2e-4)

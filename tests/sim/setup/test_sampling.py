@@ -15,7 +15,7 @@ from evetac_cli.resources import table
 from evetac_cli.sim.setup import object_file, sampling, scene_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.sensor import SensorGripper
+from evetac_cli.sim.setup.sensor import GelFriction, Sensor, SensorGripper
 from evetac_cli.sim.setup.tables import as_table
 
 SLIP = scene_file.load("slip")
@@ -72,6 +72,59 @@ def test_objects_keep_their_kinetic_share() -> None:
     assert all(0.04 < max(own) - min(own) <= 0.06 + 1e-12 for own in by_object)
     middles = [np.mean(own) for own in by_object]
     assert max(middles) - min(middles) > 0.08
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.03])
+def test_a_gels_kinetic_share_keeps_objects_apart(spread: float) -> None:
+    """Assert that a sensor's own share moves that of all objects alike, and stands for all where none has its own.
+
+    By as much as it is off the middle of the scene's range, which is 0.75 to 0.95.
+    """
+    soft = replace(EVETAC, friction=GelFriction(kinetic_share=0.6))
+
+    def share(scene: Scene, sensor: Sensor, number: int, seed: int) -> float:
+        touched = object_file.of_number(number)
+        sampled = sampling.sample_trial(scene, touched, sensor, random(seed), number)
+        return sampled.kinetic_friction / sampled.static_friction
+
+    own = slip(kinetic_share_spread=spread)
+    for number in range(1, 9):
+        shares = [share(own, sensor, number, number) for sensor in (EVETAC, soft)]
+        assert shares[1] == pytest.approx(shares[0] - 0.25, abs=1e-12)
+    assert share(slip(kinetic_share_spread=None), soft, 1, 0) == pytest.approx(0.6)
+
+
+def test_a_gels_kinetic_share_stays_within_1() -> None:
+    """Assert that objects on a gel that hardly loses friction have at most what is static."""
+    slippery = replace(EVETAC, friction=GelFriction(kinetic_share=1.0))
+    sampled = [
+        sampling.sample_trial(SLIP, object_file.of_number(number), slippery, random(0), number)
+        for number in range(1, 21)
+    ]
+    shares = [one.kinetic_friction / one.static_friction for one in sampled]
+    assert max(shares) == pytest.approx(1.0)
+    assert min(shares) < 0.95
+
+
+def test_friction_of_a_scene_and_of_a_sensor() -> None:
+    """Assert that memory and pressure law are drawn from the ranges, alone, and that those of a sensor come first."""
+    ranges = slip(memory_um=(30.0, 100.0), pressure_exponent=(0.2, 0.8))
+    touched = object_file.of_number(8)
+    for seed in range(20):
+        plain, drawn = (sampling.sample_trial(scene, touched, EVETAC, random(seed), 8) for scene in (SLIP, ranges))
+        assert (plain.friction_memory_m, plain.pressure_exponent) == (pytest.approx(20e-6), 0.0)
+        assert 30e-6 <= drawn.friction_memory_m <= 100e-6
+        assert 0.2 <= drawn.pressure_exponent <= 0.8
+        same = {"friction_memory_m": 0, "pressure_exponent": 0}
+        assert {**vars(plain), **same} == {**vars(drawn), **same}
+    many = [sampling.sample_trial(ranges, touched, EVETAC, random(seed), 8) for seed in range(200)]
+    values = np.array([(one.friction_memory_m, one.pressure_exponent) for one in many])
+    assert np.ptp(values, axis=0) == pytest.approx([70e-6, 0.6], rel=0.05)
+    assert abs(np.corrcoef(values.T)[0, 1]) < 0.2
+    own = replace(EVETAC, friction=GelFriction(memory_um=50.0, pressure_exponent=0.67, stribeck_mm_s=2.0))
+    named = sampling.sample_trial(ranges, touched, own, random(0), 8)
+    assert (named.friction_memory_m, named.stribeck_m_s) == pytest.approx((50e-6, 2e-3))
+    assert named.pressure_exponent == 0.67
 
 
 def test_sampled_sensors_lie_in_their_ranges() -> None:

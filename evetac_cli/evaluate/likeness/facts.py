@@ -1,0 +1,168 @@
+"""The public facts about the real sensor: what each is, where it comes from, what of ours stands beside it.
+
+They are listed in data/likeness.toml, and nowhere else: docs/likeness.md, `evetac evaluate likeness` and the comments
+`fitted to NAME` beside constants speak of them by name. Figures of the paper are asked of paper.py.
+
+Why a fact has a class: what a constant was chosen by confirms nothing when it agrees. So each fact is used to fit, kept
+as a prediction, or cannot be told, because public sources contradict each other or leave open what was done.
+"""
+
+import functools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from evetac_cli import resources
+from evetac_cli.evaluate import paper
+from evetac_cli.kernels import estimates
+
+FIT, PREDICTION, UNTOLD = "used to fit", "kept as a prediction", "cannot be told"
+CLASSES = (FIT, PREDICTION, UNTOLD)
+COUNTED = 19  # facts that are counted when it is said how many hold
+
+Within = Literal["within", "half to twice", "off"]
+WITHIN: Within = "within"
+NEAR: Within = "half to twice"
+OFF: Within = "off"
+Values = tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A public fact: `fact` in words, what is `public` of it in words, its source, class and command.
+
+    paper, value: the public figures, by their keys in paper.py or as numbers; sd, trials, low and high: their spread,
+    as the paper's sd, as the 95 % interval (Wilson) of a share of so many trials, or as ends; one each figure.
+    Ours comes from `measures` of recordings (`NAME@SCENE`, of a simulation only of this scene), from `table`, a file of
+    docs/results, by `row` and `value_of` (a column, columns, or a function of results.py), or is a `constant` of
+    data/*.toml. counts: its number among those that are counted; fits: what was chosen by it; needs: what tells it,
+    where a recording does not; miss: why ours is off, as far as it is known.
+    """
+
+    name: str
+    fact: str
+    public: str
+    source: str
+    kind: str
+    command: str
+    counts: int | None = None
+    unit: str = ""
+    value: tuple[float, ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    measures: tuple[str, ...] = ()
+    table: str = ""
+    row: Mapping[str, Any] | None = None
+    value_of: tuple[str, ...] = ()
+    constant: tuple[str, ...] = ()
+    needs: str = ""
+    fits: str = ""
+    miss: str = ""
+
+    @property
+    def published(self) -> str:
+        """The public figures and the ends of their spread, as far as there are any, with their unit."""
+        ends = "; ".join(f"{_shown(low)} to {_shown(high)}" for low, high in zip(self.low, self.high, strict=True))
+        figures = as_text(self.value)
+        both = f"{figures} ({ends})" if figures and ends else figures or ends
+        return f"{both} {self.unit}".strip() if both else "in words alone"
+
+    def compare(self, ours: Values) -> Within | None:
+        """How our figures lie beside the public ones; None where all are missing, or one is and no other is off.
+
+        within: all in the published spread; half to twice: all of the same sign and between half and twice of the
+        public figures; off: neither. Where no spread is published, nothing is within it.
+        """
+        known = [(place, one) for place, one in enumerate(ours) if one is not None]
+        if not known or not (self.value or self.low):
+            return None
+        within = all(_between(one, _at(self.low, place), _at(self.high, place)) for place, one in known)
+        near = all(_near(one, _at(self.value, place)) for place, one in known)
+        if not within and not near:
+            return OFF
+        if len(known) < len(ours):
+            return None
+        return WITHIN if within else NEAR
+
+
+def _at(values: tuple[float, ...], place: int) -> float | None:
+    """The value that belongs to a figure of ours: its own, or the one that there is for all."""
+    return values[min(place, len(values) - 1)] if values else None
+
+
+def _between(ours: float, low: float | None, high: float | None) -> bool:
+    return low is not None and high is not None and low <= ours <= high
+
+
+def _near(ours: float, public: float | None) -> bool:
+    return bool(public) and public is not None and 0.5 <= ours / public <= 2.0
+
+
+@functools.cache
+def facts() -> tuple[Fact, ...]:
+    """All facts, in the order in which they are listed; ValueError where the list is not as it must be."""
+    found = tuple(_fact(entry) for entry in resources.table("likeness")["fact"])
+    names = [one.name for one in found]
+    if len(set(names)) < len(names):
+        raise ValueError(f"likeness.toml: expected names that differ, found {sorted(names)}")
+    counted = sorted(one.counts for one in found if one.counts is not None)
+    if counted != list(range(1, COUNTED + 1)):
+        raise ValueError(f"likeness.toml: expected counts 1 to {COUNTED}, each once, found {counted}")
+    return found
+
+
+def named_tables() -> list[str]:
+    """The names of the tables of docs/results that facts name."""
+    return sorted({entry["table"] for entry in resources.table("likeness")["fact"] if "table" in entry})
+
+
+def by_name(name: str) -> Fact:
+    """The fact of a name; KeyError if there is none."""
+    return {one.name: one for one in facts()}[name]
+
+
+def _fact(entry: Mapping[str, Any]) -> Fact:
+    """A fact from its entry, the paper's figures and spreads filled in; ValueError, which names it, if it is none."""
+    where = f"likeness.toml, {entry.get('name', 'a fact without a name')}"
+    given: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in entry.items()}
+    keys, sds, trials = given.pop("paper", ()), given.pop("sd", ()), given.pop("trials", None)
+    given["kind"] = given.pop("class", None)
+    if isinstance(given.get("value_of"), str):
+        given["value_of"] = (given["value_of"],)
+    if keys:
+        given["value"] = tuple(_published(key, where) for key in keys)
+    if sds:
+        spread = [_published(key, where) for key in sds]
+        given["low"] = tuple(mean - sd for mean, sd in zip(given["value"], spread, strict=True))
+        given["high"] = tuple(mean + sd for mean, sd in zip(given["value"], spread, strict=True))
+    if trials is not None:
+        ends = [estimates.share(round(share * trials), trials)[1:] for share in given["value"]]
+        given["low"], given["high"] = (tuple(float(end[side]) for end in ends) for side in (0, 1))
+    unknown = set(given) - {item.name for item in fields(Fact)}
+    if unknown or given["kind"] not in CLASSES:
+        raise ValueError(f"{where}: expected a class of {CLASSES} and known keys, found {given['kind']}, {unknown}")
+    fact = Fact(**given)
+    if len(fact.low) != len(fact.high) or (fact.low and fact.value and len(fact.low) != len(fact.value)):
+        raise ValueError(f"{where}: expected as many ends as figures, found {fact.value}, {fact.low}, {fact.high}")
+    if fact.kind == FIT and not fact.fits:
+        raise ValueError(f"{where}: expected what it fits, for a fact that is {FIT}")
+    return fact
+
+
+def _published(key: Iterable[str | float], where: str) -> float:
+    figure = paper.value(*key)
+    if figure is None:
+        raise ValueError(f"{where}: the paper has no figure {list(key)}")
+    return figure
+
+
+def as_text(values: Iterable[float | None]) -> str:
+    """Figures of ours in words: three digits each, `unknown` where one is missing; empty without any."""
+    known = list(values)
+    if all(value is None for value in known):
+        return ""
+    return "; ".join("unknown" if value is None else _shown(value) for value in known)
+
+
+def _shown(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"

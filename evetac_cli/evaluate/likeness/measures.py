@@ -1,0 +1,175 @@
+"""What one recording tells, measure by measure; what it does not tell is not in the row.
+
+Rest, dots and rates are told by any recording; the onset of slip by truth or by labels beside it; the path of the dots
+by truth or by tracks beside it; force, contact and the share that slips by the truth of a simulation alone.
+"""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Floats
+from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.data_rate import intervals
+from evetac_cli.evaluate.likeness.beside import dot_places
+from evetac_cli.evaluate.likeness.counts import ABOUT_MS, SliceCounts, about_slip
+from evetac_cli.evaluate.likeness.followed import followed
+from evetac_cli.evaluate.phases import ContactPhase, rest_and_motion, stroked
+from evetac_cli.events import SLICE_US, SLICES_PER_S
+from evetac_cli.jobs import Row
+from evetac_cli.kernels.realism import figures
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.read import Recording, first_slice
+
+EVENT_BYTES, RGB_BYTES_S = 5, 540 * 480 * 3 * 25  # of the paper's comparison
+HALF, MOST = 0.5, 0.8  # of the visible contact
+NEAR_DOT_PX = 20.0  # within which an event is a dot's, in the paper
+LEAST_N = 1.0  # of shear force, from which on the dots' way is divided by it
+STICKS_MS = 250  # after the onset
+
+
+def measure(recording: Recording, counts: SliceCounts) -> Row:
+    """All that a recording tells; lengths in px, times in ms, rates in events per ms of the columns that count."""
+    row: Row = {"events_ms_whole": _mean(counts.sensing), "window_events_ms_whole": _mean(counts.window)}
+    rest, motion = rest_and_motion(recording)
+    row |= _at_rest(rest, recording.frame_px) if rest is not None else {}
+    row |= _of_dots(recording, rest) if motion is not None else {}
+    row |= _of_layout(recording) | _shares(recording, counts) | about_slip(counts)
+    if recording.has("gripper") and counts.onset is not None:
+        row["ramp_ma_s"] = _ramp(recording, counts)
+    if recording.has("truth"):
+        row |= _of_truth(recording, counts) | followed(recording)
+    with dot_places(recording) as dots:
+        if dots is not None and counts.onset is not None:
+            row |= _of_path(recording, counts, dots)
+    return {name: value for name, value in row.items() if value is not None and math.isfinite(value)}
+
+
+def _at_rest(rest: ContactPhase, frame_px: tuple[int, int]) -> Row:
+    """The noise: over the frame, and of the columns that count, of ordinary and of hot pixels."""
+    whole = figures.at_rest(*rest.events, frame_px, rest.duration_us)
+    own = rest.events.x < paper.COLUMNS
+    sensing = (rest.events.t[own], rest.events.x[own], rest.events.y[own], rest.events.p[own])
+    hot, ordinary, hot_pixels = figures.split_hot(*sensing, frame_px, rest.duration_us * 1e-6)
+    rest_ms = rest.duration_us / SLICE_US
+    return {
+        "events_ms": whole["events_a_slice"],
+        "ordinary_hz": whole["ordinary_hz"],
+        "hot_pixels": whole["hot_pixels"],
+        "hot_pixels_sensing": float(hot_pixels),
+        "ordinary_events_ms": len(ordinary.t_us) / rest_ms,
+        "hot_events_ms": len(hot.t_us) / rest_ms,
+    }
+
+
+def _of_dots(recording: Recording, rest: ContactPhase | None) -> Row:
+    """Radius, blur and contrast of dots that were stroked from rest."""
+    press = stroked(recording, rest)
+    names = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")
+    return {} if press is None else {name: float(getattr(press.optics, name).value) for name in names}
+
+
+def _of_layout(recording: Recording) -> Row:
+    """Distances of neighbouring dots, and the window's share of the frame, of a sensor that is calibrated."""
+    row: Row = {}
+    dots, window = recording.dot_xy_px, recording.window_px
+    if dots is not None and dots.ndim == 3:
+        row["pitch_x_px"] = float(np.nanmean(np.diff(dots[..., 0], axis=1))) if dots.shape[1] > 1 else None
+        row["pitch_y_px"] = float(np.nanmean(np.diff(dots[..., 1], axis=0))) if dots.shape[0] > 1 else None
+    if window is not None:
+        width, height = recording.frame_px
+        row["window_share"] = (window[2] - window[0]) * (window[3] - window[1]) / (width * height)
+    return row
+
+
+def _shares(recording: Recording, counts: SliceCounts) -> Row:
+    """Bytes per second as a share of the paper's RGB sensor: whole, in contact, about slip; and without the window."""
+    row: Row = {}
+    for name, span in intervals(recording, 2e-3 * ABOUT_MS).items():
+        if not span.missing_because:
+            per_event = SLICES_PER_S * EVENT_BYTES / RGB_BYTES_S
+            sensing, window = (_mean(each[span.start : span.stop]) for each in (counts.sensing, counts.window))
+            row[f"share_{name}"] = sensing * per_event
+            row[f"share_{name}_with_window"] = (sensing + window) * per_event
+    return row
+
+
+def _ramp(recording: Recording, counts: SliceCounts) -> float | None:
+    """How fast the target current falls until the onset, in mA per s."""
+    at_ms = recording.read("gripper/t_us") / SLICE_US
+    target_ma = recording.read("gripper/current_target_ma")
+    falling = (at_ms >= counts.start) & (at_ms < (counts.onset or 0)) & np.isfinite(target_ma)
+    if np.count_nonzero(falling) < 2:
+        return None
+    slope = np.polyfit(at_ms[falling], target_ma[falling], 1)[0]
+    return -float(slope) * SLICES_PER_S
+
+
+def _of_truth(recording: Recording, counts: SliceCounts) -> Row:
+    """Contact, the share that slips, and how far dots move per newton."""
+    row: Row = {}
+    normal_n = recording.read("truth/normal_force_n")
+    shear_n = np.linalg.norm(recording.read("truth/shear_force_n"), axis=1)
+    if counts.onset is None:
+        sheared = shear_n >= LEAST_N
+        if sheared.any():
+            dots = recording.read("truth/dot_xy_px")
+            moved_px = np.linalg.norm(np.nanmean(dots - dots[0], axis=1), axis=1)
+            row["px_per_n"] = float(np.median(moved_px[sheared] / shear_n[sheared]))
+        return row
+    onset = counts.onset
+    visible = recording.read("truth/visible_slip_share")
+    for name, share in (("half_slips_ms", HALF), ("most_slips_ms", MOST)):
+        below = np.flatnonzero(visible[:onset] < share)
+        row[name] = float(onset - 1 - (below[-1] if len(below) else 0))
+    lost = first_slice(normal_n <= 0, onset)
+    row["contact_after_slip_ms"] = None if lost is None else float(lost - onset)
+    touching = normal_n[onset : onset + STICKS_MS] > 0
+    if touching.any():
+        row["sticks_again_share"] = float((visible[onset : onset + STICKS_MS][touching] < HALF).mean())
+    return row
+
+
+def _of_path(recording: Recording, counts: SliceCounts, dots: tuple[StageFile, str]) -> Row:
+    """The path of all dots about the onset, also per gram of the object, events per px of it, and whose they are."""
+    file, name = dots
+    first, stop = max((counts.onset or 0) - ABOUT_MS, 0), min((counts.onset or 0) + ABOUT_MS, len(recording))
+    places = file.read(name, first, stop).astype(np.float64)
+    path_px = float(np.nansum(np.linalg.norm(np.diff(places, axis=0), axis=2)))
+    events = float(counts.sensing[first:stop].sum()) - counts.floor * (stop - first)
+    row: Row = {"path_px": path_px, "dot_event_share": _near_dots(recording, places, first)}
+    if path_px > 0:
+        row["events_per_px"] = events / path_px
+    mass_kg = sampled(recording).get("mass_kg")
+    if isinstance(mass_kg, (int, float)) and mass_kg > 0:
+        row["path_px_per_g"] = path_px / (1e3 * mass_kg)
+    return row
+
+
+def _near_dots(recording: Recording, places: Floats, first: int) -> float | None:
+    """The share of events, of the columns that count, near a dot; places (slices, dots, 2) in px from `first` on."""
+    near = total = 0
+    (block,) = recording.blocks(len(places), first, first + len(places))
+    for number, events in enumerate(block.slices()):
+        own = events.x < paper.COLUMNS
+        at = np.stack([events.x[own], events.y[own]], axis=1).astype(np.float64)
+        dots = places[number][np.isfinite(places[number][:, 0])]
+        distance_px2 = ((at[:, None] - dots) ** 2).sum(axis=2).min(axis=1, initial=math.inf)
+        near += int(np.count_nonzero(distance_px2 < NEAR_DOT_PX**2))
+        total += len(at)
+    return near / total if total else None
+
+
+def sampled(recording: Recording) -> dict[str, Any]:
+    """What was drawn for a simulated trial; empty where nothing says so."""
+    if not recording.has("truth/sampled_parameters"):
+        return {}
+    found = json.loads(str(recording.read("truth/sampled_parameters")))
+    return found if isinstance(found, dict) else {}
+
+
+def _mean(values: NDArray[np.int64]) -> float:
+    return float(values.mean()) if len(values) else math.nan

@@ -1,0 +1,112 @@
+"""Measure the simulator by the public facts, and keep our figures for docs/likeness.md.
+
+    python scripts/likeness.py before|after [--seed 4000] [--each 1] [--rates 3] [--edges 5] [--jobs 2] [--folder NAME]
+
+Records slips of many objects, the data-rate scene, rubs, a rest, a press and a shear, has `evetac evaluate likeness`
+measure them, and writes docs/results/likeness/before.json or after.json: our figures, of how many recordings, where
+from, commands, seeds, methods and commit. What needs trainings or grasps comes from docs/results as it is. Files lie in
+the folder (likeness/ unless named), and a run goes on where it was stopped. `make results` puts them into the page.
+"""
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from likeness_tables import FOLDER, WHEN
+from report_facts import facts, methods, report_header
+from reproduce import RESULTS, Refusal, commit, run_command
+
+from evetac_cli.jobs import Row
+
+OBJECTS = (
+    1,
+    3,
+    4,
+    7,
+    8,
+    9,
+    10,
+    11,
+    12,
+    13,
+    15,
+    16,
+    17,
+    18,
+    19,
+)  # that the usual grid resolves, and 18
+RATE_OBJECT = 8  # of the paper's figure of the onset; it names none for its data rates
+# What no table of docs/results has, but a page or a study says in words: figures, and where.
+SAID: dict[str, dict[str, tuple[list[float | None], str]]] = {
+    "before": {
+        "force-by-papers-tracker": ([4.2, 2.1, None, None], "docs/results.md, in words: a smaller run, the regression"),
+    },
+    "after": {},
+}  # fmt: skip
+
+
+def commands(chosen: argparse.Namespace) -> list[list[str]]:
+    """What is recorded, and what measures it."""
+    record = ["evetac", "record", "--seed", str(chosen.seed), "--jobs", str(chosen.jobs), "--scene"]
+    objects = ",".join(map(str, OBJECTS))
+    return [
+        [*record, "slip", "--object", objects, "--count", str(chosen.each), "--out", "slip"],
+        [*record, "data-rate", "--object", str(RATE_OBJECT), "--count", str(chosen.rates), "--out", "data-rate"],
+        [*record, "edge", "--count", str(chosen.edges), "--out", "edge"],
+        *([*record, scene, "--count", "1", "--out", scene] for scene in ("rest", "press", "shear")),
+        ["evetac", "evaluate", "likeness", "slip", "data-rate", "edge", "rest", "press", "shear"],
+    ]
+
+
+def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
+    """What is kept of the rows of the command."""
+    head, changed = commit()
+    header = report_header(chosen.folder / "all.report.h5")
+    return {
+        "name": f"{FOLDER}-{when}",
+        "simulated": True,
+        "made": f"commit {head}" + (", with uncommitted changes" if changed else ""),
+        "commit": head,
+        "uncommitted_changes": changed,
+        "commands": [" ".join(command) for command in commands(chosen)],
+        "methods": methods([header]),
+        "sizes": facts([header]),
+        "rows": [figures(row, SAID[when]) for row in rows if "fact" in row],
+    }
+
+
+def figures(row: Row, said: Mapping[str, tuple[list[float | None], str]]) -> Row:
+    """What is kept of a fact: as it was measured, or as it is said, or why there is nothing."""
+    values = json.loads(row["simulated_values"])
+    if not values and row["name"] in said:
+        values, origin = said[row["name"]]
+        return {"name": row["name"], "values": values, "n": None, "from": origin, "not_told": None}
+    told = {"n": row["simulated_n"], "from": row["simulated_from"], "not_told": row["not_told"]}
+    return {"name": row["name"], "values": values, **told}
+
+
+def main() -> None:
+    """Record, measure, and write our figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("when", choices=WHEN)
+    for name, usual in (("seed", 4000), ("each", 1), ("rates", 3), ("edges", 5), ("jobs", 2)):
+        parser.add_argument(f"--{name}", type=int, default=usual)
+    parser.add_argument("--folder", type=Path, default=Path("likeness"))
+    chosen = parser.parse_args()
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    *records, measure = commands(chosen)
+    for command in records:
+        code, _ = run_command(command, chosen.folder)
+        if code:
+            raise Refusal(f"{' '.join(command)} ended with exit code {code}")
+    code, printed = run_command([*measure, "--out", "all.report.h5", "--json", "--force"], chosen.folder)
+    if code:
+        raise Refusal(f"{' '.join(measure)} ended with exit code {code}")
+    (RESULTS / FOLDER).mkdir(exist_ok=True)
+    found = kept(chosen.when, json.loads(printed)["rows"], chosen)
+    (RESULTS / FOLDER / f"{chosen.when}.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

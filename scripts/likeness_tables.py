@@ -1,0 +1,112 @@
+"""The tables of docs/likeness.md: every public fact, and ours before and after, as scripts/likeness.py measured it.
+
+The facts come from evetac_cli/data/likeness.toml, our figures from docs/results/likeness/before.json and after.json, of
+which the second may be missing. How they compare is worked out anew, so that a page never says what its facts do not.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.evaluate.likeness.facts import NEAR, OFF, WITHIN, Fact, Within, as_text, facts
+from evetac_cli.jobs import Row
+
+FOLDER = "likeness"  # in docs/results
+WHEN = ("before", "after")
+
+Measured = Mapping[str, Any]
+
+
+def read(results: Path) -> dict[str, Measured]:
+    """What was measured before and after, as far as it was."""
+    paths = {when: results / FOLDER / f"{when}.json" for when in WHEN}
+    return {when: json.loads(path.read_text()) for when, path in paths.items() if path.is_file()}
+
+
+def row_of(fact: Fact, measured: Measured) -> Row:
+    """Our figures of a fact; empty where there are none."""
+    return next((row for row in measured["rows"] if row["name"] == fact.name), {})
+
+
+def compared(fact: Fact, measured: Measured) -> Within | None:
+    """How ours compares with the public fact."""
+    return fact.compare(tuple(row_of(fact, measured).get("values") or ()))
+
+
+def ours(fact: Fact, measured: Measured) -> str:
+    """A cell: our figures, how they compare, of how many trials, from where; why there are none."""
+    row = row_of(fact, measured)
+    if not row.get("values"):
+        return f"not told: {row.get('not_told') or 'not measured'}"
+    how = [compared(fact, measured), f"n {row['n']}" if row.get("n") else None, row.get("from")]
+    return f"{as_text(row['values'])} {fact.unit}".strip() + f" ({'; '.join(one for one in how if one)})"
+
+
+def table(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[list[str]]:
+    """Heads, then a row for each fact, as text."""
+    heads = ["fact", "public (source)", "class", *known, "command"]
+    rows = []
+    for fact in of:
+        number = f"{fact.counts}. " if fact.counts else ""
+        kind = fact.kind + (f": {fact.fits}" if fact.fits else "")
+        cells = [ours(fact, measured) for measured in known.values()]
+        public = f"{fact.public} ({fact.source})"
+        rows.append([f"{number}`{fact.name}`: {fact.fact}", public, kind, *cells, as_code(fact.command)])
+    return [heads, *rows]
+
+
+def as_code(command: str) -> str:
+    """A command as code, what is said of it behind; words as they are."""
+    line, space, about = command.partition(" (")
+    return f"`{line}`{space}{about}" if line.startswith(("evetac", "make")) else command
+
+
+def counts(of: Iterable[Fact], measured: Measured) -> dict[str, int]:
+    """How many of some facts are known, within the published spread, and half to twice."""
+    found = [compared(fact, measured) for fact in of]
+    known = sum(one is not None for one in found)
+    return {"facts": len(found), "known": known, WITHIN: found.count(WITHIN), NEAR: found.count(NEAR)}
+
+
+def said(of: list[Fact], known: Mapping[str, Measured]) -> list[str]:
+    """A sentence for each time, on how many hold."""
+    lines = []
+    for when, measured in known.items():
+        found = counts(of, measured)
+        lines.append(
+            f"{when.capitalize()}: of these {found['facts']}, {found['known']} are known; {found[WITHIN]} lie within"
+            f" the published spread, {found[NEAR]} more have the same sign and lie between half and twice."
+        )
+    return lines
+
+
+def misses(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[str]:
+    """A line for each fact that is off by the latest figures, with the reason as far as it is known."""
+    *_, latest = known.values()
+    off = [fact for fact in of if compared(fact, latest) == OFF]
+    return [f"- `{fact.name}`: {fact.miss or 'not looked into'}." for fact in off]
+
+
+def how_made(when: str, measured: Measured) -> str:
+    """By which commands, seeds and commit."""
+    commands = ", ".join(f"`{command}`" for command in measured["commands"])
+    seeds = ", ".join(map(str, measured["sizes"]["recording_seeds"]))
+    return f"{when.capitalize()}: {measured['made']}, made by {commands}; seeds of recordings {seeds}."
+
+
+def as_pages(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> dict[str, str]:
+    """The text of each of the two tables, by its name; as_table makes Markdown of heads and rows."""
+    known = read(results)
+    listed = facts()
+    counted = sorted((fact for fact in listed if fact.counts), key=lambda fact: fact.counts or 0)
+    others = [fact for fact in listed if not fact.counts]
+    texts = {}
+    for name, of in (("likeness-counted", counted), ("likeness-others", others)):
+        heads, *rows = table(of, known)
+        parts = ["Simulated, but for what is public:", as_table(heads, rows)]
+        if of is counted:
+            parts += [*said(counted, known), "Off, and why:", "\n".join(misses(counted, known))]
+            parts += [how_made(when, measured) for when, measured in known.items()]
+        texts[name] = "\n\n".join(parts) + "\n"
+    return texts
