@@ -67,7 +67,10 @@ RECORDED_SCENES = (
     "vibration-randomized",
 )
 GRASPED_SCENES = ("lift", "sideways", "drop-20g", "drop-100g")
-SENSORS = ("evetac", "second", "bare-dvxplorer", "soft-gel", "stiff-gel", "realistic", "randomized")
+SENSORS = (
+    *("evetac", "official-dots", "synthetic-dots", "second", "bare-dvxplorer"),
+    *("soft-gel", "stiff-gel", "tacchi-gel", "realistic", "randomized-narrow", "randomized"),
+)
 
 
 def words(table: Mapping[str, str], between: str = ": ") -> str:
