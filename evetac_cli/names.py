@@ -55,6 +55,7 @@ TRACKERS = {
     "stable": "ours",
     "paper": "",
     "official": "the authors' published code",
+    "official-5ms": "the same, as its readouts run it",
     "unregularised": "paper's without grid",
 }
 # Architectures of slip detectors, in the order of the paper's table.
