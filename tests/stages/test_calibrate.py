@@ -122,7 +122,7 @@ def test_every_dot_from_scratch(pressed: Path, truth: Grid) -> None:
     assert worst_px(path, truth) < 0.5
     assert row["error_px_worst"] == pytest.approx(worst_px(path, truth), abs=1e-3)
     assert 0 < row["jitter_px_rms"] < 0.5
-    assert row["radius_px"] == pytest.approx(15.0 - 0.6, abs=0.2)  # 0.6: see dot_search
+    assert row["radius_px"] == pytest.approx(9.0 - 0.6, abs=0.2)  # 0.6: see dot_search
     table = json.loads(path.read_text())
     assert np.array(table["mask"]).shape == (7, 9)
     assert np.array(table["mask"]).all()

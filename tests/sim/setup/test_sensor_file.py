@@ -119,7 +119,7 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
         ({"creep": {"share": [0.1], "time_s": [1.0, 2.0]}}, "1 in share, 2 in time_s"),
         ({"dot_xy_px": [[[1.0, 2.0], [3.0, 4.0]], [[1.0, 9.0], [3.0, 9.0], [5.0, 9.0]]]}, "equally many dots"),
         ({"dot_xy_px": [*FEW, [200.0, 100.0]]}, "two dots overlap"),
-        ({"dot_xy_px": [*FEW, [229.0, 100.0]]}, "centres at least a diameter apart, 30 px"),
+        ({"dot_xy_px": [*FEW, [217.0, 100.0]]}, "centres at least a diameter apart, 18 px"),
         ({"dot_xy_px": [*FEW, [300.0, 479.5]]}, "a dot lies outside the frame"),
         ({"dot_xy_px": [*FEW, [650.0, 100.0]]}, "dot_xy_px.0.4.0: out of range"),
         ({"dot_xy_px": [*FEW, [600.0, 9.0]], "distortion": [0.3, 0.3]}, "a dot lies outside the frame"),
