@@ -55,6 +55,7 @@ TRACKERS = {
     "stable": "ours",
     "paper": "",
     "official": "the authors' published code",
+    "official-5ms": "the same, as its readouts run it",
     "unregularised": "paper's without grid",
 }
 # Architectures of slip detectors, in the order of the paper's table.
@@ -67,7 +68,10 @@ RECORDED_SCENES = (
     "vibration-randomized",
 )
 GRASPED_SCENES = ("lift", "sideways", "drop-20g", "drop-100g")
-SENSORS = ("evetac", "second", "bare-dvxplorer", "soft-gel", "stiff-gel", "realistic", "randomized")
+SENSORS = (
+    *("evetac", "paper-dots", "official-dots", "synthetic-dots", "second", "bare-dvxplorer"),
+    *("soft-gel", "stiff-gel", "tacchi-gel", "realistic", "randomized-narrow", "randomized"),
+)
 
 
 def words(table: Mapping[str, str], between: str = ": ") -> str:

@@ -112,6 +112,7 @@ PARTS = (
     Part("leak", "0.1 Hz a pixel", sensor={"leak_hz": 0.1}),
     Part("noise", "0.11 Hz a pixel, not 0.03", sensor={"noise_hz": 0.11}),
     Part("hot pixels", "400, not 6", sensor={"hot_pixels": 400}),
+    Part("noise filter", "100 ms", sensor={"noise_filter": {"support_ms": 100.0}}),
     Part(
         "dots that differ",
         "radius by 6 %, contrast by 15 %",

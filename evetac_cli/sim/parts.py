@@ -156,6 +156,7 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
     off = sensor.threshold if sensor.threshold_off is None else sensor.threshold_off
     no_window = "nobody looks at it" if texture is not None else "nothing behind it has texture"
     limit = 0.0 if sensor.readout is None else sensor.readout.events_per_s
+    support_ms = 0.0 if sensor.noise_filter is None else sensor.noise_filter.support_ms
     return [
         ScenePart("camera", READOUTS[readout].format(1000 * scene.solver.scans_per_ms), ""),
         ScenePart("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated while they move", ""),
@@ -178,11 +179,18 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
             "the sensor's cut is not seen" if cut else "closed gel: no cut",
             _sensor(cut_contrast=0.0),
         ),
+        ScenePart("noise", f"{sensor.noise_hz:.3g} Hz a pixel", "a camera without noise", _sensor(noise_hz=0.0)),
         ScenePart(
-            "noise",
-            f"{sensor.noise_hz:.3g} Hz a pixel, {hot_pixels} hot pixels",
-            "a camera without noise",
-            _sensor(noise_hz=0.0, hot_pixels=0, hot_pixel_table=None),
+            "hot pixels",
+            f"{hot_pixels}",
+            "the sensor has none",
+            _sensor(hot_pixels=0, hot_pixel_hz=(), hot_pixel_table=None),
+        ),
+        ScenePart(
+            "noise filter",
+            f"drops what has no event beside it within {support_ms:.4g} ms",
+            "every event is handed on",
+            _sensor(noise_filter=None),
         ),
         ScenePart(
             "OFF threshold of its own",

@@ -26,7 +26,8 @@ PAPERS = "the paper's"
 
 TRACKERS = {
     "paper": "The paper's tracker: a gradient step a slice, with its printed constants; neighbours hold each other.",
-    "official": "The authors' published code, for dots whose true radius is about 8 px. It loses dots of 15 px.",
+    "official": "The authors' published code, for dots whose true radius is 8 to 10 px. It loses dots of 15 px.",
+    "official-5ms": "The same code as its two readouts run it by default: a step for the events of 5 ms.",
     "unregularised": "The paper's tracker without the grid that holds dots together: the paper's comparison.",
     "stable": "Ours, and the default: it solves for the motion that the events of a slice stand for, with polarity.",
 }

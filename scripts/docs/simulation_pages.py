@@ -9,7 +9,9 @@ from page_text import bounds, code, fenced, folded, prose, sentence, table, valu
 from evetac_cli.resources import SCENES, schemas
 from evetac_cli.resources import table as packaged
 from evetac_cli.sim.parts import rows_of
-from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, Plan, first_plan
+from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
+from evetac_cli.sim.setup.sensor_rows import rows as sensor_rows
 from evetac_cli.text_files import read_toml
 
 Rules = Mapping[str, Any]
@@ -43,7 +45,9 @@ PARTS = {
     "window": Keys(("window_px",), ("gel.cut", "texture")),
     "contact edges": Keys((), ("rub.edge_log_contrast", "rub.edge_blur_px")),
     "cut edge": Keys(("cut_contrast", "cut_width_px", "cut_jitter_px")),
-    "noise": Keys(("noise_hz", "noise_on_share", "timestamp_step_us", "hot_pixels", "hot_pixel_hz", "hot_pixel_table")),
+    "noise": Keys(("noise_hz", "noise_on_share", "timestamp_step_us")),
+    "hot pixels": Keys(("hot_pixels", "hot_pixel_hz", "hot_pixel_table")),
+    "noise filter": Keys(("noise_filter.support_ms",)),
     "OFF threshold of its own": Keys(("threshold_off",)),
     "limit of the readout": Keys(("readout.events_per_s",)),
     "slow pixels": Keys(("bandwidth_hz",)),
@@ -126,7 +130,7 @@ def _head(text: str) -> Iterator[str]:
 
 
 def _sensors() -> str:
-    rows = packaged("sensors")
+    rows = sensor_rows()
     rules = _rules("sensor")
     said = [
         "# Sensors\n",
@@ -136,7 +140,7 @@ def _sensors() -> str:
     ]
     for name, row in rows.items():
         said += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
-        if name == FOR_EACH_TRIAL:
+        if name in FOR_EACH_TRIAL:
             said.append("What is sampled, each from its own random stream; all other values are those of `evetac`.\n")
             said.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
         elif name != EXAMPLE:

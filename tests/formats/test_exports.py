@@ -211,7 +211,7 @@ def test_the_grid_comes_back_from_json(source: Path, tmp_path: Path) -> None:
 
 
 def test_the_official_software_reads_our_pickle(source: Path, tmp_path: Path) -> None:
-    """Assert that it is a tuple of centres and radii, under names that numpy 1 and 2 know, and comes back."""
+    """Assert that it is a tuple of centres and diameters, under names that numpy 1 and 2 know, and comes back."""
     target = tmp_path / "grid.pkl"
     export(source, "calibration", target)
     content = target.read_bytes()
@@ -221,7 +221,7 @@ def test_the_official_software_reads_our_pickle(source: Path, tmp_path: Path) ->
         centres, radii = pickle.loads(content)
     expected = np.delete(DOTS.reshape(-1, 2), 19, axis=0)
     np.testing.assert_array_equal(centres, expected)
-    np.testing.assert_array_equal(radii, np.full((55, 1), 20.5))
+    np.testing.assert_array_equal(radii, np.full((55, 1), 41.0))
     ours, radius = read_pickle(target)
     np.testing.assert_array_equal(ours, expected)
     assert radius == 20.5

@@ -10,7 +10,7 @@ from evetac_cli.resources import SCENES
 from evetac_cli.sim.parts import rows_of, switched
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Flicker, LightSettings, LightStep, VanishingDots
-from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, ReadoutLimit
+from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, NoiseFilterSettings, ReadoutLimit
 
 NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
 
@@ -48,9 +48,9 @@ def test_one_part_at_a_time(name: str, sensor: str, gel: str) -> None:
 
 def test_what_can_be_left_out() -> None:
     """Assert which parts of three scenes can be had otherwise."""
-    assert set(switched(first_plan("slip"))) == {"window", "cut edge", "noise"}
-    assert set(switched(first_plan("data-rate", gel="closed"))) == {"pushes", "window", "noise"}
-    assert set(switched(first_plan("edge"))) == {"contact edges", "cut edge", "noise"}
+    assert set(switched(first_plan("slip"))) == {"window", "cut edge", "noise", "hot pixels"}
+    assert set(switched(first_plan("data-rate", gel="closed"))) == {"pushes", "window", "noise", "hot pixels"}
+    assert set(switched(first_plan("edge"))) == {"contact edges", "cut edge", "noise", "hot pixels"}
     assert "slow pixels" in switched(first_plan("drop-20g", sensor="randomized:3"))
 
 
@@ -110,6 +110,11 @@ def test_how_the_gripper_is_commanded() -> None:
         ),
         ("dots that differ", "radius by 4%, contrast by 0%", {"dot_radius_spread": 0.04}),
         ("lens distortion", "k1 -0.05, k2 0", {"distortion": (-0.05, 0.0)}),
+        (
+            "noise filter",
+            "drops what has no event beside it within 100 ms",
+            {"noise_filter": NoiseFilterSettings(support_ms=100.0)},
+        ),
     ],
 )
 def test_parts_of_a_sensors_camera(part: str, words: str, named: dict[str, Any]) -> None:
@@ -141,3 +146,13 @@ def test_a_scene_that_cannot_be_built_has_no_parts(readout: str, changes: dict[s
     planned = first_plan("slip", readout=readout)
     with pytest.raises(SceneError, match=f"slip: cannot be simulated.*{says}"):
         rows_of(replace(planned, scene=replace(planned.scene, **changes)))
+
+
+def test_hot_pixels_and_noise_apart() -> None:
+    """Assert that noise and hot pixels are parts of their own, of which a sensor that names none has none."""
+    slip = first_plan("slip")
+    assert built(slip)["hot pixels"] == "6"
+    quiet = with_sensor(slip, noise_hz=0.0)
+    assert "noise" in left_out(quiet) and "hot pixels" not in left_out(quiet)
+    bare = with_sensor(quiet, hot_pixels=0, hot_pixel_hz=())
+    assert {"noise", "hot pixels", "noise filter"} <= left_out(bare)

@@ -62,9 +62,10 @@ def test_real_noise_hardly_disturbs_a_simulated_slip(made: Made, noise: list[Eve
     with open_recording(made.recordings[0]) as recording:
         rest_px, true_px = recording.dot_xy_px, recording.read("truth/dot_xy_px")
         assert rest_px is not None
+        constants = PRESETS["stable"].for_dots(recording.dot_radius_px)
         errors_px = []
         for slices in (iter(recording), with_noise(iter(recording), noise)):
-            state = tracker.start(rest_px.reshape(-1, 2), PRESETS["stable"])
+            state = tracker.start(rest_px.reshape(-1, 2), constants)
             found_px = np.empty(true_px.shape)
             for number, events in enumerate(slices):
                 tracker.step(state, events.x, events.y, events.p)

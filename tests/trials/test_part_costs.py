@@ -22,7 +22,7 @@ from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, for_people, m
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
-WINDOW_US, NOISE_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 5.0, 40.0, 12.0, 7.0
+WINDOW_US, NOISE_US, HOT_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 4.0, 5.0, 40.0, 12.0, 7.0
 
 
 class SlowedClock:
@@ -40,7 +40,8 @@ class SlowedClock:
     def _render(self, plan: Plan) -> None:
         texture, sensor = plan.scene.texture, plan.sensor
         self.take(DOTS_US + WINDOW_US * (texture is not None and texture.show))
-        self.take(NOISE_US * (sensor.noise_hz > 0) + CUT_US * (sensor.cut_contrast > 0))
+        self.take(NOISE_US * (sensor.noise_hz > 0) + HOT_US * (sensor.hot_pixels > 0))
+        self.take(CUT_US * (sensor.cut_contrast > 0))
 
     def play(self, trial: SimulatedTrial, append: Append, timer: Timer) -> None:
         self.runs += 1
@@ -48,7 +49,7 @@ class SlowedClock:
         for _ in range(100_000):
             advance()
             render(trial.plan)
-            self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // 4 % 2))
+            self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // 5 % 2))
             append(None, {})  # type: ignore[arg-type]
 
 
@@ -65,11 +66,12 @@ def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> Non
     (trial,) = record.jobs([], Record(texture=texture), None)
     costs = measure(trial, machine.play, 4)
     shown = texture == "on"
-    in_camera = DOTS_US + WINDOW_US * shown + NOISE_US + CUT_US
+    in_camera = DOTS_US + WINDOW_US * shown + NOISE_US + HOT_US + CUT_US
     assert costs.slices % BLOCK == 0
     assert costs.whole.mean() == pytest.approx(GEL_US + in_camera + OTHER_US)
     rows = {row["part"]: row for row in costs.rows()}
     expected = {"gel and friction": GEL_US, "camera": in_camera, "dots": DOTS_US, "noise": NOISE_US, "cut edge": CUT_US}
+    expected["hot pixels"] = HOT_US
     for part, us in {**expected, "everything else": OTHER_US}.items():
         assert rows[part]["time_us"] == pytest.approx(us), part
     assert rows["window"]["time_us"] == (pytest.approx(WINDOW_US) if shown else None)
@@ -83,11 +85,11 @@ def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
     (trial,) = record.jobs([], Record(), None)
     machine.slowed_us = 0.0
     costs = measure(trial, machine.play, 50, budget_s=budget_s)
-    block_s = BLOCK * (GEL_US + DOTS_US + WINDOW_US + NOISE_US + CUT_US + OTHER_US) * 1e-6
-    share_s = budget_s / 5  # of one run to try, and four to measure
+    block_s = BLOCK * (GEL_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US) * 1e-6
+    share_s = budget_s / 6  # of one run to try, and five to measure
     assert costs.slices == BLOCK * max(1, 1 + int(share_s / block_s))
     assert costs.whole.sum() * BLOCK * 1e-6 == pytest.approx(block_s * costs.slices / BLOCK)
-    assert machine.now_s < 4 * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, 4 * block_s)
+    assert machine.now_s < 5 * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, 5 * block_s)
 
 
 def test_what_fails_in_a_trial_is_raised(machine: SlowedClock) -> None:
@@ -140,11 +142,17 @@ def test_a_difference_within_the_noise_is_not_a_figure(slowed_us: float, machine
     """
     (trial,) = record.jobs([], Record(), None)
     machine.slowed_us = slowed_us
-    machine.runs = 4  # no run is left alone
+    machine.runs = 5  # no run is left alone
     costs = measure(trial, machine.play, 1)
     rows = {row["part"]: row for row in costs.rows()}
     shown = {row["part"]: row["time_us"] for row in for_people(Outcome(list(rows.values()), True, SUMMARY))[0]}
-    for part, us in (("window", WINDOW_US), ("cut edge", CUT_US), ("noise", NOISE_US), ("dots", DOTS_US)):
+    for part, us in (
+        ("window", WINDOW_US),
+        ("cut edge", CUT_US),
+        ("noise", NOISE_US),
+        ("hot pixels", HOT_US),
+        ("dots", DOTS_US),
+    ):
         noise_us = rows[part]["noise_us"]
         assert noise_us >= -rows[part]["time_us"]
         if shown[part].startswith("< "):

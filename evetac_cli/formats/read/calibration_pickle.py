@@ -1,4 +1,7 @@
-"""Read the dot grid that the official software keeps as a pickle of two arrays: centres (n, 2) as (x, y), radii (n, 1).
+"""Read the dot grid that the official software keeps as a pickle of two arrays: centres (n, 2) as (x, y), sizes (n, 1).
+
+It calls the sizes radii, but they are what OpenCV's blob detector gives (cv::KeyPoint): diameters. With 20.6 px for a
+radius our tracker looks for the rims of its dots outside them, and stands still.
 
 A pickle is a small program, and loading one from elsewhere is running it. Here every name that it asks for is looked up
 in one table, of stand-ins of our own: nothing of numpy, of builtins or of any other module can be called.
@@ -128,7 +131,7 @@ class _Reader(pickle.Unpickler):
 
 
 def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
-    """Centres (n, 2) as (x, y) in px, in the file's order, and the mean radius in px; InputError for anything else."""
+    """Centres (n, 2) as (x, y), in the file's order, and half their mean size, in px; InputError for anything else."""
     expected = "a pickle of centres (n, 2) and radii (n, 1), as the official software writes it"
     try:
         content = read_bytes(path, MOST_BYTES)
@@ -154,7 +157,7 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
         )
     if not (np.isfinite(radii).all() and (radii > 0).all()):
         raise InputError("a radius is not a number above 0", where=str(path), expected=expected)
-    return centres, float(radii.mean())
+    return centres, 0.5 * float(radii.mean())
 
 
 def _check_opcodes(content: bytes) -> None:

@@ -1,7 +1,8 @@
 """Write the dot grid of a recording: as JSON, which `--calibration` takes, or as the official software's pickle.
 
-The pickle is a tuple of two arrays, centres (n, 2) as (x, y) and radii (n, 1). numpy 2 would write names into it that
-the numpy 1.24 of the official software does not know, so its older names are written, which all versions know.
+The pickle is a tuple of two arrays, centres (n, 2) as (x, y) and sizes (n, 1), which are diameters. numpy 2 would write
+names into it that the numpy 1.24 of the official software does not know, so its older names are written, which all
+versions know.
 """
 
 import pickle
@@ -44,5 +45,5 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
 def official(dot_xy_px: NDArray[np.float64], radius_px: float) -> bytes:
     """The pickle of dots (n, 2); missing ones are left out, as it has no word for them."""
     present = dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)].astype(np.float64)
-    content = pickle.dumps((present, np.full((len(present), 1), radius_px)), protocol=PROTOCOL)
+    content = pickle.dumps((present, np.full((len(present), 1), 2.0 * radius_px)), protocol=PROTOCOL)
     return content.replace(b"cnumpy._core.", b"cnumpy.core.")

@@ -107,6 +107,21 @@ def _regulariser_gradient(
 
 
 @njit(cache=True)
+def gather(state: np.void, sums: NDArray[np.int64]) -> bool:
+    """Whether a step is due; then sums (dots + 1, SUMS) of this slice become those of all slices since the last step.
+
+    state: tracker.STATE, in which they are gathered. `start` runs a slice of its own: the next is number 1.
+    """
+    gathered = state["gathered"][: sums.shape[0]]
+    gathered += sums
+    if state["slices"] % state["slices_per_step"] != 0:
+        return False
+    sums[:] = gathered
+    gathered[:] = 0
+    return True
+
+
+@njit(cache=True)
 def gradient_step(
     state: np.void, sums: NDArray[np.int64], ring_events: NDArray[np.int32], shift_px: NDArray[np.float64]
 ) -> bool:

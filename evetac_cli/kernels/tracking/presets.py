@@ -34,6 +34,7 @@ class TrackerConstants:
     min_events: int = 10  # a dot moves only if more ring events than this pull it
     gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px a slice; from the authors' published code
     ascend: bool = False  # up the gradient of the data term, as the published code does, instead of down
+    slices_per_step: int = 1  # a step takes the events of so many slices together; with `fit` each has its own
     hot_pixel_events: int = 16  # a pixel with more, far ahead of its neighbours, is hot (hot_pixels.py); 0: none is
     rest_slices: int = 0  # a lost dot is put back after as many slices of rest; 0: never
     fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
@@ -55,6 +56,7 @@ class TrackerConstants:
         check_range("gradient_clip", self.gradient_clip, above=True)
         check_whole("hot_pixel_events", self.hot_pixel_events, 0, 2**14)
         check_whole("rest_slices", self.rest_slices, 0, 2**31 - 1)
+        check_whole("slices_per_step", self.slices_per_step, 1, 1 if self.fit else 1000)
         check_whole("sweeps", self.sweeps, 1, 10_000)
         check_range("trust_px", self.trust_px, 0.0, MAX_REACH_PX, above=True)
         check_range("rim_lag_px", self.rim_lag_px, 0.0, MAX_REACH_PX)
@@ -87,18 +89,23 @@ class TrackerConstants:
         )
 
 
-# What the published code was calibrated with; its ring is the outer 13.75 px of the dot, its edge 1.25 times as wide.
+# What the published code takes for the radius of its dots, from its calibration file, in which it is a blob's diameter;
+# its ring is the outer 13.75 px of that, its edge 1.25 times as wide.
 _OFFICIAL_DOT_PX = 20.62
+_OFFICIAL = TrackerConstants(
+    radius_px=1.25 * _OFFICIAL_DOT_PX,
+    ring_inner_px=_OFFICIAL_DOT_PX - 13.75,
+    ring_outer_px=_OFFICIAL_DOT_PX,
+    min_events=4,  # it asks for 10 table entries, and an event makes two
+    ascend=True,
+)
 
 PRESETS: dict[str, TrackerConstants] = {
     "paper": TrackerConstants(),
-    "official": TrackerConstants(
-        radius_px=1.25 * _OFFICIAL_DOT_PX,
-        ring_inner_px=_OFFICIAL_DOT_PX - 13.75,
-        ring_outer_px=_OFFICIAL_DOT_PX,
-        min_events=4,  # it asks for 10 table entries, and an event makes two
-        ascend=True,
-    ),
+    "official": _OFFICIAL,
+    # Both readouts of that code, that of 2024 and its rewrite without ROS (evetac_noros), run it so unless told
+    # otherwise: on slices of 5 ms, each of which must then make 10 + 3 * 4 entries.
+    "official-5ms": replace(_OFFICIAL, slices_per_step=5, min_events=10),
     "unregularised": TrackerConstants(regulariser_weight=0.0),
     "stable": TrackerConstants(
         ring_inner_px=11.0,

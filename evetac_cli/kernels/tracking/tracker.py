@@ -43,6 +43,7 @@ STATE = np.dtype(
         ("slices_at_rest", np.int64),  # up to now, see lost_dots.py
         *((item.name, np.int64) for item in fields(TrackerConstants) if item.type is int),
         *((item.name, np.float64) for item in fields(TrackerConstants) if item.type is float),
+        ("gathered", np.int64, (CAPACITY + 1, descent.SUMS)),  # sums of the slices since the last step, see descent.py
         ("polarity_weight", np.float64, 2),  # sum of the weights of ring events, darker and brighter, up to now
         ("centre_xy_px", np.float64, (CAPACITY + 1, 2)),  # see dot_xy_px; row n is the dummy dot (buckets.py)
         ("rest_xy_px", np.float64, (CAPACITY, 2)),  # centres at the start
@@ -235,7 +236,11 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
         sums = np.zeros((dots + 1, descent.SUMS), np.int64)
         descent.pull_dots(state, x, y, any_hot, sums)
         buckets.split_counts(sums[:, descent.COUNTS].copy(), events, ring_events)  # contiguous, as above
-        moved = descent.gradient_step(state, sums, ring_events, shift_px)
+        due = True
+        if state["slices_per_step"] > 1:
+            due = descent.gather(state, sums)
+            buckets.split_counts(sums[:, descent.COUNTS].copy(), np.empty(dots + 1, np.int32), ring_events)
+        moved = due and descent.gradient_step(state, sums, ring_events, shift_px)
     if moved:
         for i in range(dots):
             if ring_events[i] > state["min_events"]:

@@ -16,6 +16,9 @@ ROW_SHIFT = 1
 COORDINATE_MASK = 0xFFFF
 FEW = 40  # events of a slice that are sorted without counting
 
+# Of the events of a slice: times in us, columns, rows, polarities.
+Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+
 
 @njit(cache=True, _nrt=False)
 def event_key(time_us: int, x: int, y: int, brighter: bool) -> int:
@@ -23,9 +26,7 @@ def event_key(time_us: int, x: int, y: int, brighter: bool) -> int:
     return (time_us << TIME_SHIFT) | (x << COLUMN_SHIFT) | (y << ROW_SHIFT) | int(brighter)
 
 
-def sorted_columns(
-    keys: NDArray[np.int64], t0_us: int
-) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
+def sorted_columns(keys: NDArray[np.int64], t0_us: int) -> Columns:
     """Columns t, x, y, p of the events of a slice that starts at `t0_us`."""
     events = len(keys)
     t_us = np.empty(events, np.int64)

@@ -25,6 +25,7 @@ FARTHEST_CUT_PX = 4.0  # from where the window begins
 CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
 FAINTEST = 0.2  # least share of the usual radius and contrast that a dot has
 AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees no more; farther than any ring
+NEVER_HZ = (0.0, 0.0)  # rates of hot pixels where there are none
 
 
 def dot_grid(sensor: Sensor, cut: bool) -> Floats:
@@ -143,7 +144,7 @@ class GelCamera:
             mismatch=sensor.mismatch,
             noise_rate_hz=sensor.noise_hz,
             hot_pixels=sensor.hot_pixels,
-            hot_rate_hz=sensor.hot_pixel_hz,
+            hot_rate_hz=sensor.hot_pixel_hz or NEVER_HZ,
             noise_on_share=sensor.noise_on_share,
             timestamp_step_us=sensor.timestamp_step_us,
             hot_pixel_table=sensor.hot_pixel_table,
@@ -153,6 +154,7 @@ class GelCamera:
             leak_hz=sensor.leak_hz,
             refractory_us=sensor.refractory_us,
             events_per_s=None if sensor.readout is None else sensor.readout.events_per_s,
+            support_ms=None if sensor.noise_filter is None else sensor.noise_filter.support_ms,
         )
         self._rng = rng
         self._texture_at_px = rng.uniform(0, texture.shape[0], 2) if texture is not None else np.zeros(2)
@@ -198,7 +200,9 @@ class GelCamera:
             "window": window is not None,
             "contact edges": outline is not None,
             "cut edge": len(self.cut_rest_m) > 0,
-            "noise": model.is_noisy,
+            "noise": model.noise_rate_hz > 0.0,
+            "hot pixels": model.has_hot_pixels,
+            "noise filter": model.support_ms is not None,
             "OFF threshold of its own": model.threshold_off is not None,
             "limit of the readout": model.events_per_s is not None,
             "slow pixels": is_slow,

@@ -17,16 +17,15 @@ import numpy as np
 
 from evetac_cli import plugins
 from evetac_cli.errors import InputError
-from evetac_cli.resources import table
 from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.solver import with_given
 from evetac_cli.sim.setup.tables import as_table, build, read_table
 
 READOUTS = ("dvxplorer", "ideal")
-FOR_EACH_TRIAL = "randomized"  # the row of sensors.toml that names ranges, not one sensor
 SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
 NUMBERED_SEED = 1299709  # with the number of a sensor
 LOWEST_TONE_HZ = 1.0
@@ -208,17 +207,16 @@ def named_objects(text: str) -> dict[int | str, TouchedObject]:
 def named_sensor(name_or_path: str) -> tuple[str, Sensor | SensorRanges]:
     """What recordings call a sensor, and the sensor, of a named one or of a TOML file; InputError for anything else.
 
-    Of `randomized`, which is no one sensor, its ranges.
+    Of `randomized` and its like, which are no one sensor, the ranges.
     """
     if name_or_path.endswith(sensor_file.SUFFIX):
         return sensor_file.read(Path(name_or_path), one_sensor)
-    return name_or_path, sensor_ranges() if name_or_path == FOR_EACH_TRIAL else one_sensor(name_or_path)
+    return name_or_path, sensor_ranges(name_or_path) if name_or_path in FOR_EACH_TRIAL else one_sensor(name_or_path)
 
 
-def sensor_ranges() -> SensorRanges:
-    """The ranges from which sensors are sampled."""
-    ranges: SensorRanges = table("sensors")[FOR_EACH_TRIAL]
-    return ranges
+def sensor_ranges(name: str = FOR_EACH_TRIAL[0]) -> SensorRanges:
+    """The ranges from which sensors of this name are sampled."""
+    return rows()[name]
 
 
 def one_sensor(name: str) -> Sensor:
@@ -228,22 +226,22 @@ def one_sensor(name: str) -> Sensor:
 
 
 def _sensor_of_ours(name: str) -> Sensor:
-    rows = table("sensors")
-    number = re.fullmatch(f"{FOR_EACH_TRIAL}:([0-9]{{1,9}})", name)
+    known = rows()
+    number = re.fullmatch(f"({'|'.join(FOR_EACH_TRIAL)}):([0-9]{{1,9}})", name)
     if number is not None:
-        rng = np.random.default_rng([NUMBERED_SEED, int(number[1])])
-        return sampling.sample_sensor(sensor_ranges(), rng)
-    if name not in rows or name == FOR_EACH_TRIAL:
-        near = get_close_matches(name, rows, n=1)
+        rng = np.random.default_rng([NUMBERED_SEED, int(number[2])])
+        return sampling.sample_sensor(sensor_ranges(number[1]), rng)
+    if name not in known or name in FOR_EACH_TRIAL:
+        near = get_close_matches(name, known, n=1)
         raise InputError(
             "no such sensor",
             where="--sensor",
-            expected=", ".join((*rows, *plugins.usable(plugins.SENSORS)))
+            expected=", ".join((*known, *plugins.usable(plugins.SENSORS)))
             + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
             found=name,
             hint=f"did you mean {near[0]}?" if near and ":" not in name else "",
         )
-    return build(Sensor, rows[name])
+    return build(Sensor, known[name])
 
 
 def numbers(text: str) -> list[int]:

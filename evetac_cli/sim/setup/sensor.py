@@ -35,6 +35,15 @@ class ReadoutLimit:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NoiseFilterSettings:
+    """The filter that the host puts behind the camera against noise."""
+
+    support_ms: float = number(
+        "an event is left out unless one of the 8 pixels around its own had one less than this time before", 0.001, 1e4
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class HotPixelTable:
     """Hot pixels of known place; of each the value at its place in every list."""
 
@@ -203,11 +212,14 @@ class Sensor:
         500,
         default=0.0,
     )
-    hot_pixels: int = whole("number of hot pixels, their places drawn", 0, MOST_HOT_PIXELS)
+    hot_pixels: int = whole(
+        "number of hot pixels, their places drawn; needs hot_pixel_hz", 0, MOST_HOT_PIXELS, default=0
+    )
     hot_pixel_hz: tuple[float, ...] = numbers(
-        "evenly spaced quantiles of their rates, rising", 0, 1e5, (2, 1000), order="rising"
+        "evenly spaced quantiles of their rates, rising", 0, 1e5, (2, 1000), order="rising", default=()
     )
     hot_pixel_table: HotPixelTable | None = table(HotPixelTable)
+    noise_filter: NoiseFilterSettings | None = table(NoiseFilterSettings)
     shear_modulus_pa: float = number("of the gel", 1e3, 1e8)
     normal_modulus_pa: float = number("of the gel under pressure", 1e3, 1e9)
     loss_tangent: float | None = number("of the gel, at 100 Hz", 0, 2, default=None)

@@ -13,14 +13,13 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.resources import table as packaged
 from evetac_cli.sim.setup.sensor import SENSOR_NAME, HotPixelTable, Sensor, SensorFile
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, GRID, over, rows
 from evetac_cli.sim.setup.tables import as_table, build, check
 from evetac_cli.text_files import read_toml
 
 SUFFIX = ".toml"
 UNNAMED = "own-sensor"  # what recordings call a sensor whose file has no `name`
-GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # what dot_xy_px takes the place of
 OF_FILE = ("name", "like")
 LEAST_DOTS = 4  # fewer say nothing of how a gel turns and stretches
 
@@ -36,7 +35,7 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
         table = {**table, "dot_xy_px": _rows_of_dots(table["dot_xy_px"])}
     check(SensorFile, table, where, whole=False)
     name, like = table.get("name", UNNAMED), table.get("like")
-    if like == "randomized":
+    if like in FOR_EACH_TRIAL:
         expected = "one sensor, as in evetac or randomized:7"
         raise InputError("like: not one sensor but many", where=where, expected=expected, found=like)
     check_name(name, where)
@@ -45,12 +44,7 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
         expected = f"dot_xy_px, or {', '.join(GRID)}"
         raise InputError("dots are named twice", where=where, expected=expected, found=f"dot_xy_px and {named[0]}")
     base = {} if like is None else as_table(_sensor_of(like, named_sensor, where))
-    replaced = GRID if "dot_xy_px" in table else ("dot_xy_px",) if named else ()
-    kept = {key: value for key, value in base.items() if key not in replaced}
-    row = {**kept, **{key: value for key, value in table.items() if key not in OF_FILE}}
-    for group in ("gripper", "friction"):
-        if group in base and group in table:
-            row[group] = {**base[group], **table[group]}
+    row = over(base, {key: value for key, value in table.items() if key not in OF_FILE})
     row.setdefault("summary", f"read from a file, like {like}" if like else "read from a file")
     return str(name), of_row(row, where)
 
@@ -60,7 +54,7 @@ def check_name(name: str, where: str) -> None:
     if not re.fullmatch(SENSOR_NAME, name):
         expected = "small letters, digits and -, as in lab-3"
         raise InputError("name: not the name of a sensor", where=where, expected=expected, found=name)
-    if name in packaged("sensors"):
+    if name in rows():
         raise InputError("name: that of a sensor which comes with evetac", where=where, expected="another", found=name)
 
 
@@ -80,6 +74,9 @@ def of_row(row: Mapping[str, Any], where: str) -> Sensor:
         raise InputError("window_px: not a window", where=where, expected=expected, found=str(row["window_px"]))
     _check_gripper_and_friction(sensor, where)
     _check_dots(sensor, where)
+    if sensor.hot_pixels and not sensor.hot_pixel_hz:
+        expected = "hot_pixel_hz, quantiles of the rates"
+        raise InputError("hot_pixels: their rates are missing", where=where, expected=expected)
     if sensor.hot_pixel_table is not None:
         _check_hot_pixels(sensor.hot_pixel_table, where)
     return sensor

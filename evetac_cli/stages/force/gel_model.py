@@ -14,8 +14,9 @@ from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field
 from evetac_cli.kernels.force.gel_forces import ForceErrorModel, Forces, GelNetwork, Scale, Stiffness
 from evetac_cli.kernels.force.models import DenseLayer
 from evetac_cli.sim.setup import sensor_file
-from evetac_cli.sim.setup.plan import FOR_EACH_TRIAL, one_sensor
+from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import read_toml
 
@@ -146,7 +147,7 @@ def known_of(sensor: str | None) -> KnownGel:
     """What `--sensor` tells of a gel: of a file only the keys that it names itself, of a named sensor all."""
     if sensor is None:
         return KnownGel()
-    if sensor == FOR_EACH_TRIAL:
+    if sensor in FOR_EACH_TRIAL:
         expected = "one sensor, as in evetac or randomized:7, or its file"
         raise InputError("not one sensor but many", where="--sensor", expected=expected, found=sensor)
     if not sensor.endswith(sensor_file.SUFFIX):

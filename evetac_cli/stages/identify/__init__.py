@@ -19,6 +19,7 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.sim.setup import plan, sensor_file
 from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, EstimateRow, sensor_text
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of
@@ -31,7 +32,7 @@ METHOD = 3
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
     """One sensor from all recordings: `<first recording's name>.sensor.toml`."""
-    if params.like.endswith(sensor_file.SUFFIX) or params.like == plan.FOR_EACH_TRIAL:
+    if params.like.endswith(sensor_file.SUFFIX) or params.like in FOR_EACH_TRIAL:
         expected = "a named sensor, as in evetac or randomized:7"
         raise InputError("not the name of one sensor", where="--like", expected=expected, found=params.like)
     plan.one_sensor(params.like)

@@ -25,7 +25,7 @@ from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.kernels.tracking.tracker import CAPACITY, STATE, TrackerState
 
 PAPER = PRESETS["paper"]
-DESCENTS = [name for name, constants in PRESETS.items() if not constants.fit]
+DESCENTS = [name for name, constants in PRESETS.items() if not constants.fit and constants.slices_per_step == 1]
 ROWS, COLUMNS, PITCH_PX = 7, 9, 62.0
 CALIBRATION = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "evetac_base_calibration.json"
 
@@ -212,6 +212,23 @@ def test_agrees_with_plain_reference(preset: str) -> None:
         assert (state.events_per_dot == events).all()
     if not PRESETS[preset].ascend:  # which these dots are too large for
         assert (np.abs(state.dot_xy_px - rest).max(axis=0) > 4).all()  # far enough to fill the buckets anew
+
+
+def test_a_step_for_five_slices() -> None:
+    """Assert that `official-5ms` moves every fifth slice, and then as one slice with all of their events would."""
+    rng = np.random.default_rng(5)
+    rest = grid(3, 3)
+    constants = replace(PRESETS["official-5ms"], hot_pixel_events=0)  # which are counted slice by slice
+    gathers, at_once = (tracker.start(rest, one) for one in (constants, replace(constants, slices_per_step=1)))
+    for k in range(12):
+        slices = [random_events(rng, rest + 0.1 * k, 100) for _ in range(5)]
+        for number, (x, y) in enumerate(slices):
+            before_px = gathers.dot_xy_px.copy()
+            step(gathers, x, y)
+            assert (gathers.dot_xy_px == before_px).all() == (number < 4)
+        step(at_once, *(np.concatenate(column) for column in zip(*slices, strict=True)))
+        np.testing.assert_array_equal(gathers.dot_xy_px, at_once.dot_xy_px)
+    assert (gathers.dot_xy_px != rest).any(axis=1).all()
 
 
 def test_regulariser_is_the_gradient_of_its_energy() -> None:
@@ -519,6 +536,8 @@ def test_lost_dots_are_flagged() -> None:
         {"min_events": 2.5},
         {"gradient_clip": 0.0},
         {"rest_slices": -1},
+        {"slices_per_step": 0},
+        {"slices_per_step": 2, "fit": True},
         {"rest_slices": 0.5},
         {"sweeps": 0},
         {"trust_px": np.inf},
@@ -603,7 +622,7 @@ def test_a_copy_goes_on_alike_and_alone(preset: str, make: Callable[[TrackerStat
     """Assert that a copy has the same bytes and goes on with the same bits, and that neither changes the other."""
     rng = np.random.default_rng(15)
     state = tracker.start(grid(), PRESETS[preset])
-    for _ in range(5):
+    for _ in range(4):  # `official-5ms` moves in the next
         step(state, *random_events(rng, grid() + 1, 2000))
     other = make(state)
     assert other.constants == state.constants == PRESETS[preset]

@@ -37,6 +37,6 @@ def test_realistic_sensor_sees_the_gel_move() -> None:
     assert all((one == other).all() for one, other in zip(*made, strict=True))
     at_px = np.stack([made[0].x, made[0].y], axis=1).astype(float)
     near = np.linalg.norm(at_px[:, None] - realistic.dot_xy_px, axis=2).min(axis=1)
-    at_rims = (near > 9.0) & (near < 23.0)
+    at_rims = (near > sensor.dot_radius_px - 6.0) & (near < sensor.dot_radius_px + 8.0)
     assert at_rims.mean() > 0.7
     assert 0.25 < made[0].p[at_rims].mean() < 0.75

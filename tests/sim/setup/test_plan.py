@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.resources import SCENES, table
+from evetac_cli.resources import SCENES
 from evetac_cli.sim.setup.plan import first_plan, numbers, one_sensor, plans, read_plan
+from evetac_cli.sim.setup.sensor_rows import rows
 
 
 @pytest.mark.parametrize(("text", "listed"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])
@@ -40,8 +41,11 @@ def test_which_sensor_is_sampled() -> None:
     trials = [each.of_trial(seeds) for seeds in ((0, 8, 0), (0, 8, 1), (1, 8, 0), (0, 8, 0))]
     assert trials[0].sensor == trials[3].sensor
     assert len({trial.sensor.seed for trial in trials}) == 3
-    assert all(trial.sensor_ranges == table("sensors")["randomized"] for trial in trials)
-    for wrong in ("randomized:", "randomized:x", "randomized:-1", "randomized:1.5"):
+    assert all(trial.sensor_ranges == rows()["randomized"] for trial in trials)
+    assert one_sensor("randomized-narrow:7") != slipping.sensor
+    (narrow,) = plans("slip", "8", "randomized-narrow", ("ramp",))
+    assert narrow.of_trial((0, 8, 1)).sensor_ranges == rows()["randomized-narrow"]
+    for wrong in ("randomized:", "randomized-narrow:", "second:1", "randomized:x", "randomized:-1", "randomized:1.5"):
         with pytest.raises(InputError, match="no such sensor"):
             one_sensor(wrong)
 

@@ -9,10 +9,10 @@ import pytest
 
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
-from evetac_cli.resources import table
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import named_sensor, one_sensor
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, GRID, rows
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.text_files import as_toml
 from evetac_cli.trials import record
@@ -38,7 +38,7 @@ def written(folder: Path, stem: str = "mine", /, **keys: Any) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("name", [*(name for name in table("sensors") if name != "randomized"), "randomized:3"])
+@pytest.mark.parametrize("name", [*(name for name in rows() if name not in FOR_EACH_TRIAL), "randomized:3"])
 def test_sensors_of_the_package_pass_the_schema(name: str, tmp_path: Path) -> None:
     """Assert that every named sensor is a whole row, and that the same row comes back from a file that holds it."""
     sensor = one_sensor(name)
@@ -82,7 +82,7 @@ def test_dots_in_a_list_without_rows(tmp_path: Path) -> None:
 def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path) -> None:
     """Assert that a whole row with places and one with columns and rows both pass, and one with neither does not."""
     sensor = one_sensor("evetac")
-    places = {key: value for key, value in as_table(sensor).items() if key not in sensor_file.GRID}
+    places = {key: value for key, value in as_table(sensor).items() if key not in GRID}
     with pytest.raises(InputError, match="the places of the dots are missing"):
         sensor_file.of_row(places, "here")
     sensor_file.of_row({**places, "dot_xy_px": dot_grid(sensor, cut=False).tolist()}, "here")
@@ -104,10 +104,12 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
         ({"hot_pixels": 1.5}, "hot_pixels: expected a whole number"),
         ({"hot_pixel_hz": [1.0] * 5000}, "2 to 1,000 entries"),
         ({"hot_pixel_hz": [9.0, 1.0]}, "hot_pixel_hz: expected rising values"),
+        ({"noise_filter": {"support_ms": 0.0}}, "noise_filter.support_ms: out of range"),
         ({"window_px": [640, 0, 540, 480]}, "window_px: not a window"),
         ({"frame_px": [320, 240]}, "frame_px: not a possible value"),
         ({"like": "evtac"}, "did you mean evetac"),
         ({"like": "randomized"}, "not one sensor but many"),
+        ({"like": "randomized-narrow"}, "not one sensor but many"),
         ({"name": "second"}, "comes with evetac"),
         ({"name": "A name"}, "name: not a possible value"),
         ({"gripper": {"servo_n_tick": 2.0}}, "servo_n_tick and two_ticks_n need each other"),
@@ -117,7 +119,7 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
         ({"creep": {"share": [0.1], "time_s": [1.0, 2.0]}}, "1 in share, 2 in time_s"),
         ({"dot_xy_px": [[[1.0, 2.0], [3.0, 4.0]], [[1.0, 9.0], [3.0, 9.0], [5.0, 9.0]]]}, "equally many dots"),
         ({"dot_xy_px": [*FEW, [200.0, 100.0]]}, "two dots overlap"),
-        ({"dot_xy_px": [*FEW, [229.0, 100.0]]}, "centres at least a diameter apart, 30 px"),
+        ({"dot_xy_px": [*FEW, [217.0, 100.0]]}, "centres at least a diameter apart, 18 px"),
         ({"dot_xy_px": [*FEW, [300.0, 479.5]]}, "a dot lies outside the frame"),
         ({"dot_xy_px": [*FEW, [650.0, 100.0]]}, "dot_xy_px.0.4.0: out of range"),
         ({"dot_xy_px": [*FEW, [600.0, 9.0]], "distortion": [0.3, 0.3]}, "a dot lies outside the frame"),

@@ -15,12 +15,13 @@ from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.scene_file import load, merged
 from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.sim.setup.tables import as_table, between, build, check, number, numbers, one_of, rules_of
 from evetac_cli.sim.setup.tables import table as inner
 from scripts.schemas import TYPES, text_of
 
-SENSORS = {name: row for name, row in table("sensors").items() if name != "randomized"}
+SENSORS = {name: row for name, row in rows().items() if name not in FOR_EACH_TRIAL}
 PACKAGED = [
     *(pytest.param(Scene, tomllib.loads(path.read_text()), id=path.stem) for path in sorted(SCENES.glob("*.toml"))),
     *(pytest.param(Sensor, row, id=name) for name, row in SENSORS.items()),

@@ -256,7 +256,7 @@ def test_dots_and_optics_from_a_press(stroked: Path, resting: Path, tmp_path: Pa
     Noise comes from the longer rest, the press has but 0.5 s.
     """
     rows, path = identified([resting, stroked], tmp_path)
-    truth = {"dots": 63.0, "dot_radius_px": 15.0, "edge_sigma_px": 1.2, "log_contrast / threshold": TRUE_RATIO}
+    truth = {"dots": 63.0, "dot_radius_px": 9.0, "edge_sigma_px": 1.2, "log_contrast / threshold": TRUE_RATIO}
     truth |= {"mismatch": 0.03}
     for name, value in truth.items():
         assert rows[name]["low"] <= value <= rows[name]["high"], (name, rows[name])

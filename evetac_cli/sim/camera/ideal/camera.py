@@ -4,11 +4,11 @@ What it is for: `--readout ideal`, a camera whose times are right to the microse
 says by it what the scans of the other one lose. Here a pixel fires as often as its level passes a threshold, several
 times a slice if need be, and an event's time is that of the crossing, rounded down to a microsecond.
 
-What it shares with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with what `start` draws, and
-the noise, which are that camera's own; what moves in a slice (camera_input), optics, rings of dots, contact edges, keys
-of events, and the drift of leak, which are one level up. What it has of its own: no scan compares pixels here, the
-crossings are solved, those of the gel in dots, of the window in window, of pixels under moving lines in lines. Leak
-visits a row in 40 ms, too, so an event of leak comes late by up to that.
+What it shares with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with what `start` draws, the
+noise and the filter against it, which are that camera's own; what moves in a slice (camera_input), optics, rings of
+dots, contact edges, keys of events, and the drift of leak, which are one level up. What it has of its own: no scan
+compares pixels here, the crossings are solved, those of the gel in dots, of the window in window, of pixels under
+moving lines in lines. Leak visits a row in 40 ms, too, so an event of leak comes late by up to that.
 
 Left out: bandwidth (a low pass has no closed form for the crossing), light that changes, a limit of the readout,
 thresholds of ON and OFF that are apart, dots that differ, and what the scanning camera leaves out.
@@ -164,7 +164,8 @@ def step(state: IdealState, motion: SliceMotion, t0_us: int, rng: np.random.Gene
     made = scanning.noise_of_slice(shared, t0_us, rng, made)
     stored = min(made, len(shared.keys))
     shared.dropped += made - stored
-    return Events(*sorted_columns(shared.keys[:stored], t0_us))
+    columns = sorted_columns(shared.keys[:stored], t0_us)
+    return Events(*(columns if shared.noise_filter is None else shared.noise_filter.keep(columns)))
 
 
 def _leak(state: IdealState, times: SliceTimes, made: int) -> int:

@@ -34,6 +34,7 @@ from evetac_cli.sim.camera.contact_edges import ContactEdges
 from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
+from evetac_cli.sim.camera.noise_filter import NoiseFilter
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
@@ -67,7 +68,8 @@ class CameraModel:
     `hot_rate_hz` (two: uniform between them); a `hot_pixel_table` has more of them, at known places. `leak_hz` is the
     rate a pixel of the events that leak makes; after an event a pixel is held in reset for `refractory_us`, and its
     next reference is the level at the end of that time. A slice holds at most `max_events`; what is beyond is lost, as
-    on a full bus (the pixels have fired nevertheless), and counted. `events_per_s` limits the readout (see readout).
+    on a full bus (the pixels have fired nevertheless), and counted. `events_per_s` limits the readout (see readout);
+    `support_ms` is the time of the host's filter (see noise_filter).
     """
 
     frame_px: tuple[int, int] = FRAME_PX
@@ -88,6 +90,7 @@ class CameraModel:
     refractory_us: float = 0.0
     max_events: int = 1_000_000
     events_per_s: float | None = None
+    support_ms: float | None = None
 
     def __post_init__(self) -> None:
         width, height = self.frame_px
@@ -113,10 +116,10 @@ class CameraModel:
         check_whole("max_events", self.max_events, 1, 100_000_000)
 
     @property
-    def is_noisy(self) -> bool:
-        """Whether anything makes events that nothing in the picture makes."""
+    def has_hot_pixels(self) -> bool:
+        """Whether any pixel is hot, at a place that is drawn or known."""
         table = self.hot_pixel_table
-        return self.noise_rate_hz > 0.0 or self.hot_pixels > 0 or (table is not None and len(table.x_px) > 0)
+        return self.hot_pixels > 0 or (table is not None and len(table.x_px) > 0)
 
 
 @dataclass
@@ -154,6 +157,7 @@ class CameraState:
     light: Light | None = None
     table_hot_pixels: HotPixels | None = None
     readout: Readout | None = None
+    noise_filter: NoiseFilter | None = None
     slices: int = 0
     dropped: int = 0
     # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
@@ -273,6 +277,7 @@ def start(
         light=light,
         table_hot_pixels=None if model.hot_pixel_table is None else HotPixels(model.hot_pixel_table, rng.spawn(1)[0]),
         readout=None if model.events_per_s is None else Readout(model.events_per_s, model.frame_px),
+        noise_filter=None if model.support_ms is None else NoiseFilter(model.support_ms, model.frame_px),
     )
 
 
@@ -348,7 +353,11 @@ def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int)
     stored = min(made, len(state.keys))
     state.dropped += made - stored
     columns = sorted_columns(state.keys[:stored], t0_us)
-    return Events(*(columns if state.readout is None else state.readout.read(columns, t0_us)))
+    if state.readout is not None:
+        columns = state.readout.read(columns, t0_us)
+    if state.noise_filter is not None:
+        columns = state.noise_filter.keep(columns)
+    return Events(*columns)
 
 
 def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> int:

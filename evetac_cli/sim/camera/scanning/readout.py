@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.checks import check_range
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
-
-# Of the events of a slice: times in us, columns, rows, polarities.
-Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+from evetac_cli.sim.camera.event_keys import Columns
 
 
 class Readout:
