@@ -1,11 +1,11 @@
-"""The normal force at which a held object slides: what a scene's start_factor multiplies."""
+"""The normal force at which a held object slides, and whether the grid of nodes resolves how it does."""
 
 import math
 
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.sim.gel import contact
+from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.scenes.second_finger import SecondFinger
 from evetac_cli.sim.setup.sampling import SampledTrial
 
@@ -36,6 +36,18 @@ def slip_limit_n(
     arm_m = contact.turning_arm(node_xy_m, contact.pressure(indentation_m, gap_m, limit_n))
     arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(node_xy_m)))
     return limit_n * math.hypot(1.0, sampled.lever_m / arm_m)
+
+
+def nodes_of_slip(
+    limit_n: float, curve: contact.ForceCurve, gap_m: Floats, state: gel.GelState, friction: gel.Friction
+) -> float:
+    """Half the wavelength of unstable slip in nodes of the grid, where pressure is highest at the slip limit.
+
+    Infinity where slip is stable there. A recording has it of nodes that slipped (truth/slip_half_wavelength_nodes).
+    """
+    indentation_m = float(np.interp(limit_n, curve.force_n, curve.indentation_m))
+    most_n = float(contact.pressure(indentation_m, gap_m, limit_n).max())
+    return gel.slip_half_wavelength_nodes(state, friction, most_n)
 
 
 def _friction_of_pads(
