@@ -117,6 +117,12 @@ def _over_n_ma(name: str, unit: float = 1.0) -> Callable[[Sensor], float]:
     return lambda sensor: unit * getattr(_drive(sensor), name) / _drive(sensor).force_per_current_n_ma
 
 
+def _rubs(sensor: Sensor) -> float:
+    """Friction of the gear in motion over its force per current: that at rest is not told."""
+    drive = _drive(sensor)
+    return drive.kinetic_share * drive.friction_n / drive.force_per_current_n_ma
+
+
 def _contrast(sensor: Sensor) -> float:
     return sensor.log_contrast / sensor.threshold
 
@@ -150,7 +156,7 @@ def _bending(sensor: Sensor) -> float:
 
 PLACES = "error of a dot's place, 95 %"  # see `places`; its range is that of the shift of all dots
 N_MA, SERVO = "gripper.force_per_current_n_ma", "gripper.servo_n_tick"
-FRICTION = ("gripper.two_ticks_n", "gripper.friction_factor")
+FRICTION = ("gripper.two_ticks_n", "gripper.friction_factor", "gripper.kinetic_share")
 PARAMETERS = (
     Parameter("noise_hz"),
     Parameter(PLACES, "camera", _shift_px, ("dot_shift_x_px",)),
@@ -162,7 +168,7 @@ PARAMETERS = (
     Parameter("log_contrast / threshold", "camera", _contrast, ("log_contrast", "threshold")),
     Parameter("threshold_off / threshold", "camera", _off_over_on, ("threshold_off_factor",)),
     Parameter("mismatch"),
-    Parameter("gripper: gear friction", "gripper", _over_n_ma("friction_n"), (N_MA, SERVO, *FRICTION)),
+    Parameter("gripper: gear friction", "gripper", _rubs, (N_MA, SERVO, *FRICTION)),
     Parameter("gripper: damping", "gripper", _over_n_ma("damping_n_s_m", 1e-3), (N_MA, "gripper.damping_n_s_m")),
     Parameter("gripper: moving mass", "gripper", _over_n_ma("mass_kg"), (N_MA, "gripper.mass_kg")),
     Parameter("gripper: bending of the fingers", "gripper", _bending, (N_MA, "gripper.finger_stiffness_n_m")),

@@ -8,13 +8,17 @@ with the motor current I = kp (goal - encoder) in position mode, or the command 
 goal are whole ticks, the commanded current whole mA. Because the gear rubs, the finger keeps its grip while the
 current falls by 2 (Fc + fl N) / kF, and x = goal does not mean letting go.
 
+Fc + fl N holds a finger that rests, slower than REST_M_S; one that moves is resisted by kinetic_share of it. Below 1
+the gear breaks loose: it starts late, and at once goes as far as the lower friction lets it.
+
 Lost motion (backlash_ticks b, 0 unless a scene names it): the finger is where it was, moved no further than keeps it
 within b / 2 of the motor, whose place the encoder reads. After a reversal it stays, and with it the force that the
 motor feels, until the motor has gone b. The encoder may be noisy, and commands may take effect late (DelayedCommands).
 
 Why so: each step is solved implicitly for the speed, force and friction at the end of the step included. The equation
 is monotone in the speed, with lost motion too, so a bracketed Newton search always ends, for any stiffness, for no
-damping and for no mass.
+damping and for no mass. Friction that falls at once does not spoil that: whether a finger rests is decided by its speed
+before the step, and within the step there is one friction.
 """
 
 import math
@@ -37,6 +41,9 @@ LINK_PAIR_M = 0.114
 LINK_OFFSET_M = 0.0061
 START_RAD = math.radians(60.0)
 TICK_RAD = math.radians(0.088)
+# A slower finger rests: it would take 8 s for a tick. A guess: nothing is known of how this gear comes to rest. After a
+# step of 1 mA the usual finger is as slow in 0.26 s, longer than the paper's ramp takes from mA to mA.
+REST_M_S = 1e-5
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,8 @@ class Drive:
 
     Fitted to the paper's grasp figures (only the product force_per_current * gain = 2.0 N/tick and the friction are
     identified by them): force_per_current_n_ma, gain_ma_tick, friction_n, friction_share, damping_n_s_m, mass_kg.
+    friction_n and friction_share hold a finger that rests: two ticks are "just sufficient to make the gripper move"
+    (paper, section VII-A). That they then stop at "very light contact" speaks for a kinetic_share near 1, the default.
     From the maker's manual: speed_limit_m_s (75 mm/s of gap), open_ticks, closed_ticks. The current limit is the one
     the paper's authors set. backlash_ticks, of the whole gripper, is no measured value.
     """
@@ -53,6 +62,7 @@ class Drive:
     gain_ma_tick: float = 5.0
     friction_n: float = 3.87
     friction_share: float = 0.03
+    kinetic_share: float = 1.0
     damping_n_s_m: float = 150.0
     mass_kg: float = 2.0
     speed_limit_m_s: float = 0.0375
@@ -66,6 +76,7 @@ class Drive:
             above = entry.name in ("force_per_current_n_ma", "speed_limit_m_s")
             check_range(entry.name, getattr(self, entry.name), above=above)
         check_range("friction_share", self.friction_share, 0.0, 1.0, below=True)  # at 1 the finger could never open
+        check_range("kinetic_share", self.kinetic_share, 0.0, 1.0)
         check_range("open_ticks", self.open_ticks, 0.0, self.closed_ticks, below=True)
 
 
@@ -90,6 +101,7 @@ OF_DRIVE = (
     "gain_ma_tick",
     "friction_n",
     "friction_share",
+    "kinetic_share",
     "damping_n_s_m",
     "mass_kg",
     "speed_limit_m_s",
@@ -183,12 +195,31 @@ def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: fl
 
 
 def closed_with(drive: Drive, curve: ForceCurve, touch_ticks: float, current_ma: float) -> DriveState:
-    """A finger that closed slowly under a constant current and rests: N = (kF I - Fc) / (1 + fl), 0 at the least."""
-    push_n = drive.force_per_current_n_ma * current_ma - drive.friction_n
-    state = start(drive, curve, touch_ticks, closing_at(curve, max(push_n, 0.0) / (1 + drive.friction_share)))
+    """A finger that closed slowly under a constant current and rests: N = (kF I - Fc) / (1 + fl), 0 at the least.
+
+    Fc and fl are those of motion, kinetic_share of the friction at rest.
+    """
+    beyond_n = drive.force_per_current_n_ma * current_ma - drive.kinetic_share * drive.friction_n
+    force_n = max(beyond_n, 0.0) / (1 + drive.kinetic_share * drive.friction_share)
+    state = start(drive, curve, touch_ticks, closing_at(curve, force_n))
     state.current_ma = float(current_ma)
     state.motor_ticks += drive.backlash_ticks / 2  # it has pushed the finger there
     return state
+
+
+def closing_push_n(drive: Drive, force_n: float) -> float:
+    """Push of the motor in N with which a finger that closes slowly comes to rest at a normal force of force_n."""
+    kinetic = drive.kinetic_share
+    return force_n * (1 + kinetic * drive.friction_share) + kinetic * drive.friction_n
+
+
+def opening_push_n(drive: Drive, force_n: float, *, rests: bool = False) -> float:
+    """Push of the motor in N, mostly negative, down to which a finger that opens slowly keeps a normal force.
+
+    rests: of a finger that has not begun to move.
+    """
+    kinetic = 1.0 if rests else drive.kinetic_share
+    return force_n * (1 - kinetic * drive.friction_share) - kinetic * drive.friction_n
 
 
 def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command: float, dt_s: float) -> float:
@@ -228,10 +259,10 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     return state.force_n
 
 
-# The constants of one finger in `_move`: metres a tick, friction in N and as a share of the force, damping, mass,
-# highest speed, the ends of its closing and half its lost motion in ticks. Why so: a plain tuple, as a named one takes
-# 1 us more, of 4.
-FingerLaw = tuple[float, float, float, float, float, float, float, float, float]
+# The constants of one finger in `_move`: metres a tick, friction in N and as a share of the force, what of both resists
+# one that moves, damping, mass, highest speed, the ends of its closing and half its lost motion in ticks. Why so: a
+# plain tuple, as a named one takes 1 us more, of 4.
+FingerLaw = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
@@ -240,6 +271,7 @@ def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
         curve.metres_per_tick / 2,  # each finger moves half the gap
         drive.friction_n,
         drive.friction_share,
+        drive.kinetic_share,
         drive.damping_n_s_m,
         drive.mass_kg,
         drive.speed_limit_m_s,
@@ -285,13 +317,17 @@ def _move(
 
     `place` is the closing of both before.
     """
-    metres_per_tick, friction_n, friction_share, damping, mass, speed_limit, lowest, highest, half_play = law
+    metres_per_tick, friction_n, friction_share, kinetic, damping, mass, speed_limit, lowest, highest, half_play = law
     motor, finger = place
     held_n = lookup(force_table, step_ticks, finger)
     drive_n = mass / dt * speed + motor_n
     surplus_n = drive_n - held_n
-    if abs(surplus_n) <= friction_n + friction_share * held_n:
+    holding_n = friction_n + friction_share * held_n
+    if abs(speed) > REST_M_S:
+        holding_n *= kinetic
+    if abs(surplus_n) <= holding_n:
         return 0.0, motor, finger
+    friction_n, friction_share = kinetic * friction_n, kinetic * friction_share
     sign = 1.0 if surplus_n > 0.0 else -1.0
     # with q = |speed|: what resists the motion rises with q, and at q = 0 it is less than the drive
     slow = 0.0

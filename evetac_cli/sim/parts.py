@@ -244,6 +244,7 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
     )
     factors = {} if second is None else {"friction": second.friction_factor, "stiffness": second.stiffness_factor}
     low, high = scene.gripper.friction_factor
+    own = plan.sensor.gripper
     delay_ms, jitter_ms = faults.command_delay_ms, faults.command_jitter_ms
     late = f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms" if jitter_ms else f"by {delay_ms:.3g} ms"
     jerk = hand.jerk
@@ -270,6 +271,11 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
             "gear friction",
             f"x {low:g}" + (f" to {high:g}" if high > low else ""),
             "as the sensor's gripper has it",
+        ),
+        ScenePart(
+            "gear that breaks loose",
+            f"moves against {own.kinetic_share or 0.0:.0%} of the friction that held it",
+            "rubs as much in motion as at rest",
         ),
         ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "none named"),
         ScenePart(

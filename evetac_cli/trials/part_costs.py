@@ -21,7 +21,7 @@ from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.trials.trial import SimulatedTrial
+from evetac_cli.trials.trial import FEWEST_NODES, SimulatedTrial
 
 REPEATS = 3  # of a dry run, at most
 BUDGET_S = 3.0  # of a dry run: what its runs may take together; a slow scene is measured on fewer slices
@@ -115,7 +115,11 @@ BESIDE_SCENE = {
 def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
     """What the first trial builds and leaves out, and what each part of it costs here."""
     costs = measure(trials[0], play, REPEATS, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
-    files = {"files": len(trials), "first_file": str(trials[0].output)}
+    coarse = {f"{called}": nodes for called, nodes in nodes_of_slip(trials).items() if nodes < FEWEST_NODES}
+    files: dict[str, Any] = {"files": len(trials), "first_file": str(trials[0].output)}
+    if coarse:
+        pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
+        files |= {"nodes_of_slip": coarse, "resolving_pitch_mm": pitch_mm * min(coarse.values()) / FEWEST_NODES}
     if not costs.slices:  # over before there was anything to measure
         return Outcome(rows_of(trials[0].plan), True, files, made=False)
     rows, total_us = costs.rows(), float(costs.whole.mean())
@@ -127,6 +131,25 @@ def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progre
         "left_out_saves_us": sum(row["saves_us"] or 0.0 for row in rows),
     }
     return Outcome(rows, True, summary, made=False)
+
+
+def nodes_of_slip(trials: Sequence[SimulatedTrial]) -> dict[int | str, float]:
+    """Half the wavelength of unstable slip in nodes of the grid, of a trial of each object that is gripped.
+
+    Below FEWEST_NODES the onset of slip depends on the grid.
+    """
+    from evetac_cli.sim.scenes.building import simulation_of  # brings numba
+    from evetac_cli.sim.scenes.gripped import GraspSimulation
+
+    nodes: dict[int | str, float] = {}
+    for trial in trials:
+        called = trial.plan.called
+        if called is None or called in nodes:
+            continue
+        simulation = simulation_of(trial.plan, trial.seeds())
+        if isinstance(simulation, GraspSimulation):
+            nodes[called] = simulation.nodes_of_slip()
+    return nodes
 
 
 def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
@@ -157,6 +180,12 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
         said += [
             f"A slice takes {summary['time_us_a_slice']:.0f} us here, which is {summary['times_real_time']:.2g} x real"
             f" time, measured on {summary['slices_measured']:,} slices."
+        ]
+    if "nodes_of_slip" in summary:
+        objects = ", ".join(f"{called} ({nodes:.1f})" for called, nodes in summary["nodes_of_slip"].items())
+        said += [
+            f"The grid is too coarse for the slip of object {objects}: at the slip limit it spans so many nodes,"
+            f" of {FEWEST_NODES} at least. --node-pitch-mm {summary['resolving_pitch_mm']:.2f} resolves it."
         ]
     of_several = "" if summary["files"] == 1 else f"{summary['files']:,} files, the first "
     said += [f"Nothing was written. It would make {of_several}{summary['first_file']}."]

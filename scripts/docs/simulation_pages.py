@@ -61,6 +61,7 @@ PARTS = {
     "calibration that is off": Keys((), ("calibration",)),
     "change of friction": Keys((), ("friction_change",)),
     "gear friction": Keys(("gripper.friction_factor",), ("gripper.friction_factor",)),
+    "gear that breaks loose": Keys(("gripper.kinetic_share",)),
     "backlash of the gripper": Keys(("gripper.backlash_ticks",), ("gripper.backlash_ticks",)),
     "second finger of its own": Keys((), ("gripper.second_finger",)),
     "noise of the gripper's encoder": Keys(("gripper.encoder_noise_ticks",), ("gripper.encoder_noise_ticks",)),

@@ -30,12 +30,17 @@ def test_truths_lie_in_their_prior_ranges() -> None:
             assert low <= parameter.truth(sensor) <= high, (number, parameter.name)
 
 
+# Ranges that are wider than when the table was made: a gear may rub less in motion than at rest.
+WIDER_SINCE = {"gripper: gear friction"}
+
+
 def test_priors_are_those_of_the_table() -> None:
-    """Assert that ranges that follow from those of sensors are as they were when the table was made."""
+    """Assert that ranges that follow from those of sensors are as they were when the table was made, or named here."""
     table = json.loads((blind.ROOT / "docs" / "results" / "blind-identification.json").read_text())
     assert [row["parameter"] for row in table["rows"]] == NAMES
     for row, parameter in zip(table["rows"], blind.PARAMETERS, strict=True):
-        assert parameter.prior == pytest.approx((row["prior_low"], row["prior_high"]), rel=2e-3, abs=1e-12)
+        same = parameter.prior == pytest.approx((row["prior_low"], row["prior_high"]), rel=2e-3, abs=1e-12)
+        assert same != (parameter.name in WIDER_SINCE), parameter.name
 
 
 @pytest.mark.parametrize("name", blind.SCENES)

@@ -7,11 +7,14 @@ import pytest
 
 from evetac_cli.sim.gel.contact import cell_area, closing_at, force_curve, gap_profile, lookup, pad_nodes
 from evetac_cli.sim.gripper import (
+    REST_M_S,
     DelayedCommands,
     Drive,
     closed_with,
+    closing_push_n,
     gap_m,
     metres_per_tick,
+    opening_push_n,
     start,
     step,
     ticks_at_gap,
@@ -181,6 +184,9 @@ def test_trajectory_converges_with_the_time_step():
         Drive(friction_n=0.0, friction_share=0.0, damping_n_s_m=0.0),
         Drive(damping_n_s_m=1e9),
         Drive(mass_kg=1e6),
+        Drive(kinetic_share=0.5),
+        Drive(damping_n_s_m=0.0, mass_kg=0.0, kinetic_share=0.0),
+        Drive(mass_kg=1e6, kinetic_share=0.5),
     ],
 )
 def test_stiff_and_undamped_drives_stay_finite(drive, dt_s):
@@ -336,3 +342,67 @@ def test_a_finger_may_change_its_drive():
         fresh = dataclasses.replace(state, _known=None)
         assert step(state, drive, curve, "current", 20.0, 1e-3) == step(fresh, drive, curve, "current", 20.0, 1e-3)
         assert state == fresh
+
+
+LOOSE = dataclasses.replace(DRIVE, kinetic_share=0.75)
+
+
+@pytest.mark.parametrize("current_ma", [15, 17, 30])
+def test_a_gear_breaks_loose(current_ma):
+    """Assert that N stays until the friction at rest is exceeded, and falls at once to where that of motion holds it.
+
+    Closing ended at N = (kF I - k Fc) / (1 + k fl), so the current has to fall by (1 + k) (Fc + fl N) / kF.
+    """
+    state, share = closed_with(LOOSE, CURVE, TOUCH_TICKS, current_ma), LOOSE.kinetic_share
+    held_n = state.force_n
+    assert closing_push_n(LOOSE, held_n) == pytest.approx(LOOSE.force_per_current_n_ma * current_ma, rel=1e-9)
+    band_n = (1 + share) * (LOOSE.friction_n + LOOSE.friction_share * held_n)
+    loses_ma = int(np.ceil(band_n / LOOSE.force_per_current_n_ma))
+    settle(state, "current", current_ma - loses_ma + 1, 0.5, drive=LOOSE)
+    assert state.force_n == held_n
+    push_n = LOOSE.force_per_current_n_ma * (current_ma - loses_ma)
+    assert push_n < opening_push_n(LOOSE, held_n, rests=True) < push_n + LOOSE.force_per_current_n_ma
+    settle(state, "current", current_ma - loses_ma, 1.0, drive=LOOSE)
+    loose_n = (push_n + share * LOOSE.friction_n) / (1 - share * LOOSE.friction_share)
+    assert state.force_n == pytest.approx(loose_n, rel=1e-3)
+    assert opening_push_n(LOOSE, state.force_n) == pytest.approx(push_n, abs=2e-3)
+    assert held_n - loose_n > (1 - share) * LOOSE.friction_n
+
+
+def test_a_loose_gear_goes_on_unless_it_rests():
+    """Assert that a finger follows each mA that comes before it rests, and once at rest is held until more come."""
+    state = closed_with(LOOSE, CURVE, TOUCH_TICKS, 30)
+    settle(state, "current", 10, 0.1, drive=LOOSE)
+    forces = [settle(state, "current", current_ma, 0.145, drive=LOOSE)[-1, 0] for current_ma in range(9, 3, -1)]
+    assert np.diff(forces) == pytest.approx(-LOOSE.force_per_current_n_ma, rel=0.1)
+    settle(state, "current", 4, 1.0, drive=LOOSE)
+    rested_n = state.force_n
+    more_n = (1 - LOOSE.kinetic_share) * (LOOSE.friction_n + LOOSE.friction_share * rested_n)
+    within = int(more_n / LOOSE.force_per_current_n_ma)
+    assert within >= 2
+    settle(state, "current", 4 - within, 1.0, drive=LOOSE)
+    assert state.force_n == rested_n
+    settle(state, "current", 3 - within, 1.0, drive=LOOSE)
+    assert state.force_n < rested_n - more_n
+
+
+def test_when_a_finger_rests():
+    """Assert that after a step of 1 mA a finger is held again once 0.26 s have passed, longer than a mA of the ramp."""
+    state = closed_with(LOOSE, CURVE, TOUCH_TICKS, 30)
+    settle(state, "current", 10, 1.0, drive=LOOSE)
+    settle(state, "current", 6, 0.145, drive=LOOSE)
+    moving = settle(state, "current", 5, 1.0, drive=LOOSE)
+    assert state.speed_m_s == 0.0
+    slow_ms = np.flatnonzero(np.abs(moving[:, 1]) > REST_M_S)[-1] + 1
+    assert 145 < slow_ms < 400
+
+
+def test_breaking_loose_converges_with_the_time_step():
+    """Assert that the error of the force after a gear broke loose falls in proportion to the time step."""
+    forces = {}
+    for dt_s in (1e-3, 5e-4, 2.5e-4, 2e-5):
+        state = closed_with(LOOSE, CURVE, TOUCH_TICKS, 20)
+        forces[dt_s] = settle(state, "current", -3, 0.03, dt_s, drive=LOOSE)[-1, 0]
+    errors = [abs(forces[dt_s] - forces[2e-5]) for dt_s in (1e-3, 5e-4, 2.5e-4)]
+    assert closed_with(LOOSE, CURVE, TOUCH_TICKS, 20).force_n - forces[2e-5] > 0.5
+    assert errors[0] / errors[2] > 3.2

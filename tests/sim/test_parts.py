@@ -87,6 +87,17 @@ def test_parts_that_only_some_scenes_name() -> None:
     assert "changing light" not in switched(slip)
 
 
+def test_a_gear_that_breaks_loose() -> None:
+    """Assert that a gear is said to break loose where its sensor names a kinetic share below 1, and only then."""
+    slip = first_plan("slip")
+    assert "gear that breaks loose" in left_out(slip)
+    loose, firm = (
+        with_sensor(slip, gripper=replace(slip.sensor.gripper, kinetic_share=share)) for share in (0.75, 1.0)
+    )
+    assert built(loose)["gear that breaks loose"] == "moves against 75% of the friction that held it"
+    assert "gear that breaks loose" in left_out(firm)
+
+
 def test_how_the_gripper_is_commanded() -> None:
     """Assert that a gripper that follows a current from the start is not said to be in position mode."""
     assert built(first_plan("grip-steps"))["gripper"] == "current mode, as the scene names it"

@@ -205,3 +205,17 @@ def test_a_dry_run_of_many_trials_with_devices_names_the_first(tmp_path: Path) -
     assert short.count("│ file ") == 5
     assert "40 in all" in short
     assert whole.count("│ file ") == 40
+
+
+def test_objects_whose_slip_the_grid_does_not_resolve(machine: SlowedClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a dry run names the objects that press so hard, and that its pitch resolves them all."""
+    monkeypatch.setattr(simulated, "play_through", machine.play)
+    params = Record(objects="12,18", node_pitch_mm=1.6)
+    summary = record.dry_run(record.jobs([], params, None), params).summary
+    assert list(summary["nodes_of_slip"]) == ["12", "18"]
+    assert max(summary["nodes_of_slip"].values()) < 4
+    pitch_mm = summary["resolving_pitch_mm"]
+    assert pitch_mm == pytest.approx(1.6 * min(summary["nodes_of_slip"].values()) / 4)
+    finer = Record(objects="12,18", node_pitch_mm=0.95 * pitch_mm)
+    nodes = part_costs.nodes_of_slip(record.jobs([], finer, None))
+    assert min(nodes.values()) >= 4

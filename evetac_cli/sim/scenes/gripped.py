@@ -38,7 +38,7 @@ from evetac_cli.sim.scenes.shared import (
     press,
     pressure_law,
 )
-from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, slip_limit_n
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, nodes_of_slip, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.held import HandSettings
@@ -117,6 +117,7 @@ class GraspSimulation:
             "pushes": scene.push is not None,
             "falling weight": self._drop is not None,
             "gear friction": scene.gripper.friction_factor != (1.0, 1.0),
+            "gear that breaks loose": self.drive.kinetic_share < 1.0,
             "backlash of the gripper": self.drive.backlash_ticks > 0.0,
             "second finger of its own": self._second is not None,
             "noise of the gripper's encoder": self._encoder_noise_ticks > 0.0,
@@ -170,6 +171,9 @@ class GraspSimulation:
         self._slip_limit_n = slip_limit_n(
             sampled, self._curve, self._gaps, nodes, self._friction_factor, self._second, self._pressure_law
         )
+        start_n = self._scene.gripper.start_n
+        if start_n is not None and start_n < self._slip_limit_n:
+            raise ValueError(f"gripper.start_n: {start_n:g} N do not hold what slides below {self._slip_limit_n:.3g} N")
         own = sensor.gripper
         self.drive = gripper.make_drive(own, sampled.gear_friction_factor, self._faults.backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
@@ -216,18 +220,25 @@ class GraspSimulation:
         self._on_table = self._kind == "lift"
 
     def holding_ma(self) -> float:
-        """The current that closes to the sampled multiple of the force at the slip limit, and more if named."""
-        limit_n = self._slip_limit_n
-        force_n = self.sampled.start_factor * limit_n + self._scene.gripper.start_more_n
-        push_n = force_n * (1 + self.drive.friction_share) + self.drive.friction_n
-        return float(np.ceil(push_n / self.drive.force_per_current_n_ma))
+        """The current that closes to the force at the start: the scene's, or a sampled multiple of the slip limit."""
+        own, limit_n = self._scene.gripper, self._slip_limit_n
+        force_n = self.sampled.start_factor * limit_n + own.start_more_n if own.start_n is None else own.start_n
+        return float(np.ceil(gripper.closing_push_n(self.drive, force_n) / self.drive.force_per_current_n_ma))
 
     def slips_at_ma(self) -> float:
         """About the current at which a ramp lets the object go, where the gear's friction no longer holds; else NaN."""
         if self._kind != "ramp":
             return math.nan
-        push_n = self._slip_limit_n * (1 - self.drive.friction_share) - self.drive.friction_n
+        slides_n = gripper.opening_push_n(self.drive, self._slip_limit_n)
+        starts_n = gripper.opening_push_n(self.drive, self.finger.force_n, rests=True)
+        push_n = min(slides_n, starts_n)
         return push_n / self.drive.force_per_current_n_ma
+
+    def nodes_of_slip(self) -> float:
+        """Half the wavelength of unstable slip at the slip limit, in nodes of the grid; infinity where it is stable."""
+        return nodes_of_slip(
+            self._slip_limit_n, self._curve, self._gaps, self._gel, self._friction, self._pressure_law
+        )
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""

@@ -1,11 +1,11 @@
-"""The normal force at which a held object slides: what a scene's start_factor multiplies."""
+"""The normal force at which a held object slides, and whether the grid of nodes resolves how it does."""
 
 import math
 
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.sim.gel import contact
+from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.pressure_law import PressureLaw
 from evetac_cli.sim.scenes.second_finger import SecondFinger
@@ -38,6 +38,22 @@ def slip_limit_n(
     arm_m = contact.turning_arm(node_xy_m, _gripping(limit_n, curve.force_n, curve.indentation_m, gaps, law))
     arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(node_xy_m)))
     return limit_n * math.hypot(1.0, sampled.lever_m / arm_m)
+
+
+def nodes_of_slip(
+    limit_n: float,
+    curve: contact.ForceCurve,
+    gaps: CellGaps,
+    state: gel.GelState,
+    friction: gel.Friction,
+    law: PressureLaw | None,
+) -> float:
+    """Half the wavelength of unstable slip in nodes of the grid, where pressure is highest at the slip limit.
+
+    Infinity where slip is stable there. A recording has it of nodes that slipped (truth/slip_half_wavelength_nodes).
+    """
+    most_n = limit_n * float(_gripping(limit_n, curve.force_n, curve.indentation_m, gaps, law).max())
+    return gel.slip_half_wavelength_nodes(state, friction, most_n)
 
 
 def _friction_of_pads(

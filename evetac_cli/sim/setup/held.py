@@ -137,6 +137,14 @@ class GripperSettings:
         "range of the normal force at the start over that at the slip limit", None, 1000, above=0, default=(2.0, 2.0)
     )
     start_more_n: float = number("normal force beyond start_factor times that at the slip limit", 0, 1000, default=0.0)
+    start_n: float | None = number(
+        "normal force at the start, the same for every object, in place of start_factor and start_more_n",
+        None,
+        1000,
+        above=0,
+        default=None,
+        only_in=("ramp", "hold"),
+    )
     friction_factor: tuple[float, float] = between(
         "factor on the gear's friction, or its range", None, 1000, above=0, or_one=True, default=(1.0, 1.0)
     )
@@ -176,6 +184,11 @@ class GripperSettings:
     close_s: float = duration("when the gripper starts to close", default=0.0)
     grip_s: float = duration("when the gripper changes from closing to its holding current", default=0.0)
     ramp_s: float = duration("when the current starts to fall", default=0.0)
+    open_s: float | None = duration(
+        "when the servo opens the gripper to where it started, as fast as it can, in place of ramp_s",
+        default=None,
+        only_in=("hold",),
+    )
     current: GripperCurrent | None = table(GripperCurrent, only_in=("hold",))
     second_finger: SecondFingerSettings | None = table(SecondFingerSettings, only_in=GRIPPED)
 

@@ -9,14 +9,16 @@ from evetac_cli import plugins
 from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.setup.driven import Speaker
-from evetac_cli.sim.setup.held import GripperCurrent
+from evetac_cli.sim.setup.held import GripperCurrent, GripperSettings
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.tables import as_table, build, check
 from evetac_cli.text_files import as_toml, read_toml
 
 SUFFIX = ".toml"
 # What gripper.current stands in place of.
-NOT_WITH_CURRENT = ("close_s", "grip_s", "ramp_s", "start_factor", "start_more_n")
+NOT_WITH_CURRENT = ("close_s", "grip_s", "ramp_s", "open_s", "start_factor", "start_more_n", "start_n")
+# What other keys of the gripper stand in place of.
+IN_PLACE_OF = {"start_n": ("start_factor", "start_more_n"), "open_s": ("ramp_s",)}
 
 
 def load(name_or_path: str) -> Scene:
@@ -64,6 +66,7 @@ def of_table(table: Mapping[str, Any], where: str) -> Scene:
         scene = build(Scene, table)
     except ValueError as error:  # a fixed step that does not divide a slice
         raise SceneError(f"solver: {error}", where=where) from None
+    _check_gripper(scene.gripper, table.get("gripper", {}), where)
     if scene.gripper.current is not None:
         _check_current(scene, scene.gripper.current, table["gripper"], where)
     if scene.tone is not None:
@@ -86,6 +89,18 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
         for key, value in changes.items()
     }
     return {key: value for key, value in {**table, **new}.items() if value is not None}
+
+
+def _check_gripper(gripper: GripperSettings, named: Mapping[str, Any], where: str) -> None:
+    """No key is named beside the one that takes its place, and the gripper opens after it has gripped."""
+    for key, others in IN_PLACE_OF.items():
+        beside = [other for other in others if other in named]
+        if key in named and beside:
+            no_effect = f"gripper.{beside[0]} has no effect with gripper.{key}"
+            raise SceneError(no_effect, where=where, expected="one of the two")
+    if gripper.open_s is not None and gripper.open_s <= gripper.grip_s:
+        expected, found = f"after gripper.grip_s, {gripper.grip_s:g} s", f"{gripper.open_s:g} s"
+        raise SceneError("gripper.open_s: before it has gripped", where=where, expected=expected, found=found)
 
 
 def _check_current(scene: Scene, current: GripperCurrent, named: Mapping[str, Any], where: str) -> None:

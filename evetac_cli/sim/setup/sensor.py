@@ -118,6 +118,9 @@ class SensorGripper:
         "by how much the gear's friction differs from what the rest of the table gives", 0, 100, default=1.0
     )
     friction_share: float | None = number("of the gear's load", 0, 0.99, default=None)
+    kinetic_share: float | None = number(
+        "friction of a gear that moves over that of one that rests; below 1 it breaks loose", 0, 1, default=None
+    )
     finger_stiffness_n_m: float | None = number("of a finger", 1, 1e7, default=None)
     damping_n_s_m: float | None = number("of a finger", 0, 1e5, default=None)
     mass_kg: float | None = number("of a finger and what turns with it", 0.01, 100, default=None)

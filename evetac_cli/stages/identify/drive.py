@@ -198,7 +198,7 @@ def _scales() -> Floats:
 def _spread(jacobian: Floats, off: Floats) -> Floats:
     """Standard deviation of each parameter, as far as residuals are independent."""
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    spread: Floats = np.sqrt(np.diag(inverse) * np.mean(off**2))
+    spread: Floats = np.sqrt(np.maximum(np.diag(inverse), 0.0) * np.mean(off**2))  # of none it is below 0 by rounding
     return spread
 
 

@@ -162,12 +162,12 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def ramp_start(recording: Recording) -> int:
-    """The slice in which the target current first departs from the one that holds the object; 0 without a gripper."""
+    """The slice in which a current that holds the object first changes, or gives way to a position; 0 without one."""
     if not recording.has("gripper"):
         return 0
     target_ma = recording.read("gripper/current_target_ma")
-    change = np.diff(target_ma)  # NaN in position mode
-    changed = np.flatnonzero(np.isfinite(change) & (change != 0))
+    held = np.isfinite(target_ma[:-1])  # NaN in position mode
+    changed = np.flatnonzero(held & (target_ma[1:] != target_ma[:-1]))
     return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0
 
 

@@ -1,7 +1,8 @@
 """Record a trial in a simulated scene, whose time passes as its slices are read.
 
 Where the scene has a gripper, the object is held by motor current, which is lowered at random until the object slips
-out (paper, "Experimental Setup and Data Collection Procedure").
+out (paper, "Experimental Setup and Data Collection Procedure"), or the servo opens the gripper (paper, "Data Rate
+Experiments").
 """
 
 import math
@@ -103,12 +104,14 @@ def play_through(
 class GripperSchedule:
     """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it.
 
-    course: the current that it follows instead, where the scene names one.
+    opens: from ramp_ms on the servo opens it instead, to where it started. course: the current that it follows instead
+    of all that, where the scene names one.
     """
 
     close_ms: int
     grip_ms: int
     ramp_ms: int
+    opens: bool = False
     course: GripperCurrent | None = None
 
     @classmethod
@@ -117,9 +120,11 @@ class GripperSchedule:
         time, gripper = scene.time, scene.gripper
         if scene.kind == "ramp":
             return cls(0, 0, round(SLICES_PER_S * (time.rest_s + time.load_s + time.hold_s)))
-        starts_s = (gripper.close_s, gripper.grip_s, gripper.ramp_s)
+        opens = gripper.open_s is not None
+        lets_go_s = gripper.ramp_s if gripper.open_s is None else gripper.open_s
+        starts_s = (gripper.close_s, gripper.grip_s, lets_go_s)
         close_ms, grip_ms, ramp_ms = (round(SLICES_PER_S * at_s) for at_s in starts_s)
-        return cls(close_ms, grip_ms, ramp_ms, gripper.current)
+        return cls(close_ms, grip_ms, ramp_ms, opens, gripper.current)
 
 
 def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:
@@ -136,6 +141,7 @@ def _slices(
     """Read every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
     target_ma = devices.holding_ma
     course = schedule.course
+    open_ticks = 0 if devices.gripper is None else devices.gripper.read().position_ticks
     written_ma = 0
     number = 0
     while (events := devices.camera.read()) is not None:
@@ -146,19 +152,24 @@ def _slices(
             due = due or round(target_ma) != written_ma
             written_ma = round(target_ma)
         if devices.gripper is not None and due:
-            if course is None and number > schedule.ramp_ms:
+            if course is None and number > schedule.ramp_ms and not schedule.opens:
                 target_ma += rng.uniform(*RAMP_MA)
             now_us = devices.camera.now_us()
-            rows |= _command(devices.gripper, now_us, target_ma, number, schedule)
+            rows |= _command(devices.gripper, now_us, target_ma, number, schedule, open_ticks)
         yield events, rows
         number += 1
 
 
-def _command(gripper: Gripper, now_us: int, target_ma: float, now_ms: int, schedule: GripperSchedule) -> dict[str, Any]:
-    """One command to the gripper, and its row: position mode until it grips, current mode from then on."""
+def _command(
+    gripper: Gripper, now_us: int, target_ma: float, now_ms: int, schedule: GripperSchedule, open_ticks: int
+) -> dict[str, Any]:
+    """One command to the gripper, and its row: position mode until it grips, then current mode, or until it opens."""
     reading = gripper.read()
     if now_ms < schedule.grip_ms:
         gripper.write_position(reading.position_ticks + (CLOSING_TICKS if now_ms >= schedule.close_ms else 0))
+        return gripper_row(now_us, reading)
+    if schedule.opens and now_ms >= schedule.ramp_ms:
+        gripper.write_position(open_ticks)
         return gripper_row(now_us, reading)
     gripper.write_current(round(target_ma))
     return gripper_row(now_us, reading, target_ma=target_ma, written_ma=round(target_ma))

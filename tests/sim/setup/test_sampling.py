@@ -235,6 +235,7 @@ def test_values_of_a_numbered_sensor() -> None:
             "servo_n_tick": 1.809734846896674,
             "two_ticks_n": 0.08304230899586414,
             "friction_factor": 0.8946782854338696,
+            "kinetic_share": 0.8060205155126957,
             "finger_stiffness_n_m": 1926.7359681353596,
             "damping_n_s_m": 194.0426629453903,
             "mass_kg": 2.696183667826014,

@@ -265,6 +265,8 @@ def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: s
     [
         ("gripper", {"close_s": 0.1}, "gripper.close_s has no effect with gripper.current"),
         ("gripper", {"start_factor": [2.0, 3.0]}, "gripper.start_factor has no effect"),
+        ("gripper", {"start_n": 20.0}, "gripper.start_n has no effect with gripper.current"),
+        ("gripper", {"open_s": 30.0}, "gripper.open_s has no effect with gripper.current"),
         ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "expected rising values, none twice"),
         ("gripper", {"current": {"at_s": [0.0, 1.0], "ma": [1.0]}}, "lists of different lengths"),
         ("time", {"longest_s": 35.0}, "after the scene ends"),
@@ -277,6 +279,27 @@ def test_a_gripper_current_that_is_wrong(group: str, keys: dict[str, Any], says:
     odd = named("grip-steps")
     changed = odd["gripper"]["current"]["square"] if group == "square" else odd[group]
     changed |= keys
+    with pytest.raises(SceneError, match=says):
+        scene_file.load(written(tmp_path, odd))
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"start_factor": [2.0, 2.0]}, "gripper.start_factor has no effect with gripper.start_n"),
+        ({"start_more_n": 1.0}, "gripper.start_more_n has no effect with gripper.start_n"),
+        ({"ramp_s": 13.0}, "gripper.ramp_s has no effect with gripper.open_s"),
+        (
+            {"open_s": 5.0},
+            "gripper.open_s: before it has gripped\n.*expected: after gripper.grip_s, 5 s\n.*found: +5 s",
+        ),
+        ({"start_n": 0.0}, "gripper.start_n"),
+    ],
+)
+def test_a_grip_that_is_named_twice(keys: dict[str, Any], says: str, tmp_path: Path) -> None:
+    """Assert that a key is refused beside the one that takes its place, and a gripper that opens before it grips."""
+    odd = named("data-rate")
+    odd["gripper"] |= keys
     with pytest.raises(SceneError, match=says):
         scene_file.load(written(tmp_path, odd))
 

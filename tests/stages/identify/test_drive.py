@@ -15,7 +15,15 @@ SECONDS = 13.0
 FORCE_PER_CURRENT = 0.4
 
 
-def simulated(friction_n: float, damping: float, mass_kg: float, backlash_ticks: float, noise_ticks: float = 0.0):
+def simulated(
+    friction_n: float,
+    damping: float,
+    mass_kg: float,
+    backlash_ticks: float,
+    noise_ticks: float = 0.0,
+    *,
+    share: float = 1.0,
+):
     """Rows of the scene grip-steps by a drive whose force rises evenly with its closing, 1.4 ticks a mA."""
     course = scene_file.load("grip-steps").gripper.current
     assert course is not None
@@ -28,6 +36,7 @@ def simulated(friction_n: float, damping: float, mass_kg: float, backlash_ticks:
         damping_n_s_m=damping,
         mass_kg=mass_kg,
         backlash_ticks=backlash_ticks,
+        kinetic_share=share,
     )
     motor, _ = gripper.places(known, curve, 361.0, -300.0, current_ma, 1e-3)
     rows = np.arange(1, len(motor), 2)
@@ -51,6 +60,16 @@ def test_a_known_drive(
     assert fit.values["finger_ticks_ma"] == pytest.approx(1.4, rel=0.06)
     assert fit.values["backlash_ticks"] == pytest.approx(backlash_ticks, abs=0.3)
     assert fit.residual_ticks < 0.8 and sum(map(len, fit.rests)) > 500
+
+
+@pytest.mark.parametrize("share", [0.9, 0.67])
+def test_a_gear_that_breaks_loose(share: float) -> None:
+    """Assert that the friction which is told of it is about that in motion, and damping and bending are as they are."""
+    fit = drive.fit(simulated(3.9, 150.0, 2.0, 0.0, share=share))
+    assert fit.values["friction_ma"] == pytest.approx(share * 3.9 / FORCE_PER_CURRENT, rel=0.12)
+    assert fit.values["damping_ma_s_m"] == pytest.approx(150.0 / FORCE_PER_CURRENT, rel=0.06)
+    assert fit.values["finger_ticks_ma"] == pytest.approx(1.4, rel=0.06)
+    assert all(np.isfinite(fit.sd[name]) for name in fit.values)
 
 
 def test_rows_count_by_what_is_commanded() -> None:
