@@ -18,10 +18,10 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.cell_gaps import MEAN, MOST, VARIANCE, CellGaps
 
-ENTRIES = 1024  # of the table of powers, over depths as shares of the largest: strengths are right within 0.1 %
-EVEN = (
-    0.25  # a cell whose depths lie within this share of their mean has the power of the mean, corrected by a variance
-)
+ENTRIES = 1024  # of the table of powers, over depths as shares of the largest
+# A cell whose depths lie within this share of their mean has the power of the mean, corrected by a variance. With both,
+# a node is within 0.3 % of the strongest at an exponent of 0.67, within 0.01 % at 0.33.
+EVEN = 0.25
 
 
 class PressureLaw:

@@ -29,8 +29,6 @@ LAWS = {
     "0.8 at 10 mm/s": gel.Friction(0.8, 0.64, 0.01, MEMORY_M),
     "0.75 at 5 mm/s": gel.Friction(0.8, 0.6, 5e-3, MEMORY_M),
 }
-# Draws that are further off 8 ms after onset than the 15 um aimed at; docs/simulator.md says so.
-MISSED = {("heavy", "0.75 at 5 mm/s"): {10_103}}
 REFERENCE = Solver(step_ms=0.01, theta=0.51, residual=1e-8)
 FINER = Solver(step_ms=0.005, theta=0.51, residual=1e-8)
 
@@ -128,8 +126,7 @@ def rms(values: list[float] | np.ndarray) -> float:
 @pytest.mark.parametrize("plan", PLANS)
 def test_the_adaptive_step_against_a_reference(plan: str, law: str) -> None:
     """Assert the errors of the default step: onset 0.3 ms each and 0.2 ms rms, distances before it and 8 ms after."""
-    onsets, before, undecided = [], [], []
-    after: dict[int, float] = {}
+    onsets, before, far, undecided = [], [], [], []
     for seed in SEEDS:
         chosen = PLANS[plan], LAWS[law]
         reference, finer = (let_go(seed, *chosen, solver) for solver in (REFERENCE, FINER))
@@ -139,8 +136,7 @@ def test_the_adaptive_step_against_a_reference(plan: str, law: str) -> None:
         adaptive = let_go(seed, *chosen, Solver())
         onsets.append(adaptive.onset_ms - reference.onset_ms)
         before.append(rms(before_um(adaptive, reference)))
-        after[seed] = after_um(adaptive, reference)
-    far = list(after.values())
+        far.append(after_um(adaptive, reference))
     print(
         f"\n{plan}, {law}: onset {rms(onsets):.3f} rms, {np.abs(onsets).max():.3f} most [ms]; before {rms(before):.2f},"
         f" after {np.median(far):.1f} median, {max(far):.1f} most [um]; undecided {undecided}"
@@ -150,7 +146,7 @@ def test_the_adaptive_step_against_a_reference(plan: str, law: str) -> None:
     assert rms(onsets) <= 0.2
     if plan != "heavy":
         assert rms(before) <= (1.5 if plan == "fast" else 0.1)
-    assert {seed for seed, um in after.items() if um > 15.0} == MISSED.get((plan, law), set())
+    assert max(far) <= 15.0
 
 
 @pytest.mark.parametrize("plan", ["fast", "slow"])
