@@ -34,8 +34,7 @@ TRAININGS = {
     "paper": "As the paper trains: plain gradient descent on features as they are. `train` ends it at 40,000 steps if"
     " `--max-steps` does not say otherwise, and tries 49 thresholds, the paper 41.",
     "adam": "Adam on normalised features: for trainings of few steps, as in the first hour.",
-    "adamw": "Ours: normalised features, samples made stronger and weaker, a falling learning rate, averaged weights,"
-    " and, on simulated features, a second output that learns from the truth how much of the contact slips.",
+    "adamw": "Ours: normalised features, samples made stronger and weaker, a falling learning rate, averaged weights.",
     "adapt": "Small steps from a trained network's weights to those for your sensor: what `train --adapt` takes.",
 }
 LABELS = {
