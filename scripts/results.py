@@ -94,7 +94,7 @@ SUMMARY = (
         "share (paper)",
     ),
 )
-OF_COVARIATES = ("median", "percentile_10", "percentile_90")
+OF_COVARIATES = ("median", "p10", "p90")
 # Where each command has the number of its method.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
 MODULES["train-force --method gel"] = "stages.force.train_gel"

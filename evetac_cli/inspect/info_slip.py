@@ -1,7 +1,7 @@
 """What info says of the slip of a recording, and of the slips of a folder: their covariates.
 
 Of a recording whose slip is known from truth, or from labels beside it. Of a folder, which may hold a million of them,
-as many as take no longer than a second, evenly among them.
+as many as take half a second, evenly among them.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth
 
-MOST_SLIPS = 100  # of a folder that are looked at
+MOST_SLIPS = 40  # of a folder that are looked at
 
 
 def slip_of(recording: Recording) -> tuple[str, SlipCovariates | None]:
@@ -48,7 +48,8 @@ def figures(recording: Recording) -> dict[str, Any]:
 
 def of_folder(folder: Path, names: Sequence[str], progress: Callable[[int, int], None]) -> tuple[Rows, dict[str, Any]]:
     """Rows of covariates over recordings of a folder that slip, and of how many; nothing where none can be told."""
-    chosen = names[:: max(1, -(-len(names) // MOST_SLIPS))]
+    count = min(len(names), MOST_SLIPS)
+    chosen = [names[number * len(names) // count] for number in range(count)]
     slips = []
     for number, name in enumerate(chosen):
         progress(number, len(chosen))

@@ -441,7 +441,7 @@ def test_covariates_from_the_truth(world: dict[str, Any], tmp_path: Path, named:
     rows, summary = evaluated([*files, world["seeds"][0]], tmp_path / "a.report.h5", **given)
     known = covariates_of(rows)
     assert known["incipient_80_to_gross_ms"]["median"] == 5
-    assert known["non_slip_over_tenth_slipping"]["median"] == 1.0
+    assert known["non_slip_tenth_slipping"]["median"] == 1.0
     assert known["unloading_n_per_s"]["median"] == 0.0
     assert (summary["with_truth"], known["unloading_n_per_s"]["n"]) == (4, 4)
     shown, _ = slip.for_people(rows, EvaluateSlip())

@@ -118,7 +118,7 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
 
 def test_covariates_stand_above_the_table() -> None:
     """Assert that a table of slips begins with the covariates of its slips where there are any, and says simulated."""
-    row = {"covariate": "creep [ms]", "median": 12.0, "percentile_10": 8.0, "percentile_90": 20.5, "n": 40}
+    row = {"covariate": "creep [ms]", "median": 12.0, "p10": 8.0, "p90": 20.5, "n": 40}
     lines = results.text(RESULT | {"covariates": [row]}).split("\n\n")
     assert lines[0].startswith("Simulated. The slips")
     assert lines[1].splitlines()[-1] == "| creep [ms] | 12 | 8 | 20.5 | 40 |"

@@ -8,7 +8,7 @@ Timing and F1 on two data sets compare detectors only where these agree. Of one 
 - events_per_ms_about_slip: mean over 250 ms before and 250 ms from it on, as far as they are recorded.
 - held_over_25_events: of the slices in contact that end 500 ms before it, the share with more than 25 events, the
   paper's line between quiet and busy.
-- non_slip_over_tenth_slipping: of the slices in contact before it without gross slip, the share in which more than a
+- non_slip_tenth_slipping: of the slices in contact before it without gross slip, the share in which more than a
   tenth of the visible contact slips: what labels call no slip though part of it slips.
 - unloading_n_per_s: by how much the normal force of one finger falls in the 250 ms before it, or since the current
   began to fall.
@@ -38,13 +38,13 @@ HELD_MS = 10_000  # of held slices at most
 SLIPPING_SHARE = 0.1
 TOUCH_N = 0.03  # normal force that is contact
 
-# What each is called beside its figures.
+# What each is called beside its figures, which have to fit into a terminal of 80 signs.
 WORDS = {
-    "incipient_80_to_gross_ms": "80 % of the visible contact slipping to gross slip [ms]",
+    "incipient_80_to_gross_ms": "80 % incipient slip to gross slip [ms]",
     "creep_to_gross_ms": "0.5 px of creep to gross slip [ms]",
-    "events_per_ms_about_slip": "events per ms within 250 ms of slip, without the window",
-    "held_over_25_events": "held slices above 25 events, share",
-    "non_slip_over_tenth_slipping": "non-slip slices with over a tenth of the contact slipping, share",
+    "events_per_ms_about_slip": "gel events per ms within 250 ms of slip",
+    "held_over_25_events": "share of held slices above 25 events",
+    "non_slip_tenth_slipping": "share of non-slip slices >10 % slipping",
     "unloading_n_per_s": "unloading speed before slip [N/s]",
 }
 PERCENTILES = (10, 90)  # of the range over trials
@@ -61,7 +61,7 @@ class SlipCovariates:
     creep_to_gross_ms: float | None = None
     events_per_ms_about_slip: float | None = None
     held_over_25_events: float | None = None
-    non_slip_over_tenth_slipping: float | None = None
+    non_slip_tenth_slipping: float | None = None
     unloading_n_per_s: float | None = None
 
     def figures(self) -> dict[str, float]:
@@ -126,7 +126,7 @@ def summary(slips: Sequence[SlipCovariates]) -> list[dict[str, Any]]:
         known = [value for slip in slips if (value := getattr(slip, name)) is not None]
         if known:
             low, high = np.percentile(known, PERCENTILES).tolist()
-            figures = {"median": float(np.median(known)), "percentile_10": low, "percentile_90": high}
+            figures = {"median": float(np.median(known)), "p10": low, "p90": high}
             rows.append({"covariate": words, **figures, "n": len(known)})
     return rows
 

@@ -172,8 +172,8 @@ SUBJECTS = (
         (
             ReportColumn("covariate", "covariate"),
             ReportColumn("median", "median"),
-            ReportColumn("10 %", "percentile_10"),
-            ReportColumn("90 %", "percentile_90"),
+            ReportColumn("10 %", "p10"),
+            ReportColumn("90 %", "p90"),
             ReportColumn("n", "n"),
         ),
     ),

@@ -21,6 +21,6 @@ def gel_counts(
     for first in range(start, stop, BLOCK_SLICES):
         starts = recording.starts[first : min(first + BLOCK_SLICES, stop) + 1]
         x = recording.read("events/x", int(starts[0]), int(starts[-1]))
-        before = np.concatenate([[0], np.cumsum(x < columns, dtype=np.int64)])
-        counts[first - start : first - start + len(starts) - 1] = np.diff(before[starts - starts[0]])
+        beyond = np.searchsorted(np.flatnonzero(x >= columns), starts - starts[0])  # of the block, before each slice
+        counts[first - start : first - start + len(starts) - 1] -= np.diff(beyond)
     return counts

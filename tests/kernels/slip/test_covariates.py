@@ -47,7 +47,7 @@ def test_each_in_closed_form() -> None:
     assert slip.creep_to_gross_ms == 30  # 0.5 px after 50 of 80 ms
     assert slip.events_per_ms_about_slip == pytest.approx((250 * 10 + 200 * 100) / 450)  # as far as it is recorded
     assert slip.held_over_25_events == pytest.approx(350 / 1400)  # contact from 100 to 1500
-    assert slip.non_slip_over_tenth_slipping == pytest.approx(200 / 1900)
+    assert slip.non_slip_tenth_slipping == pytest.approx(200 / 1900)
     assert slip.unloading_n_per_s == pytest.approx(2.0, rel=1e-4)
     assert set(slip.figures()) == set(covariates.WORDS)
 
@@ -75,7 +75,7 @@ def test_gross_slip_before_is_no_non_slip() -> None:
     gross = np.zeros(ONSET, bool)
     gross[ONSET - 200 :] = True
     slip = of_truth(ONSET, SLICES, replace(truth(), gross=gross), counted(events()))
-    assert slip.non_slip_over_tenth_slipping == 0
+    assert slip.non_slip_tenth_slipping == 0
 
 
 def test_without_ramp_contact_or_past() -> None:
@@ -130,15 +130,15 @@ def test_summary_over_slips() -> None:
         {
             "covariate": covariates.WORDS["creep_to_gross_ms"],
             "median": 5.0,
-            "percentile_10": 1.0,
-            "percentile_90": 9.0,
+            "p10": 1.0,
+            "p90": 9.0,
             "n": 11,
         },
         {
             "covariate": covariates.WORDS["unloading_n_per_s"],
             "median": 3.0,
-            "percentile_10": 3.0,
-            "percentile_90": 3.0,
+            "p10": 3.0,
+            "p90": 3.0,
             "n": 1,
         },
     ]
