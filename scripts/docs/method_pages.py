@@ -200,7 +200,11 @@ def _shipped() -> str:
         ("weights", f"{facts['parameters']:,}"),
         ("predicts", f"{facts['horizon_ms']} ms ahead"),
         ("threshold for timing", value(facts["threshold"])),
-        ("trained on", f"{facts['training']['trained_on']} simulated trajectories, labels `{facts['labels']}`"),
+        (
+            "trained on",
+            f"{facts['training']['trained_on']} simulated trajectories, labels `{facts['labels']}`"
+            + (", and the true share of the contact that slips" if facts["learned_true_slip_share"] else ""),
+        ),
         (
             "timing correct",
             f"{unseen['slip_correct']:.1%} of {unseen['trajectories']} simulated trajectories of {unseen['objects']}"
