@@ -34,9 +34,9 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table ship tracking labels vibration \
-	data-rate force grasp-table grasp-shipped slip-by-sensor part-effects blind-identification force-sensors touch-cost \
-	mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
+.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share ship \
+	tracking labels vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
+	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -73,6 +73,9 @@ slip-table: $(READY)  ## ... and judge these on unseen slips
 	@$(REPRODUCE) --only $@
 
 slip-images: $(READY)  ## ... train and judge those that see images, the slowest part
+	@$(REPRODUCE) --only $@
+
+true-slip-share: $(READY)  ## ... what the true share of the contact that slips is worth to a training
 	@$(REPRODUCE) --only $@
 
 ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, and put it into the package

@@ -130,7 +130,8 @@ def travel_data_steps(sizes: Sizes) -> Iterator[Command]:
             truth = ("--method", "truth", "--from-start") if role == "learn" else ()
             yield evetac("label", recordings, *truth)
             yield evetac("track", recordings, "--preset", sizes["tracker"])
-            yield evetac("featurize", recordings, "--out", f"travel/{role}")
+            share = ("--true-slip-share",) if role == "learn" else ()
+            yield evetac("featurize", recordings, *share, "--out", f"travel/{role}")
 
 
 def learn(sizes: Sizes, features: str, folder: str, seeds: int, preset: str, steps: int, *words: object) -> Command:
@@ -186,6 +187,22 @@ def slip_image_evaluations(sizes: Sizes) -> dict[str, Command]:
         "image-model-cost": evetac("evaluate", "cost", "model", "slip-images-unseen-objects.report.h5",
                                    "--model", unseen),
     }  # fmt: skip
+
+
+def true_share_steps(sizes: Sizes) -> Iterator[Command]:
+    """The same trainings twice: on labels alone, and with the true share of the contact that slips beside them."""
+    roles = (("learn", "known", "train", 0), ("choose", "known", "validate", 500), ("unseen", "unseen", "test", 1500))
+    for folder, objects, count, offset in roles:
+        yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count],
+                     "--seed", sizes["seed"] + offset, "--out", folder)  # fmt: skip
+        yield evetac("label", f"{folder}/*.recording.h5")
+        yield evetac("track", f"{folder}/*.recording.h5")
+        share = ("--true-slip-share",) if folder == "learn" else ()
+        yield evetac("featurize", f"{folder}/*.recording.h5", *share)
+    for horizon_ms in sizes["horizon_ms"]:
+        for folder, words in (("labels", ()), ("truth", ("--learn-true-slip-share",))):
+            yield learn(sizes, "learn", folder, sizes["seeds"], "adamw", sizes["steps"],
+                        "--model", sizes["model"], "--horizon-ms", horizon_ms, *words)  # fmt: skip
 
 
 TRACKING_SCENES = (
@@ -338,6 +355,7 @@ def ship_steps(sizes: Sizes) -> Iterator[Command]:
     """Record for the detector that travels, train it, judge it on unseen objects, and put it into the package."""
     yield from travel_data_steps(sizes)
     yield evetac("train", "travel/learn/*.features.h5", "--model", "disp-xy", "--horizon-ms", 10, "--preset", "adamw",
+                 "--learn-true-slip-share",
                  "--max-steps", min(sizes["steps"], 10_000), "--validate", "travel/choose", "--seed", sizes["seed"],
                  "--networks", sizes["networks"], "--out", "travel.model.h5")  # fmt: skip
     yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "travel.model.h5",

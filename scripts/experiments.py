@@ -58,6 +58,20 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.IMAGES_TRAINING_OBJECTS, tables.IMAGES_UNSEEN_OBJECTS, tables.IMAGE_MODEL_COST),
     ),
     Experiment(
+        "true-slip-share", "what the true share of the contact that slips is worth to a training",
+        "data/true-slip-share", 0.1,
+        full={
+            "seed": 5_000, "known": "1-9", "unseen": "10-17", "train": 6, "validate": 2, "test": 5, "seeds": 3,
+            "model": "fast-slow", "horizon_ms": ("0", "10"), "steps": 5_000,
+        },
+        small={"known": "3,8", "unseen": "11", "train": 1, "validate": 1, "test": 1, "seeds": 1, "steps": 200},
+        steps=steps.true_share_steps,
+        evaluations=lambda sizes: {
+            "true-slip-share": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/*/*.model.h5"),
+        },
+        tables=(tables.TRUE_SLIP_SHARE,), in_plan=False,
+    ),
+    Experiment(
         "ship", "a detector for sensors unlike each other, 10 ms ahead, put into the package", "data/slip", 0.4,
         full=SLIP, small=SMALL_SLIP, steps=steps.ship_steps, after=("slip-data",),
     ),

@@ -186,6 +186,9 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
     if table.measured:
         columns = tuple(column for column in columns if any(fill(column.cell, row) for row in rows))
         about["summaries"] = {name: evaluation.summary for name, evaluation in evaluations.items()}
+    slips = [[row for row in evaluation.rows if "covariate" in row] for evaluation in evaluations.values()]
+    if slips and all(slips):
+        about["covariates"] = [row for of_one in slips for row in of_one]
     return {
         "name": table.name,
         "title": table.title.format(**words_for(known)),

@@ -91,13 +91,14 @@ SUMMARY = (
     ),
     Figure("... ours, `load-proportional`", "grasps-shipped", {"setting": "load-proportional"}, "lifted and kept"),
     Figure(
-        f"bytes per second as a share of an RGB sensor's, over 640 columns (paper: {paper.COLUMNS})",
+        f"bytes per second as a share of an RGB sensor's, over {{columns}} columns (paper: {paper.COLUMNS})",
         "data-rate",
         {"interval": "whole"},
         "share (paper)",
     ),
 )
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, see likeness_tables.py
+OF_COVARIATES = ("median", "p10", "p90")
 # Where each command has the number of its method.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
 MODULES["train-force --method gel"] = "stages.force.train_gel"
@@ -189,14 +190,27 @@ def as_table(heads: list[str], rows: Iterable[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
 
 
+def covariates(result: Result) -> list[str]:
+    """The covariates of the slips that a result is about, as a table with its sentence; nothing where it has none."""
+    rows = result.get("covariates")
+    if not rows:
+        return []
+    known = [[row["covariate"], *(f"{row[key]:.3g}" for key in OF_COVARIATES), str(row["n"])] for row in rows]
+    simulated = "Simulated. " if result["simulated"] else ""
+    said = f"{simulated}The slips that are judged on, median and 10-90 % range ([covariates](results.md#covariates)):"
+    return [said, as_table(["covariate", "median", "10 %", "90 %", "n"], known)]
+
+
 def text(result: Result) -> str:
-    """A result as Markdown: title, table, notes, how it was made."""
+    """A result as Markdown: title, covariates of its slips, table, notes, how it was made."""
     heads, *rows = lines(result)
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
     made = result["made"]
     if older := changes(result):
         made += f"; by older methods: {', '.join(older)}"
-    return "\n\n".join([f"{title} ({made}):", as_table(heads, rows), *result["notes"], how_made(result)]) + "\n"
+    heading = f"{title} ({made}):"
+    table = as_table(heads, rows)
+    return "\n\n".join([*covariates(result), heading, table, *result["notes"], how_made(result)]) + "\n"
 
 
 def summary(results: Path) -> str:
@@ -207,7 +221,8 @@ def summary(results: Path) -> str:
         (row,) = (each for each in result["rows"] if figure.row.items() <= each.items())
         columns = [*result["columns"], *([result["across"]] if result["across"] else [])]
         (column,) = (each for each in columns if each["heading"] == figure.heading)
-        rows.append([figure.what, fill(column["cell"], row), *published(column, row, result), result["commit"]])
+        what, ours = figure.what.format(**row), fill(column["cell"], row)
+        rows.append([what, ours, *published(column, row, result), result["commit"]])
     return "\n" + as_table(["what", "simulated", "paper", "compared", "commit"], rows) + "\n"
 
 

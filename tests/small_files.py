@@ -147,7 +147,8 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
         "events_outside": np.full(SLICES, EVENTS_A_SLICE, np.int32),
         "sensor/contrast_over_threshold": np.float64(8.0),
         "sensor/shear_modulus_pa": np.float64(145e3),
-        "visible_slip_share": np.zeros(SLICES, np.float32),
+        "truth/visible_slip_share": np.zeros(SLICES, np.float32),
+        "visible_slip_share": np.zeros(SLICES, np.float32),  # as older features have it
         "label": _label(),
         "onset_slice": np.int64(ONSET),
         "dot_shape": np.array([ROWS, COLUMNS], np.int32),

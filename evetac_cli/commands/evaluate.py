@@ -17,6 +17,12 @@ class EvaluateSlip:
         recipe=False,
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
+    recordings: Path | None = parameter(
+        None,
+        "Folder of the recordings, if they do not lie beside the features: the truth of simulated ones tells the"
+        " covariates of the slips.",
+        recipe=False,
+    )
     all_tables: bool = parameter(
         False,
         "Print all tables: timing of settings, by object, by model, by trajectory; --json always has them.",
@@ -27,7 +33,7 @@ class EvaluateSlip:
 
 @dataclass(frozen=True)
 class EvaluateDataRate:
-    """Compare bytes per second with an RGB sensor's: whole, in contact, about slip; all columns are counted."""
+    """Compare bytes per second with an RGB sensor's: whole, in contact, about slip; 540 columns, the window apart."""
 
     event_bytes: int = parameter(5, "Size of an event: x, y and polarity.", unit="bytes", low=1, high=64)
     rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height, bytes a pixel.")

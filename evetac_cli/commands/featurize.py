@@ -20,6 +20,11 @@ class Featurize:
         recipe=False,
     )
     images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
+    true_slip_share: bool = parameter(
+        False,
+        "Copy from the truth of simulated recordings which share of the visible contact slips, for train"
+        " --learn-true-slip-share. Without it features hold nothing of the truth but labels that are copied from it.",
+    )
 
 
 COMMAND = Command(

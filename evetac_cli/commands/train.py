@@ -30,10 +30,15 @@ class Train:
     preset: str | None = parameter(
         None,
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
-        " on normalised features, samples made stronger and weaker, and the average of the weights over training;"
-        " on simulated features it also learns, from the simulation's truth, which share of the contact slips."
+        " on normalised features, samples made stronger and weaker, and the average of the weights over training."
         " Default: paper, or with --adapt, which takes no other, adamw with small steps.",
         choices=("paper", "adam", "adamw"),
+    )
+    learn_true_slip_share: bool = parameter(
+        False,
+        "Learn beside the labels, from the truth of simulated features (featurize --true-slip-share), which share of"
+        " the visible contact slips: no real sensor knows it. `info` and tables name a model that did.",
+        panel=TRAINING,
     )
     epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
     max_steps: int | None = parameter(

@@ -5,7 +5,9 @@ onset of slip. Contact is known in simulations alone. The onset is the first sli
 current begins to fall, and without truth that of the labels beside the recording. Where an interval is unknown, the
 column `not_answered` says why; the whole is known for any recording.
 
-All events count, those in the window too. Every event has the same size, as the paper sends them.
+Counted are the events in the columns that the paper counts, x < 540, for it compares them with a frame of as many
+columns. Those beyond, of the window where the gel is cut, stand beside them as a share of their own. Every event has
+the same size, as the paper sends them.
 """
 
 import re
@@ -20,17 +22,18 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.kernels.slip.covariates import TOUCH_N
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.gel_columns import gel_counts
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: what the paper's figures are about
 INTERVALS = ("whole", "contact", "slip")
-TOUCH_N = 0.03  # normal force that is contact
 SHOWN = 6  # recordings in the picture
 SHOWN_MS = 10  # of which one point in the picture is the mean
 
@@ -71,7 +74,8 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
             progress(number + 1, len(job.inputs))
         intervals = [_interval_row(interval, rows, as_papers=as_papers) for interval in INTERVALS]
         shares = {f"share_{row['interval']}": row["share_mean"] for row in intervals}
-        rgb = {"rgb_bytes_s": _rgb_bytes_s(params)}
+        shares |= {f"window_share_{row['interval']}": row["window_share_mean"] for row in intervals}
+        rgb = {"columns": paper.COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
         return [*rows, *intervals], {"trajectories": len(rows), **shares, **rgb}
 
     outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
@@ -85,7 +89,8 @@ def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     """All rows, and the mean share of the RGB sensor's bytes in words."""
     of_intervals = [row for row in rows if "interval" in row]
     lines = [
-        f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes a second."
+        f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes per second in {row['columns']} columns,"
+        f" {row['window_share_mean']:.1%} more in those beyond, where a cut gel has its window."
         for row in of_intervals
         if row["share_mean"] is not None
     ]
@@ -108,23 +113,27 @@ def _rgb_bytes_s(params: EvaluateDataRate) -> float:
 
 
 def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
-    bytes_a_slice = np.diff(recording.starts) * params.event_bytes
+    bytes_a_slice = gel_counts(recording, columns=paper.COLUMNS) * params.event_bytes
+    of_window = np.diff(recording.starts) * params.event_bytes - bytes_a_slice
     spans = intervals(recording, params.around_s)
     row: dict[str, Any] = {
         "file": recording.path.name,
         "duration_s": len(recording) / SLICES_PER_S,
         "events": recording.event_count,
+        "events_of_window": int(of_window.sum()) // params.event_bytes,
         "max_bytes_per_slice": int(bytes_a_slice.max()),
         "contact_from_ms": None if spans["contact"].missing_because else spans["contact"].start,
         "contact_to_ms": None if spans["contact"].missing_because else spans["contact"].stop,
         "slip_ms": None if spans["slip"].missing_because else (spans["slip"].start + spans["slip"].stop) // 2,
     }
     for name, interval in spans.items():
-        bytes_s = None
-        if not interval.missing_because:
-            bytes_s = SLICES_PER_S * float(bytes_a_slice[interval.start : interval.stop].mean())
+        bytes_s, window_bytes_s = (
+            None if interval.missing_because else SLICES_PER_S * float(counted[interval.start : interval.stop].mean())
+            for counted in (bytes_a_slice, of_window)
+        )
         row[f"bytes_s_{name}"] = bytes_s
         row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
+        row[f"window_share_{name}"] = None if window_bytes_s is None else window_bytes_s / _rgb_bytes_s(params)
     reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
     return row | {"not_answered": "; ".join(reasons) or None}
 
@@ -191,7 +200,10 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
 
     The paper's figures stand beside them where the motions are like its own.
     """
-    shares = [row[f"share_{interval}"] for row in rows if row[f"share_{interval}"] is not None]
+    shares, of_window = (
+        [row[f"{name}_{interval}"] for row in rows if row[f"{name}_{interval}"] is not None]
+        for name in ("share", "window_share")
+    )
     mean = float(np.mean(shares)) if shares else None
     paper_mean = paper.value("data rate", interval) if as_papers else None
     paper_sd = paper.value("data rate, sd", interval) if as_papers else None
@@ -201,6 +213,8 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
         "trajectories": len(shares),
         "share_mean": mean,
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
+        "window_share_mean": float(np.mean(of_window)) if of_window else None,
+        "columns": paper.COLUMNS,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,
         "deviation_from_paper_sds": off,
@@ -211,14 +225,14 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
     """Bytes a second over time, one panel a recording, up to SHOWN; the RGB sensor's as a line."""
     simulated = " (simulated)" if outcome.simulated else ""
     more = f", the first {SHOWN} of {len(paths)} recordings" if len(paths) > SHOWN else ""
-    figure.suptitle(f"Data rate, means over {SHOWN_MS} ms{more}{simulated}")
+    figure.suptitle(f"Data rate of {paper.COLUMNS} columns, means over {SHOWN_MS} ms{more}{simulated}")
     shown = paths[:SHOWN]
     panels = picture.panels(figure, len(shown), 1)
     rgb = f"RGB sensor, {params.rgb_frame} bytes at {params.rgb_hz:g} Hz"
     shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s about the onset of slip", picture.EARLY))
     for axes, path in zip(panels, shown, strict=True):
         with open_recording(path) as recording:
-            bytes_a_slice = np.diff(recording.starts) * params.event_bytes
+            bytes_a_slice = gel_counts(recording, columns=paper.COLUMNS) * params.event_bytes
             spans = intervals(recording, params.around_s)
         edges = np.arange(0, len(bytes_a_slice), SHOWN_MS)
         width = np.diff(np.append(edges, len(bytes_a_slice)))

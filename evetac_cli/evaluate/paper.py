@@ -116,8 +116,8 @@ def _other_figures() -> Iterator[tuple[Key, PaperFigure]]:
     where = "Data Rate Experiments, table"
     for interval, mean, sd in (("whole", 0.017, 0.004), ("contact", 0.028, 0.008), ("slip", 0.119, 0.006)):
         conditions = Conditions("bytes a second", "data-rate", (5,), f"{COLUMNS} columns")
-        yield ("data rate", interval), PaperFigure(mean, "share of the RGB sensor's", where, conditions, "data-rate")
-        yield ("data rate, sd", interval), PaperFigure(sd, "share of the RGB sensor's", where, conditions, "data-rate")
+        yield ("data rate", interval), PaperFigure(mean, "share of the RGB sensor's", where, conditions)
+        yield ("data rate, sd", interval), PaperFigure(sd, "share of the RGB sensor's", where, conditions)
     where = "Effectiveness of Regularization in Dot Tracking, table"
     for preset, share, lost in (("unregularised", 0.2, 9.5), ("paper", 0.8, 1.5)):
         conditions = Conditions(preset, "edge", (10,))
@@ -193,7 +193,8 @@ def _our_slip(row: Row, source: Source) -> Conditions:
     dots = [] if "img" in row["model"] else [_by("dots", source.trackers)]
     size = (row["trajectories"], row["seeds"], source.training_recordings)
     inputs = ", ".join([*dots, _by("labels", source.labels)])
-    return Conditions(f"{row['model']} by {row['preset']}{several}", _scenes(source), size, inputs)
+    truth = ", true slip share" if row.get("true_slip_share") else ""
+    return Conditions(f"{row['model']} by {row['preset']}{truth}{several}", _scenes(source), size, inputs)
 
 
 def _our_force(row: Row, source: Source) -> Conditions:
@@ -202,7 +203,9 @@ def _our_force(row: Row, source: Source) -> Conditions:
 
 
 def _our_data_rate(row: Row, source: Source) -> Conditions:
-    return Conditions("bytes a second", _scenes(source), (row["trajectories"],), "all columns")
+    columns = row.get("columns")  # reports of method 1 counted all
+    counted = "all columns" if columns is None else f"{columns} columns"
+    return Conditions("bytes a second", _scenes(source), (row["trajectories"],), counted)
 
 
 class PaperSetting(NamedTuple):
@@ -275,7 +278,9 @@ def _of_preset(quantity: str) -> PaperColumn:
 
 
 def _of_interval(quantity: str) -> PaperColumn:
-    return PaperColumn(lambda row: (quantity, row["interval"]), _our_data_rate, ("interval", "trajectories"))
+    return PaperColumn(
+        lambda row: (quantity, row["interval"]), _our_data_rate, ("interval", "trajectories"), ("columns",)
+    )
 
 
 def _of_axis(quantity: str, axis: str) -> PaperColumn:
@@ -286,7 +291,7 @@ def _of_axis(quantity: str, axis: str) -> PaperColumn:
 
 def _of_model(quantity: str) -> PaperColumn:
     needs = ("model", "horizon_ms", "preset", "seeds", "trajectories")
-    return PaperColumn(_of_slip(quantity), _our_slip, needs, ("folds", "paper_f1"))
+    return PaperColumn(_of_slip(quantity), _our_slip, needs, ("folds", "paper_f1", "true_slip_share"))
 
 
 def _of_setting(key: Callable[[Row], Key]) -> PaperColumn:

@@ -5,8 +5,9 @@ means over objects and seeds, as in the paper's bars: every object counts the sa
 evaluated at its own threshold, which `train` chose on validation trajectories; slip that is predicted ahead of time is
 counted against shifted labels in F1 and against the unshifted onset in the timing.
 
-The rows are five tables with different columns: the figures of a setting beside the paper's; how long before or after
-the labels' onset it first detected slip; the figures by object; by model; by trajectory.
+The rows are six tables with different columns: the covariates of the slips that are judged on, which decide how far
+the figures of two data sets can be compared (slip_covariates.py); the figures of a setting beside the paper's; how long
+before or after the labels' onset it first detected slip; the figures by object; by model; by trajectory.
 """
 
 import math
@@ -28,6 +29,7 @@ from evetac_cli.evaluate import (
     picture,
     report,
     report_job,
+    slip_covariates,
 )
 from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.evaluate.slip_tables import tables
@@ -40,7 +42,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"
-METHOD = 5
+METHOD = 6
 
 SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
@@ -144,11 +146,14 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
         predict_all(models, paths, headers, progress, job.output.parent)
         return Outcome([], simulated=False)
     thresholds = [model.threshold if params.threshold is None else params.threshold for model in models]
-    parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds}
+    # A report with the truth of more or fewer recordings is another report.
+    known = sum(slip_covariates.with_truth(paths, params.recordings))
+    parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds, "with_truth": known}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         predictions = predict_all(models, paths, headers, progress, _kept(job))
-        return tables(models, thresholds, predictions, paths)
+        rows, summary = tables(models, thresholds, predictions, paths)
+        return [*slip_covariates.rows(paths, params.recordings), *rows], {**summary, "with_truth": known}
 
     parents = [*(model.header for model in models), *headers]
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
@@ -165,13 +170,15 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
         f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
         " as in the paper; earlier is early, later or never is late."
     )
+    verdict += slip_covariates.in_words(rows)
     if params.all_tables:
         return rows, verdict
     verdict.append("--all prints every table, --json every row.")
     few = len(trajectories) <= FEW_TRAJECTORIES
     shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
     known = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
-    return [{names[name]: row[name] for name in known} for row in shown], verdict
+    covariates = [row for row in rows if "covariate" in row]
+    return [*covariates, *({names[name]: row[name] for name in known} for row in shown)], verdict
 
 
 def _verdict(row: dict[str, Any]) -> str:

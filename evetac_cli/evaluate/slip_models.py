@@ -23,7 +23,12 @@ from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.stages.model_files import read_horizon_ms
+from evetac_cli.stages.model_files import (
+    labelled_by,
+    learned_true_slip_share,
+    read_horizon_ms,
+    training_ancestors,
+)
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
 from evetac_cli.stages.splits import check_disjoint, object_name
 from evetac_cli.store.files import StageFile
@@ -85,22 +90,20 @@ class Model:
     @property
     def labels(self) -> str:
         """The methods that labelled its training trajectories, `truth` included."""
-        labels = (header for header in self._training_ancestors() if header["kind"] == "labels")
-        return ", ".join(sorted({labelled_by(header) for header in labels})) or "none"
+        return labelled_by(self.header) or "none"
+
+    @property
+    def learned_true_slip_share(self) -> bool:
+        """Whether it learned, beside the labels, the true share of the contact that slips."""
+        return learned_true_slip_share(self.header)
 
     @property
     def scenes(self) -> str:
         """The scenes of its training trajectories; `unknown` for imported ones."""
-        recordings = (header for header in self._training_ancestors() if header["kind"] == "recording")
+        recordings = (header for header in training_ancestors(self.header) if header["kind"] == "recording")
         return " + ".join(
             sorted({header["parameters"].get("scene", {}).get("name", "unknown") for header in recordings})
         )
-
-    def _training_ancestors(self) -> Iterator[Header]:
-        """Headers of the files that its training features were made from."""
-        history, chosen = self.header["history"], self.header["parameters"]
-        for one in self.header["parents"][: chosen.get("trained_on")]:
-            yield from (history[parent] for parent in history[one]["parents"])
 
     @property
     def objects(self) -> set[str]:
@@ -112,11 +115,6 @@ class Model:
         """A text that is equal for two models that differ in their seed alone."""
         chosen = {key: value for key, value in self.header["parameters"].items() if key != "seed"}
         return json.dumps([chosen, self.header["parents"]], sort_keys=True)
-
-
-def labelled_by(header: Header) -> str:
-    """The method of a labels header."""
-    return str(header["parameters"].get("method", "farneback"))
 
 
 def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:

@@ -23,6 +23,10 @@ TIMING_BINS = (
 )
 
 
+TRUE_SLIP_SHARE = "true slip share"  # in the name of a setting that learned it beside its labels
+ALWAYS = ("model", "truth")  # traits that a name says even where all settings have them
+
+
 def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
     """Name of each setting -> indices of its models; a name says in what its setting differs from the others."""
     groups: dict[str, list[int]] = {}
@@ -32,7 +36,7 @@ def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
     varying = [key for key in traits[0] if len({trait[key] for trait in traits}) > 1]
     named: dict[str, list[int]] = {}
     for trait, members in zip(traits, groups.values(), strict=True):
-        name = ", ".join(trait[key] for key in trait if (key in varying or key == "model") and trait[key])
+        name = ", ".join(trait[key] for key in trait if (key in varying or key in ALWAYS) and trait[key])
         while name in named:
             name += "'"  # alike in all but the files that it was trained on
         named[name] = members
@@ -45,6 +49,7 @@ def _traits(model: Model) -> dict[str, str]:
         "model": model.architecture.name,
         "horizon": f"{model.horizon_ms} ms ahead" if model.horizon_ms else "",
         "preset": str(chosen.get("preset", "")),
+        "truth": TRUE_SLIP_SHARE if model.learned_true_slip_share else "",
         "labels": f"labels {model.labels}",
         "steps": f"up to {chosen.get('max_steps')} steps",
         "epochs": f"{chosen.get('epochs')} epochs",
@@ -136,6 +141,7 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
         "horizon_ms": model.horizon_ms,
         "preset": chosen.get("preset"),
         "labels": model.labels,
+        "true_slip_share": model.learned_true_slip_share,
         "scenes": model.scenes,
         "max_steps": chosen.get("max_steps"),
         "folds": chosen.get("folds", 0),

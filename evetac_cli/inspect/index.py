@@ -26,6 +26,11 @@ TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # as simulated is shown in a table
 # Stage files, broken ones among them; all others are FOREIGN.
 _OURS = "(kind IS NOT NULL OR error IS NOT NULL)"
 _TOTALS = f"SELECT COUNT(CASE WHEN {_OURS} THEN 1 END), COUNT(error), MAX(simulated) FROM files"
+# Recordings that slip by their truth, or by labels that were made from them.
+_SLIPPING = (
+    "kind = 'recording' AND (outcome = 'slips' OR (outcome IS NULL AND recipe_id IN"
+    " (SELECT recording FROM files WHERE kind = 'labels' AND outcome = 'slips')))"
+)
 
 
 @contextmanager
@@ -56,13 +61,16 @@ def show(result: Outcome) -> None:
 
 
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
-    """What a data set holds: counts of its files, or with conditions (`object=3`) a row for every file that fits."""
+    """What a data set holds: counts of its files, covariates of its slips; with conditions (`object=3`) its files."""
     where, values = _condition(conditions)
     with indexed(folder, progress) as index:
         rows = _files(index, where, values) if conditions else list(_counts(index))
         files, unreadable, _ = _one(index, _TOTALS)
         simulated = _one(index, f"SELECT MAX(simulated) FROM files WHERE {where}", values)[0]
         summary = {"folder": str(folder), "files": files, "unreadable": unreadable, "foreign": _foreign(index)}
+        if not conditions:
+            covariates, said = _covariates(index, folder, progress)
+            rows, summary = rows + covariates, summary | said
     if conditions:
         summary["fit"] = len(rows)
     return Outcome(rows, bool(simulated), summary)
@@ -80,6 +88,16 @@ def _files(index: Index, where: str, values: list[Any]) -> list[dict[str, Any]]:
     for row in rows:
         row["simulated"] = None if row["simulated"] is None else bool(row["simulated"])
     return rows
+
+
+def _covariates(index: Index, folder: Path, progress: Progress) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows of covariates of the recordings that slip, and of how many they are; nothing where none does."""
+    names = [row.path for row in index.rows(_SLIPPING)]
+    if not names:
+        return [], {}
+    from evetac_cli.inspect import info_slip  # with what reads recordings, which an index does without
+
+    return info_slip.of_folder(folder, names, progress)
 
 
 def _foreign(index: Index) -> int:

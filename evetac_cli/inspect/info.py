@@ -11,8 +11,10 @@ import numpy as np
 from evetac_cli.console import format_value, print_table, print_text
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
+from evetac_cli.inspect import info_slip
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import streams
 from evetac_cli.store.recordings.read import Recording
@@ -134,6 +136,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "dots": "none" if grid is None else in_words(*grid.shape[:2]),
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture", "streams"))) or "none",
+            **info_slip.figures(recording),
             **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),
@@ -240,6 +243,7 @@ def _features(file: StageFile) -> dict[str, Any]:
         "slices": file.length("events_total"),
         "dots": in_words(rows, columns),
         "labelled": file.has("label"),
+        "true_slip_share": any(map(file.has, TRUE_SLIP_SHARES)),
         "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
     }
 
@@ -247,6 +251,9 @@ def _features(file: StageFile) -> dict[str, Any]:
 def _model(file: StageFile) -> dict[str, Any]:
     return {
         "architecture": file.read("architecture"),
+        "preset": file.header["parameters"].get("preset"),
+        "labels": labelled_by(file.header) or None,
+        "learned_true_slip_share": learned_true_slip_share(file.header),
         "history_ms": int(file.read("history")),
         "parameters_trained": sum(
             int(np.prod(shape)) for name, (_, shape) in file.contents().items() if name.endswith((".weight", ".bias"))

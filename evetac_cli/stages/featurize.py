@@ -1,7 +1,8 @@
 """featurize: the inputs of slip detectors, slice by slice (paper, "Evetac Touch Features").
 
 Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
-may be a folder. Event images, which only the image baselines need, are added on request: they are half of the file.
+may be a folder. Added on request alone: event images, which only the image baselines need and which are half of the
+file, and from the truth of a simulation the share of the contact that slips, for `train --learn-true-slip-share`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.stages import one_file, row_blocks
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARES
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
 from evetac_cli.store.index.known import Known
@@ -25,8 +27,8 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
-METHOD = 4
-SLIP_SHARE = "visible_slip_share"  # what a simulation knows beside the labels, to train on
+METHOD = 5
+TRUE_SLIP_SHARE = TRUE_SLIP_SHARES[0]  # in a simulated recording as well
 COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # a row for every slice
 
 
@@ -83,8 +85,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
         known = recording.sensitivity.known() | tracks.sensitivity.known()
         arrays |= {f"sensor/{name}": np.float64(value) for name, value in known.items()}
-        if recording.has(f"truth/{SLIP_SHARE}"):
-            arrays[SLIP_SHARE] = recording.read(f"truth/{SLIP_SHARE}")
+        if params.true_slip_share:
+            arrays[TRUE_SLIP_SHARE] = _true_slip_share(recording)
         for path in labels_path:
             with StageFile(path, "labels") as labels:
                 check_made_from(labels, recording)
@@ -110,6 +112,18 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         labelled="label" in arrays,
         onset_ms=onset if onset >= 0 else None,
     )
+
+
+def _true_slip_share(recording: Recording) -> NDArray[np.float32]:
+    """The share of the visible contact that slips, (slices,); InputError for a recording that does not know it."""
+    if not recording.has(TRUE_SLIP_SHARE):
+        raise InputError(
+            "the recording has no truth: only a simulation knows it",
+            where=str(recording.path),
+            hint="leave out --true-slip-share",
+        )
+    share: NDArray[np.float32] = recording.read(TRUE_SLIP_SHARE)
+    return share
 
 
 def _blocks(

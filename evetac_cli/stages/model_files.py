@@ -1,12 +1,20 @@
 """What a model file says of its slip detector, for those who do not run it (slip_detectors.py does)."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
 
 USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
+# Where features hold the share of the visible contact that slips, from a simulation's truth: today's name, and the one
+# of features up to 1.5, whose simulated files all had it.
+TRUE_SLIP_SHARES = ("truth/visible_slip_share", "visible_slip_share")
+# Methods of `train` before there was a choice, and the presets by which they learned that share wherever it was known.
+LEARNED_TRUTH_METHODS, LEARNED_TRUTH_PRESETS = range(4, 7), ("adamw", "adapt")
 
 
 def why_useless(model: StageFile) -> str:
@@ -40,3 +48,36 @@ def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
     """The weights in a model file by their names in the detector; those of several networks begin with a number."""
     names = [name for name in model.contents() if name.startswith("weights/")]
     return {name.removeprefix("weights/"): model.read(name) for name in names}
+
+
+def training_ancestors(header: Header) -> Iterator[Header]:
+    """Headers of the files that the features were made from which a model, given by its header, learned from."""
+    history = header["history"]
+    for one in header["parents"][: header["parameters"].get("trained_on")]:
+        yield from (history[parent] for parent in history[one]["parents"])
+
+
+def labelled_by(header: Header) -> str:
+    """The methods of the labels that a model, given by its header, learned from, `truth` included; "" without any."""
+    labels = (one["parameters"] for one in training_ancestors(header) if one["kind"] == "labels")
+    return ", ".join(sorted({str(chosen.get("method", "farneback")) for chosen in labels}))
+
+
+def learned_true_slip_share(header: Header) -> bool:
+    """Whether a model, given by its header, or one that it was adapted from, learned which share of the contact slips.
+
+    That is the truth of simulated recordings, beside the labels: `train --learn-true-slip-share`.
+    """
+    history = header["history"]
+    models = [header, *(one for one in history.values() if one["kind"] == "model")]
+    return any(_learned_truth(model, history) for model in models)
+
+
+def _learned_truth(model: Header, history: Header) -> bool:
+    chosen = model["parameters"]
+    if "learn_true_slip_share" in chosen:
+        return bool(chosen["learn_true_slip_share"])
+    if model["method"] not in LEARNED_TRUTH_METHODS or chosen.get("preset") not in LEARNED_TRUTH_PRESETS:
+        return False
+    learned = [history[parent] for parent in model["parents"][: chosen.get("trained_on")] if parent in history]
+    return any(one["kind"] == "features" and one["simulated"] for one in learned)

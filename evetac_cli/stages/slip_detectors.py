@@ -14,22 +14,26 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.stages.model_files import read_weights
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, read_weights
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.rules import named_architecture
 
 
-def read_trajectory(path: Path, architecture: Architecture) -> Trajectory:
-    """The inputs of an architecture from a labelled features file, and the labels; InputError if they are missing."""
+def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: bool = False) -> Trajectory:
+    """The inputs of an architecture from a labelled features file, and the labels; InputError if they are missing.
+
+    true_slip_share: whether to read the share of the contact that slips too, from a simulation's truth, if it is there.
+    """
     with _labelled(path) as file:
+        truth = next(filter(file.has, TRUE_SLIP_SHARES), None) if true_slip_share else None
         return Trajectory(
             read_series(file, architecture),
             file.read("events_outside"),
             file.read("label"),
             int(file.read("onset_slice")),
-            file.read("visible_slip_share") if file.has("visible_slip_share") else None,
+            None if truth is None else file.read(truth),
         )
 
 

@@ -35,8 +35,7 @@ TRAININGS = {
     "paper": "As the paper trains: plain gradient descent on features as they are. `train` ends it at 40,000 steps if"
     " `--max-steps` does not say otherwise, and tries 49 thresholds, the paper 41.",
     "adam": "Adam on normalised features: for trainings of few steps, as in the first hour.",
-    "adamw": "Ours: normalised features, samples made stronger and weaker, a falling learning rate, averaged weights,"
-    " and, on simulated features, a second output that learns from the truth how much of the contact slips.",
+    "adamw": "Ours: normalised features, samples made stronger and weaker, a falling learning rate, averaged weights.",
     "adapt": "Small steps from a trained network's weights to those for your sensor: what `train --adapt` takes.",
 }
 LABELS = {
@@ -202,7 +201,11 @@ def _shipped() -> str:
         ("weights", f"{facts['parameters']:,}"),
         ("predicts", f"{facts['horizon_ms']} ms ahead"),
         ("threshold for timing", value(facts["threshold"])),
-        ("trained on", f"{facts['training']['trained_on']} simulated trajectories, labels `{facts['labels']}`"),
+        (
+            "trained on",
+            f"{facts['training']['trained_on']} simulated trajectories, labels `{facts['labels']}`"
+            + (", and the true share of the contact that slips" if facts["learned_true_slip_share"] else ""),
+        ),
         (
             "timing correct",
             f"{unseen['slip_correct']:.1%} of {unseen['trajectories']} simulated trajectories of {unseen['objects']}"

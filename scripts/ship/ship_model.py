@@ -35,6 +35,7 @@ def main() -> None:
         "parameters": model.parameters,
         "training": model.header["parameters"],
         "labels": model.labels,
+        "learned_true_slip_share": model.learned_true_slip_share,
         "objects_trained_and_validated_on": sorted(map(int, model.objects)),
         "validation_score": validation_score(path),
         "unseen_objects": {key: figures[key] for key in FIGURES},

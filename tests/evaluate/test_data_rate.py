@@ -13,6 +13,7 @@ from evetac_cli.cli import main
 from evetac_cli.commands.evaluate import EvaluateDataRate
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import data_rate
+from evetac_cli.events import Events
 from evetac_cli.inspect import validate
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -196,3 +197,23 @@ def test_the_command(tmp_path: Path) -> None:
     assert [row["faults"] for row in validate.run([report]).rows] == [None]
     pytest.importorskip("matplotlib")
     assert report.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_window_stands_beside(tmp_path: Path) -> None:
+    """Assert that events from column 540 on count for the window alone, and both shares together are those of all."""
+    per_slice = 3 * steps()
+    t_us = np.repeat(np.arange(SLICES) * 1000, per_slice)
+    x = np.tile([0, 539, 540], len(t_us) // 3).astype(np.uint16)
+    zeros = np.zeros(len(t_us), np.uint8)
+    arrays = event_arrays(Events(t_us, x, zeros.astype(np.uint16), zeros), SLICES)
+    path = write_recording(tmp_path / "a.recording.h5", arrays)
+    labels_file(path, ONSET)
+    ((row,), (whole, _, slip)) = evaluated(path)
+    assert row["share_slip"] == pytest.approx(200 * 5 * 1000 / RGB_BYTES_S)
+    assert row["window_share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
+    every = per_slice.mean() * 5 * 1000 / RGB_BYTES_S
+    assert row["share_whole"] + row["window_share_whole"] == pytest.approx(every)
+    assert (row["events"], row["events_of_window"]) == (len(t_us), len(t_us) // 3)
+    assert row["max_bytes_per_slice"] == 200 * 5
+    assert (whole["columns"], whole["window_share_mean"]) == (540, row["window_share_whole"])
+    assert slip["window_share_mean"] == row["window_share_slip"]

@@ -171,7 +171,11 @@ INTERVAL = {"interval": "whole", "trajectories": 5, "paper_share_mean": 0.017}
         ("paper_share", TONE, Source(True, ("vibration",)), {}, (0.69, "fitted")),
         ("paper_share", TONE, Source(True, ("vibration",)), {"method": "default"}, (0.69, METHOD)),
         ("paper_share", TONE, Source(True, ("vibration-randomized",)), {}, (0.69, SCENE)),
-        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {}, (0.017, "fitted")),
+        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {}, (0.017, METHOD)),
+        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {"columns": 540}, (0.017, SAME)),
+        ("paper_share_mean", {**INTERVAL, "columns": 540}, Source(True, ("data-rate",)), {"trajectories": 3},
+         (0.017, SIZE)),
+        ("paper_slip_correct", SLIP_ROW, SLIP, {"true_slip_share": True}, (0.926, METHOD)),
         ("paper_share_mean", INTERVAL, Source(), {}, (0.017, METHOD)),
     ],
 )  # fmt: skip

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
+import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from evetac_cli.evaluate import slip, slip_models, slip_tables
 from evetac_cli.evaluate.slip_models import Model, check
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import silent
+from evetac_cli.kernels.slip.covariates import WORDS
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.labels import is_slip
@@ -27,7 +29,7 @@ from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages import slip_detectors, train
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
-from tests.make import run_stage
+from tests.make import event_arrays, events_at, run_stage, truth_arrays
 
 SLICES, ONSET = 260, 180
 
@@ -284,6 +286,7 @@ def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path
     """Assert few columns, every trajectory where there are few and a row a setting elsewhere, all tables on demand."""
     rows, _ = evaluated([*world["unseen"], world["seeds"][0]], tmp_path / "one.report.h5")
     shown, verdict = slip.for_people(rows, EvaluateSlip())
+    shown = [row for row in shown if "covariate" not in row]
     assert [row["file"] for row in shown] == [path.name for path in world["unseen"]]
     assert len({tuple(row) for row in shown}) == 1
     (setting,) = (row for row in rows if "seeds" in row)
@@ -294,6 +297,7 @@ def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path
     files = [*world["known"], *world["unseen"], *world["seeds"], *world["ahead"]]
     rows, _ = evaluated(files, tmp_path / "many.report.h5")
     shown, verdict = slip.for_people(rows, EvaluateSlip())
+    shown = [row for row in shown if "covariate" not in row]
     assert [row["setting"] for row in shown] == [row["setting"] for row in rows if "seeds" in row]
     assert {"early", "correct", "late", "f1"} <= set(shown[0]) and len(shown[0]) <= 9
     assert [line.split(":")[0] for line in verdict[: len(shown)]] == [row["setting"] for row in shown]
@@ -389,3 +393,94 @@ def test_parts_of_a_report(world: dict[str, Any], tmp_path: Path, monkeypatch: p
         assert slip.run(part, EvaluateSlip()).rows == []
     monkeypatch.setattr(slip_models, "probabilities", None)
     assert slip.run(job, EvaluateSlip()).rows == rows
+
+
+def recording_of_features(path: Path, folder: Path, *, simulated: bool = True) -> Path:
+    """The recording that features_file says its features were made from."""
+    with StageFile(path, "features") as file:
+        (parent,) = (one for one in file.header["history"].values() if one["kind"] == "recording")
+    at = np.arange(SLICES)
+    arrays = event_arrays(events_at(np.repeat(at * 1000, np.where(np.abs(at - ONSET + 0.5) < 50, 40, 10))), SLICES)
+    if simulated:
+        arrays |= truth_arrays(np.zeros((SLICES, 1, 2)), at >= ONSET - 2, 1.0)
+        arrays["truth/visible_slip_share"] = np.where(at >= ONSET - 7, 0.9, 0.2).astype(np.float32)
+    recording = folder / path.name.replace(".features.", ".recording.")
+    recipe = Recipe("recording", 1, parent["parameters"], seed=parent["seed"], simulated_source=True)
+    write_stage(recording, recipe, arrays)
+    return recording
+
+
+def covariates_of(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    by_words = {row["covariate"]: row for row in rows if "covariate" in row}
+    return {name: by_words[words] for name, words in WORDS.items() if words in by_words}
+
+
+def test_covariates_from_features_alone(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that labels and events of features tell the rate about slip, and that what they cannot tell is said."""
+    rows, summary = evaluated([*world["known"], world["seeds"][0]], tmp_path)
+    known = covariates_of(rows)
+    assert set(known) == {"events_per_ms_about_slip"}  # no slice is 500 ms before the onset
+    with StageFile(world["known"][0]) as file:
+        one = file.read("events_outside")[:].mean()
+    assert known["events_per_ms_about_slip"]["n"] == len(world["known"])
+    assert known["events_per_ms_about_slip"]["median"] == pytest.approx(one, rel=0.2)
+    assert summary["with_truth"] == 0
+    _, verdict = slip.for_people(rows, EvaluateSlip())
+    assert any("--recordings" in line and WORDS["creep_to_gross_ms"] in line for line in verdict)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_covariates_from_the_truth(world: dict[str, Any], tmp_path: Path, named: bool) -> None:
+    """Assert that recordings beside the features, or in a folder that is named, tell by their truth, and come first."""
+    files = [Path(shutil.copy(path, tmp_path)) for path in world["known"]]
+    folder = tmp_path / "elsewhere" if named else tmp_path
+    folder.mkdir(exist_ok=True)
+    for path in files:
+        recording_of_features(path, folder)
+    given = {"recordings": folder} if named else {}
+    rows, summary = evaluated([*files, world["seeds"][0]], tmp_path / "a.report.h5", **given)
+    known = covariates_of(rows)
+    assert known["incipient_80_to_gross_ms"]["median"] == 5
+    assert known["non_slip_tenth_slipping"]["median"] == 1.0
+    assert known["unloading_n_per_s"]["median"] == 0.0
+    assert (summary["with_truth"], known["unloading_n_per_s"]["n"]) == (4, 4)
+    shown, _ = slip.for_people(rows, EvaluateSlip())
+    assert [row["covariate"] for row in shown[: len(known)]] == [row["covariate"] for row in known.values()]
+    with pytest.raises(InputError, match="with_truth"):  # without the recordings it is another report
+        for path in files:
+            recording = folder / path.name.replace(".features.", ".recording.")
+            recording.unlink()
+        evaluated([*files, world["seeds"][0]], tmp_path / "a.report.h5")
+
+
+def test_recordings_that_do_not_fit(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that beside features another or a broken recording is passed over, and refused in a named folder."""
+    files = [Path(shutil.copy(path, tmp_path)) for path in world["known"][:2]]
+    first, second = (path.name.replace(".features.", ".recording.") for path in files)
+    shutil.move(recording_of_features(files[0], tmp_path), tmp_path / second)
+    (tmp_path / first).write_text("no")
+    _, summary = evaluated([*files, world["seeds"][0]], tmp_path / "a.report.h5")
+    assert summary["with_truth"] == 0
+    for path in files:
+        with pytest.raises(InputError):
+            evaluated([path, world["seeds"][0]], tmp_path / "b.report.h5", recordings=tmp_path)
+    with pytest.raises(InputError, match="no such recording"):
+        evaluated([files[0], world["seeds"][0]], tmp_path / "b.report.h5", recordings=tmp_path / "none")
+
+
+def test_truth_beside_the_labels_is_named(tmp_path: Path) -> None:
+    """Assert that a model that learned the true share is named so, alone too, and that its row says it."""
+    files = [features_file(tmp_path, 900 + number, object_=1) for number in range(2)]
+    for path in files:
+        with h5py.File(path, "r+") as h5:
+            h5["truth/visible_slip_share"] = np.linspace(0, 1, SLICES).astype(np.float32)
+    judged = features_file(tmp_path, 910, object_=1)
+    asked = trained(files, tmp_path / "truth", learn_true_slip_share=True)
+    rows, _ = evaluated([judged, *asked], tmp_path / "one.report.h5")
+    (row,) = table_of(rows, "seeds")
+    assert (row["setting"], row["true_slip_share"]) == ("no-hist, true slip share", True)
+    rows, _ = evaluated([judged, *asked, *trained(files, tmp_path / "labels")], tmp_path / "two.report.h5")
+    assert {(row["setting"], row["true_slip_share"]) for row in table_of(rows, "seeds")} == {
+        ("no-hist, true slip share", True),
+        ("no-hist", False),
+    }

@@ -229,6 +229,7 @@ CHANGES = [
     features("sensor/contrast_over_threshold", (), 1e-300, "0.001 to 1000"),
     features("sensor/contrast_over_threshold", (), NAN, "finite"),
     features("visible_slip_share", 3, 1.5, "0 to 1"),
+    features("truth/visible_slip_share", 3, 1.5, "0 to 1"),
     features("events_outside", 0, -1, "0 or more"),
     features("label", 0, 7, "one of -1, 0, 1"),
     features("label", 0, 1, "onset_slice"),

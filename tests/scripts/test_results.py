@@ -9,34 +9,31 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.commands.train import Train
+from evetac_cli.evaluate.slip_tables import TRUE_SLIP_SHARE
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.kernels.slip.training import PRESETS
+from evetac_cli.stages.model_files import LEARNED_TRUTH_METHODS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results
-
-WITH_TRUTH = 3  # method of featurize from which features of simulated recordings hold the share that slips
 
 DOCS = results.ROOT / "docs"
 
 
 def test_a_training_that_learns_truth_says_so() -> None:
-    """Assert that presets which learn from the simulation's truth say it: in help, in concepts, beside each table."""
-    learn_truth = [name for name, preset in PRESETS.items() if preset.share_weight]
-    assert learn_truth
-    (said,) = (item.metadata["help"] for item in fields(Train) if item.name == "preset")
-    concepts = (DOCS / "concepts.md").read_text()
+    """Assert that the flag's help says truth, that no preset does it, and that rows which learned it are named so."""
+    (said,) = (item.metadata["help"] for item in fields(Train) if item.name == "learn_true_slip_share")
+    assert "truth" in said
+    assert not any(preset.share_weight for preset in PRESETS.values())
     shown = 0
-    for name in learn_truth:
-        assert "truth" in said.partition(f"{name}:")[2]
-        assert "truth" in next(line for line in concepts.splitlines() if line.startswith(f"| | `{name}` |"))
-        for path in sorted((DOCS / "results").glob("*.json")):
-            result = json.loads(path.read_text())
-            rows = json.dumps(result.get("rows", []))
-            if f" {name}," in rows and result["methods"].get("featurize", 0) >= WITH_TRUTH:
+    for path in sorted((DOCS / "results").glob("*.json")):
+        result = json.loads(path.read_text())
+        for row in result["rows"]:
+            if row.get("preset") == "adamw" and result["methods"].get("train", 0) in LEARNED_TRUTH_METHODS:
                 shown += 1
-                assert any(f"`{name}`" in note and "truth" in note for note in result["notes"]), path.name
-    assert shown == 3
+                assert f", {TRUE_SLIP_SHARE}," in row["setting"]
+                assert any(f"`{TRUE_SLIP_SHARE}`" in note and "truth" in note for note in result["notes"]), path.name
+    assert shown > 0
 
 
 def test_the_seeds_that_constants_of_the_labels_saw_are_named() -> None:
@@ -117,3 +114,12 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
         "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 0.80 | fitted | abc1234 |\n"
         "| kept by b | 1.00 |  |  | abc1234 |\n\n<!-- end of summary -->\n"
     )
+
+
+def test_covariates_stand_above_the_table() -> None:
+    """Assert that a table of slips begins with the covariates of its slips where there are any, and says simulated."""
+    row = {"covariate": "creep [ms]", "median": 12.0, "p10": 8.0, "p90": 20.5, "n": 40}
+    lines = results.text(RESULT | {"covariates": [row]}).split("\n\n")
+    assert lines[0].startswith("Simulated. The slips")
+    assert lines[1].splitlines()[-1] == "| creep [ms] | 12 | 8 | 20.5 | 40 |"
+    assert "\n\n".join(lines[2:]) == results.text(RESULT)

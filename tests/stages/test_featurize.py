@@ -13,8 +13,9 @@ from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.recordings.read import open_recording
+from tests import small_files
 from tests.conftest import Made
 from tests.make import run_stage
 
@@ -94,3 +95,28 @@ def test_tracks_and_labels_of_a_folder(tmp_path: Path) -> None:
         featurize.jobs(recordings, Featurize(labels=truth / "a.labels.h5"), None)
     (one,) = featurize.jobs(recordings[:1], Featurize(tracks=truth / "x.h5"), None)
     assert one.inputs[1] == truth / "x.h5"
+
+
+def test_truth_is_copied_on_request_alone(made: Made, tmp_path: Path) -> None:
+    """Assert that features hold nothing of a simulation's truth unless asked, and then under a name that says truth."""
+    path = made.recordings[0]
+    output, _ = run_stage(featurize, [path], Featurize(true_slip_share=True), tmp_path)
+    with (
+        StageFile(output) as asked,
+        StageFile(made.beside(path, "features")) as plain,
+        open_recording(path) as recording,
+    ):
+        assert not [name for name in plain.contents() if "truth" in name or "share" in name]
+        assert set(asked.contents()) - set(plain.contents()) == {"truth/visible_slip_share"}
+        share = recording.read("truth/visible_slip_share")
+        np.testing.assert_array_equal(asked.read("truth/visible_slip_share"), share)
+        assert asked.header["parameters"]["true_slip_share"] is True
+        assert share.max() > 0.5
+
+
+def test_truth_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    """Assert that a recording without truth cannot be asked for it."""
+    recording = small_files.recording_of(tmp_path / "a.recording.h5", [10] * small_files.SLICES)
+    small_files.tracks(tmp_path / "a.tracks.h5", header_of(recording, "recording"))
+    with pytest.raises(InputError, match="has no truth"):
+        run_stage(featurize, [recording], Featurize(true_slip_share=True), tmp_path)

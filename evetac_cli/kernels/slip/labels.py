@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
 
+BUSY_EVENTS = 25  # a slice with more, without those of the window, is busy (paper, Model Training & Data Selection)
+
 
 def check_labels(label: NDArray[np.int8], onset: int) -> None:
     """Raise ValueError unless labels are (slices,) of -1, 0 or 1 and the onset is one of the slices, or -1."""

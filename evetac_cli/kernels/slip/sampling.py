@@ -23,9 +23,8 @@ from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.labels import check_labels, shift_labels
+from evetac_cli.kernels.slip.labels import BUSY_EVENTS, check_labels, shift_labels
 
-BUSY_EVENTS = 25  # a slice with more is busy
 SLIP_SHARE = 32  # samples of each pool in a batch
 BUSY_SHARE = 32
 QUIET_SHARE = 8

@@ -44,7 +44,7 @@ class Preset:
     cosine: bool = False  # let the learning rate fall to 0 over the run, as half a cosine
     average: float = 0.0  # keep the running mean of the weights, with this share of the old a step; 0: keep the last
     gain: tuple[float, float] = (1.0, 1.0)  # each sample is multiplied by a factor from this range (log-uniform)
-    share_weight: float = 0.0  # of a second loss: how well a second output tells the share of the contact that slips
+    share_weight: float = 0.0  # of a second loss: how well a second output tells the true share that slips
 
 
 PRESETS = {
@@ -67,16 +67,22 @@ PRESETS = {
             cosine=True,
             average=0.999,
             gain=(0.3, 2.0),
-            # Whether an object is lost in 10 ms hangs on how much of the contact slips already, which a simulation
-            # knows in every slice. A label says less, and learned from labels alone the network calls a contact that
-            # slips in half for long, under a slanted finger, lost. The second output is thrown away after training.
-            share_weight=1.0,
         ),
     ]
 }
 
 # From a trained network's weights to those for one sensor, of which there are few recordings: small steps.
 ADAPT = replace(PRESETS["adamw"], name="adapt", learning_rate=2e-4, average=0.99, gain=(0.6, 1.6))
+
+
+def with_true_slip_share(preset: Preset) -> Preset:
+    """The preset with a second loss, beside that on the labels: how well the true share that slips is told.
+
+    Whether an object is lost in 10 ms hangs on how much of the contact slips already, which a simulation knows in every
+    slice. A label says less, and learned from labels alone the network calls a contact that slips in half for long,
+    under a slanted finger, lost. The second output is thrown away after training.
+    """
+    return replace(preset, share_weight=1.0)
 
 
 def factors(preset: Preset, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -65,8 +65,8 @@ SECTIONS = (
     Section(
         "data-rate",
         "Data rate",
-        "Bytes per second as a share of an RGB sensor's. All columns are counted, the window's too; the paper has"
-        f" {paper.COLUMNS}.",
+        f"Bytes per second of {paper.COLUMNS} columns as a share of an RGB sensor's, as in the paper; beside them those"
+        " of the columns beyond, where a cut gel has its window.",
     ),
     Section(
         "realism",
@@ -169,6 +169,19 @@ def _summary(evaluation: Found) -> Rows:
 
 
 SUBJECTS = (
+    Subject(
+        "evaluate slip",
+        "slip",
+        "The slips that are judged on, median and 10-90 % range",
+        having("covariate", "median"),
+        (
+            ReportColumn("covariate", "covariate"),
+            ReportColumn("median", "median"),
+            ReportColumn("10 %", "p10"),
+            ReportColumn("90 %", "p90"),
+            ReportColumn("n", "n"),
+        ),
+    ),
     Subject(
         "evaluate slip",
         "slip",
@@ -333,6 +346,8 @@ SUBJECTS = (
             ReportColumn("trajectories", "trajectories"),
             ReportColumn("share", "share_mean", "paper_share_mean"),
             ReportColumn("sd", "share_sd", "paper_share_sd"),
+            ReportColumn("columns", "columns"),
+            ReportColumn("the window's share", "window_share_mean"),
         ),
     ),
     Subject("evaluate realism", "realism", "Figures", having("figure", "distance")),

@@ -35,7 +35,13 @@ from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
-from evetac_cli.stages.model_files import USELESS_HINT, read_weights, why_useless
+from evetac_cli.stages.model_files import (
+    TRUE_SLIP_SHARES,
+    USELESS_HINT,
+    learned_true_slip_share,
+    read_weights,
+    why_useless,
+)
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
@@ -48,7 +54,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
-METHOD = 6
+METHOD = 7
 VALIDATE_EVERY = 8
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
 
@@ -203,16 +209,24 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     settings, adapted = _settings(params)
     architecture = named_architecture(settings.model)
-    headers, shapes, memory_bytes = [], [], []
+    headers, shapes, memory_bytes, know_truth = [], [], [], []
     for number, path in enumerate(job.inputs):
         progress(number, len(job.inputs), "files looked at")
         with StageFile(path, "features") as file:
             headers.append(file.header)
             shapes.append(tuple(int(size) for size in file.read("dot_shape")))
             memory_bytes.append(series_bytes(file, architecture))
+            know_truth.append(any(map(file.has, TRUE_SLIP_SHARES)))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
+    if params.learn_true_slip_share and not any(know_truth[:learn]):
+        raise InputError(
+            "none of the features holds the true share of the contact that slips",
+            where="--learn-true-slip-share",
+            found=f"{job.inputs[0]} and {learn - 1} more",
+            hint="evetac featurize --true-slip-share copies it from simulated recordings",
+        )
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
@@ -322,6 +336,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         seed=seed,
         horizon_ms=settings.horizon_ms,
         labels=labels,
+        learned_true_slip_share=_learned_truth(params, adapted) or None,
         trajectories=learn,
         validated_on=sum(len(fold.evaluated_on) for fold in folds),
         folds=params.folds,
@@ -336,6 +351,11 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         detected_share=choice.detected_share,
         warning=_warning(job.output),
     )
+
+
+def _learned_truth(params: Train, adapted: TrainedModel | None) -> bool:
+    """Whether the model, or the one that it was adapted from, learned the true share of the contact that slips."""
+    return params.learn_true_slip_share or (adapted is not None and learned_true_slip_share(adapted.header))
 
 
 def _warning(model: Path) -> str | None:

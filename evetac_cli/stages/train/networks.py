@@ -62,6 +62,8 @@ class Networks:
         chosen, place = self.recipe.parameters, plan.state_file(self.model, number, self.count)
         start = None if self.start is None else self.start[number % chosen["networks"]]
         preset = training.ADAPT if start is not None else training.PRESETS[chosen["preset"]]
+        if chosen["learn_true_slip_share"]:
+            preset = training.with_true_slip_share(preset)
         saved = _read(place, self.recipe)
         if saved is not None and (whole := training.ended(preset, saved)) is not None:
             return whole, None
@@ -142,7 +144,9 @@ class Networks:
         def trajectories() -> Iterator[Trajectory]:
             for done, number in enumerate(numbers):
                 progress(done, len(numbers), "files read")
-                yield read_trajectory(self.inputs[number], architecture)
+                yield read_trajectory(
+                    self.inputs[number], architecture, true_slip_share=chosen["learn_true_slip_share"]
+                )
 
         return sampling.gather(trajectories(), architecture, *self.shape, chosen["horizon_ms"])
 

@@ -345,18 +345,25 @@ def test_the_first_step_sees_the_varied_samples(problem: SlipSamples) -> None:
     assert result.curve_loss[0] == pytest.approx(float(loss), rel=1e-5)
 
 
+def test_no_preset_learns_truth_by_itself() -> None:
+    """Assert that every preset learns from labels alone unless asked for the true share too, and is the same else."""
+    for preset in (*training.PRESETS.values(), training.ADAPT):
+        assert preset.share_weight == 0.0
+        asked = training.with_true_slip_share(preset)
+        assert asked.share_weight > 0 and replace(asked, share_weight=0.0) == preset
+
+
 def test_the_share_that_slips_is_learned_beside_the_labels(problem: SlipSamples) -> None:
-    """Assert that the known share of slip changes the weights, and that samples which do not know it do without."""
-    preset = training.PRESETS["adamw"]
+    """Assert that the true share changes the weights where it is asked for and known, and only then."""
+    preset = training.with_true_slip_share(ADAMW)
     unknown = replace(problem, slip_share=np.full_like(problem.slip_share, np.nan))
-    labels_alone = replace(preset, share_weight=0.0)
 
     def trained(samples: SlipSamples, preset: training.Preset) -> SlipTraining:
         return training.train(samples, preset, np.random.default_rng(20), TrainingLimits(max_steps=20))
 
     with_share = trained(problem, preset)
-    assert not same(with_share, trained(problem, labels_alone))
-    assert same(trained(unknown, preset), trained(problem, labels_alone))
+    assert not same(with_share, trained(problem, ADAMW))
+    assert same(trained(unknown, preset), trained(problem, ADAMW))
     assert set(with_share.checkpoints[-1].weights) == set(trained(unknown, preset).checkpoints[-1].weights)
 
 

@@ -17,6 +17,7 @@ from evetac_cli.jobs import Job
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted
 from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.resources import MODEL
 from evetac_cli.stages import model_files, slip_detectors, splits, train
 from evetac_cli.stages.train import networks, plan
 from evetac_cli.store.files import StageFile, header_of, write_stage
@@ -28,9 +29,18 @@ NETWORKS = 4  # of the model of the package
 
 
 def features_file(
-    folder: Path, number: int, *, object_: int = 1, method: str = "event-flow", leave: tuple[str, ...] = ()
+    folder: Path,
+    number: int,
+    *,
+    object_: int = 1,
+    method: str = "event-flow",
+    leave: tuple[str, ...] = (),
+    truth: str = "",
 ) -> Path:
-    """Features of a made-up trial in which dots move and blink more when it slips; all groups but those to leave."""
+    """Features of a made-up trial in which dots move and blink more when it slips; all groups but those to leave.
+
+    truth: under which name it holds the share of the contact that slips, if it does.
+    """
     rng = np.random.default_rng(number)
     label = (np.arange(SLICES) >= ONSET).astype(np.int8)
     direction = rng.normal(0, 0.3, (SLICES, 56, 2)) + np.array([3, 0]) * label[:, None, None]
@@ -50,6 +60,8 @@ def features_file(
         "image/pixel": np.concatenate([rng.choice(540 * 480, n, replace=False) for n in count]).astype(np.uint32),
         "image/sign": np.ones(count.sum(), np.int8),
     }
+    if truth:
+        arrays[truth] = (np.arange(SLICES) / ONSET).clip(0, 1).astype(np.float32)
     arrays = {name: array for name, array in arrays.items() if not name.startswith(leave or ("none",))}
     recording = Recipe("recording", 1, {"object": object_}, seed=number, simulated_source=True).header()
     labels = Recipe("labels", 1, {"method": method}, parents=(recording,)).header()
@@ -147,9 +159,9 @@ def test_features_that_do_not_fit_into_memory_are_trained_on_in_groups(
     monkeypatch.setattr(plan, "HELD_BYTES", 80_000)  # one trial takes 76 kB
     read: list[Path] = []
 
-    def noted(path: Path, architecture: Any) -> Any:
+    def noted(path: Path, architecture: Any, **options: Any) -> Any:
         read.append(path)
-        return slip_detectors.read_trajectory(path, architecture)
+        return slip_detectors.read_trajectory(path, architecture, **options)
 
     monkeypatch.setattr(networks, "read_trajectory", noted)
     first, _ = run_stage(train, trials[:3], chosen, tmp_path / "first")
@@ -169,9 +181,9 @@ def test_as_much_validates_as_fits_into_memory(
     chosen = small(max_steps=24, patience=5, validate=str(trials[0].with_name("trial-0[23].features.h5")))
     read: list[Path] = []
 
-    def noted(path: Path, architecture: Any) -> Any:
+    def noted(path: Path, architecture: Any, **options: Any) -> Any:
         read.append(path)
-        return slip_detectors.read_trajectory(path, architecture)
+        return slip_detectors.read_trajectory(path, architecture, **options)
 
     monkeypatch.setattr(networks, "read_trajectory", noted)
     for held_bytes, expected in ((plan.HELD_BYTES, [trials[2], trials[3]]), (80_000, [trials[2]])):
@@ -569,3 +581,64 @@ def test_what_cannot_be_adapted(trials: list[Path], tmp_path: Path, given: dict[
     """Assert that settings which are not those of the model are refused in words."""
     with pytest.raises(InputError, match=says):
         train.jobs(trials, Train(**({"adapt": "shipped"} | given)), tmp_path)
+
+
+TRUTH_NAMES = model_files.TRUE_SLIP_SHARES
+
+
+def test_truth_is_learned_on_request_alone(tmp_path: Path) -> None:
+    """Assert that features with the true share, by either name, train the same network as without, unless asked."""
+    networks_of: dict[str, dict[str, bytes]] = {}
+    for name in ("", *TRUTH_NAMES):
+        folder = tmp_path / (name.replace("/", "-") or "none")
+        folder.mkdir()
+        files = [features_file(folder, number, truth=name) for number in range(2)]
+        for asked in (False, True) if name else (False,):
+            params = small(preset="adamw", max_steps=20, learn_true_slip_share=asked)
+            output, outcome = run_stage(train, files, params, folder / f"{asked}.model.h5")
+            networks_of[f"{name} {asked}"] = contents(output)
+            assert outcome.rows[0]["learned_true_slip_share"] == (True if asked else None)
+            assert model_files.learned_true_slip_share(header_of(output)) is asked
+            assert header_of(output)["parameters"]["learn_true_slip_share"] is asked
+    weights = {key: arrays["weights/fc3.weight"] for key, arrays in networks_of.items()}
+    first, second = TRUTH_NAMES
+    assert weights[" False"] == weights[f"{first} False"] == weights[f"{second} False"]
+    assert weights[f"{first} True"] == weights[f"{second} True"] != weights[" False"]
+
+
+def test_truth_that_features_do_not_hold_is_refused(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that truth cannot be learned from features without it, and that the error says where it comes from."""
+    with pytest.raises(InputError, match="none of the features holds the true share") as error:
+        run_stage(train, trials, small(learn_true_slip_share=True), tmp_path)
+    assert "featurize --true-slip-share" in str(error.value)
+
+
+def test_what_was_adapted_from_truth_learned_truth(tmp_path: Path) -> None:
+    """Assert that a model says that it learned truth where only the model that it goes on from did."""
+    files = [features_file(tmp_path, number, truth=TRUTH_NAMES[0]) for number in range(2)]
+    own = tmp_path / "own"
+    own.mkdir()
+    others = [features_file(own, number) for number in range(10, 12)]
+    for asked in (False, True):
+        params = small(max_steps=10, learn_true_slip_share=asked)
+        first, _ = run_stage(train, files, params, tmp_path / f"{asked}.model.h5")
+        adapt = Train(adapt=str(first), max_steps=10)
+        output, _ = run_stage(train, others, adapt, own / f"{asked}.model.h5")
+        assert header_of(output)["parameters"]["learn_true_slip_share"] is False
+        assert model_files.learned_true_slip_share(header_of(output)) is asked
+
+
+def test_models_of_before_the_choice(tmp_path: Path) -> None:
+    """Assert that models of methods that learned truth wherever it was known are said to have, and no others."""
+    assert model_files.learned_true_slip_share(header_of(MODEL, "model"))
+
+    def learned(method: int, preset: str, simulated: bool = True) -> bool:
+        recording = Recipe("recording", 1, {}, content="0", simulated_source=simulated).header()
+        features = Recipe("features", 4, {}, parents=(recording,)).header()
+        chosen = {"preset": preset, "trained_on": 1}
+        return model_files.learned_true_slip_share(Recipe("model", method, chosen, parents=(features,)).header())
+
+    assert all(learned(method, preset) for method in (4, 5, 6) for preset in ("adamw", "adapt"))
+    assert not learned(3, "adamw")
+    assert not learned(6, "paper")
+    assert not learned(6, "adamw", simulated=False)

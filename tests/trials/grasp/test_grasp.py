@@ -15,7 +15,7 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.resources import MODEL
 from evetac_cli.sim import gripper
-from evetac_cli.stages.model_files import read_horizon_ms
+from evetac_cli.stages.model_files import learned_true_slip_share, read_horizon_ms
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
@@ -45,6 +45,7 @@ def test_the_package_has_a_detector() -> None:
         assert read_horizon_ms(model) == made["horizon_ms"] == 10
         assert float(model.read("threshold")) == made["threshold"]
         assert model.header["id"] == made["id"]
+        assert learned_true_slip_share(model.header) == made["learned_true_slip_share"]
     assert made["simulated"]
     assert made["unseen_objects"]["trajectories"] > 0
 
