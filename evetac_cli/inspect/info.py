@@ -14,7 +14,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings import slip_grid, streams
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
 
@@ -134,10 +134,20 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "dots": "none" if grid is None else in_words(*grid.shape[:2]),
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture", "streams"))) or "none",
+            **_slip_grid(recording),
             **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),
         }
+
+
+def _slip_grid(recording: Recording) -> dict[str, Any]:
+    """Of a simulated recording with unstable slip: how many nodes resolve it, and what to do if they are too few."""
+    nodes = slip_grid.nodes_of(recording)
+    if nodes is None:
+        return {}
+    words = slip_grid.unresolved(nodes, slip_grid.pitch_mm_of(recording.header["parameters"]))
+    return {slip_grid.COLUMN: nodes, **({"warning": words} if words else {})}
 
 
 def _streams(recording: Recording) -> dict[str, str]:
