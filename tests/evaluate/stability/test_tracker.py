@@ -15,11 +15,22 @@ NONSENSE = dict(nonsense())
 DISTANCES = [WORST_DOT.quantity, P99_DOT.quantity]
 
 
+REFUSED_STEPS = {f"step size {gain:g}" for gain in stability.GAINS if gain > 0.03}
+REFUSED_WEIGHTS = {"paper": 1e-4, "official": 1e-4, "unregularised": 1e-4, "stable": 1e2}  # those above
+
+
 @pytest.mark.parametrize("preset", list(PRESETS))
 @pytest.mark.parametrize("name", CASES)
-def test_extremes_are_measured(name, preset):
-    """Assert that every case is run by every preset, refused by none, and that all distances are finite."""
+def test_extremes_are_measured_or_refused(name, preset):
+    """Assert that constants beyond the step limit are refused, and that all else is measured, in finite distances."""
     rows = track_rows(CASES[name], preset, slices=13)
+    weight = CASES[name].changes.get("regulariser_weight", 0.0)
+    if weight > REFUSED_WEIGHTS[preset] or (name in REFUSED_STEPS and not PRESETS[preset].fit):
+        (row,) = rows
+        assert row["ok"]
+        assert row["outcome"].startswith("refused: ")
+        assert "; choose a smaller" in row["outcome"]
+        return
     assert [row["quantity"] for row in rows] == DISTANCES
     assert np.isfinite([row["value"] for row in rows]).all()
     assert {row["preset"] for row in rows} == {preset}
