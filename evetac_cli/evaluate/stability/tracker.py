@@ -241,9 +241,7 @@ def _followed(
     distances_px = np.concatenate(reported) if any(map(len, reported)) else np.zeros(1)
     silent = int((off_px[~state.lost] > WORST_DOT.most).sum())
     outcome = f"{int(state.lost.sum())} of {len(dots_px)} dots flagged lost, {silent} others off by more than"
-    outcome += (
-        f" {WORST_DOT.most:g} px at the end; {flagged / max(len(reported), 1):.3g} flagged in the mean slice, up"
-    )
+    outcome += f" {WORST_DOT.most:g} px at the end; {flagged / max(len(reported), 1):.3g} flagged in the mean slice, up"
     outcome += f" to {events_max:,} events"
     outcome += "".join(_why_off(float(np.linalg.norm(dots_px - rest_px, axis=1).max()), jump_px))
     measured = [(WORST_DOT, float(distances_px.max())), (P99_DOT, float(np.percentile(distances_px, 99)))]

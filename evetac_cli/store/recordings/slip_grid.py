@@ -55,14 +55,6 @@ def unresolved(nodes: float | None, node_pitch_mm: float | None) -> str | None:
     return words + f"record it with --node-pitch-mm {finer_mm:.2f} or finer"
 
 
-def pitch_mm_of(parameters: Mapping[str, Any]) -> float | None:
-    """The distance of the gel's nodes that a recording's header names; None where it names none."""
-    scene = parameters.get("scene")
-    solver = scene.get("solver") if isinstance(scene, Mapping) else None
-    pitch_mm = solver.get("node_pitch_mm") if isinstance(solver, Mapping) else None
-    return float(pitch_mm) if isinstance(pitch_mm, (int, float)) else None
-
-
 def once(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The warnings of rows of recordings that were just simulated, in one line; that of the coarsest stands for all."""
     warned = [row for row in rows if row.get("warning") and is_unresolved(row.get(COLUMN))]

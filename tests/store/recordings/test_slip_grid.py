@@ -5,7 +5,7 @@ import pytest
 
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.slip_grid import COLUMN, fewest_nodes, once, pitch_mm_of, resting_on, unresolved
+from evetac_cli.store.recordings.slip_grid import COLUMN, fewest_nodes, once, resting_on, unresolved
 
 
 def test_fewest_nodes() -> None:
@@ -42,13 +42,6 @@ def test_what_no_pitch_resolves() -> None:
     """Assert that an object is to be left out where no pitch that is allowed will do, and words without a pitch."""
     assert "leave this object out" in (unresolved(0.1, 0.833) or "")
     assert (unresolved(2.0, None) or "").endswith("record it with a finer --node-pitch-mm")
-
-
-def test_the_pitch_of_a_header() -> None:
-    """Assert that it is found where a recording names one, and unknown where its header is another."""
-    assert pitch_mm_of({"scene": {"solver": {"node_pitch_mm": 0.5}}}) == 0.5
-    for other in ({}, {"scene": "slip"}, {"scene": {}}, {"scene": {"solver": {"node_pitch_mm": "fine"}}}):
-        assert pitch_mm_of(other) is None
 
 
 def test_a_warning_is_said_once() -> None:
