@@ -75,7 +75,8 @@ def resting_on(rows: Iterable[Mapping[str, Any]], name: str = "file") -> list[st
         return []
     named = ", ".join(f"{row[name]} {row[COLUMN]:.1f}" for row in coarse[:MOST_NAMED])
     named += f" and {len(coarse) - MOST_NAMED} more" if len(coarse) > MOST_NAMED else ""
+    which = f"{len(coarse)} recording{'s' if len(coarse) > 1 else ''} ({named}; half its wavelength should span"
     return [
-        f"The gel's nodes do not resolve the slip of {len(coarse)} recordings ({named}; half its wavelength should span"
-        f" {FEWEST_NODES} nodes): their onsets hang on the grid. Record them with a finer --node-pitch-mm."
+        f"The gel's nodes do not resolve the slip of {which} {FEWEST_NODES} nodes): their onsets hang on the grid."
+        " Record them with a finer --node-pitch-mm."
     ]
