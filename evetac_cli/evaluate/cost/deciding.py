@@ -9,10 +9,12 @@ import math
 import shlex
 from typing import NamedTuple
 
+import numpy as np
 from scipy import stats
 
+from evetac_cli.arrays import Flags
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate.paired import CONFIDENCE, ConfidenceInterval
+from evetac_cli.evaluate.paired import CONFIDENCE, ConfidenceInterval, share_difference
 from evetac_cli.jobs import Row, Rows
 
 MOST_TRIALS = 10_000  # that --trials takes
@@ -34,12 +36,15 @@ class Effort(NamedTuple):
         words += [f"--model {shlex.quote(str(self.params.model))}"] if self.params.model is not None else []
         return " ".join(words)
 
-    def deciding(self, apart: ConfidenceInterval) -> Row:
+    def deciding(self, apart: ConfidenceInterval, shares: tuple[Flags, Flags] | None = None) -> Row:
         """Columns beside a paired difference: is it decided and, if not, by which command, in how many minutes.
 
-        Minutes are processor time on the machine of this run, seen from its own trials.
+        shares: the trials in which it holds, ours and theirs, where the difference is one of shares. Minutes are
+        processor time on the machine of this run, seen from its own trials.
         """
         told, needed = verdict(apart)
+        if needed is not None and shares is not None:
+            needed = share_trials_needed(*shares)
         if needed is None:
             return {"decided": told, "decide_with": None, "decide_min": None}
         trials = max(math.ceil(needed * self.trials / apart.trials), self.trials + 1)
@@ -89,6 +94,19 @@ def trials_needed(apart: ConfidenceInterval) -> int:
         else:
             too_few = middle
     return enough
+
+
+def share_trials_needed(ours: Flags, theirs: Flags) -> int:
+    """The same of shares: the trials that there are, as often again as it takes; MOST_TRIALS + 1 at most."""
+    too_few, enough = 1, MOST_TRIALS // len(ours) + 1
+    while enough - too_few > 1:
+        middle = (too_few + enough) // 2
+        apart = share_difference(np.tile(ours, middle), np.tile(theirs, middle))
+        if apart.low > 0.0 or apart.high < 0.0:
+            enough = middle
+        else:
+            too_few = middle
+    return enough * len(ours) if enough <= MOST_TRIALS // len(ours) else MOST_TRIALS + 1
 
 
 def _factor(trials: int) -> float:

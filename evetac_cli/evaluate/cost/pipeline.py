@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.arrays import Floats
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate import picture
 from evetac_cli.evaluate.cost.chain import (
@@ -49,7 +49,7 @@ from evetac_cli.evaluate.cost.chain import (
     slip_errors,
 )
 from evetac_cli.evaluate.cost.deciding import Effort
-from evetac_cli.evaluate.paired import ConfidenceInterval, difference, known, on_front, share_difference
+from evetac_cli.evaluate.paired import difference, known, on_front, share_difference
 from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 
@@ -183,7 +183,9 @@ def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
     rows += [_row(entry, [name for name in ERRORS if fronts[name][at]]) for at, entry in enumerate(measured[1:])]
     for name in ERRORS:
         for entry in measured[2:]:
-            apart = _apart(name, entry.of(name), defaults.of(name))
+            shares = _shares(name, entry.of(name), defaults.of(name))
+            apart = difference(entry.of(name), defaults.of(name), _resolution(name))
+            apart = share_difference(*shares) if shares else apart
             rows.append(
                 {
                     "error": name.removeprefix("error_"),
@@ -192,18 +194,18 @@ def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
                     "interval_low": known(apart.low),
                     "interval_high": known(apart.high),
                     "trials": apart.trials,
-                    **effort.deciding(apart),
+                    **effort.deciding(apart, shares),
                 }
             )
     return rows + [row for entry in measured for row in entry.trials]
 
 
-def _apart(name: str, ours: Floats, theirs: Floats) -> ConfidenceInterval:
-    """The paired difference of an error over the trials that have both."""
+def _shares(name: str, ours: Floats, theirs: Floats) -> tuple[Flags, Flags] | None:
+    """In which trials that have both an error holds, ours and theirs, where it is a share of trials."""
     if not name.startswith("error_share"):
-        return difference(ours, theirs, _resolution(name))
+        return None
     both = np.isfinite(ours) & np.isfinite(theirs)
-    return share_difference(ours[both] > 0.0, theirs[both] > 0.0)
+    return ours[both] > 0.0, theirs[both] > 0.0
 
 
 def _resolution(name: str) -> float:

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate.cost.deciding import MOST_TRIALS, Effort, trials_needed, undecided, verdict
-from evetac_cli.evaluate.paired import ConfidenceInterval, difference
+from evetac_cli.evaluate.cost.deciding import (
+    MOST_TRIALS,
+    Effort,
+    share_trials_needed,
+    trials_needed,
+    undecided,
+    verdict,
+)
+from evetac_cli.evaluate.paired import ConfidenceInterval, difference, share_difference
 
 
 def drawn(count: int, mean: float) -> ConfidenceInterval:
@@ -24,6 +31,20 @@ def test_as_many_trials_as_are_needed_decide(mean: float) -> None:
     needed = trials_needed(drawn(4, mean))
     assert verdict(drawn(needed, mean)) == ("yes", None)
     assert verdict(drawn(needed - 1, mean)) == ("no", needed)
+
+
+def test_as_many_trials_as_shares_need() -> None:
+    """Assert that so many rounds of the same trials decide a difference of shares, and one fewer do not."""
+    ours, theirs = np.array([True, False, False]), np.zeros(3, bool)
+    needed = share_trials_needed(ours, theirs)
+    assert needed % 3 == 0
+    rounds = needed // 3
+    assert share_difference(np.tile(ours, rounds), np.tile(theirs, rounds)).low > 0.0
+    assert share_difference(np.tile(ours, rounds - 1), np.tile(theirs, rounds - 1)).low <= 0.0
+    apart = share_difference(ours, theirs)
+    assert Effort(EvaluateCost(part="pipeline"), 3, 1.0).deciding(apart, (ours, theirs))["decide_min"] == needed
+    balanced = np.arange(3000) < 1500
+    assert share_trials_needed(balanced, np.arange(3000) < 1499) == MOST_TRIALS + 1
 
 
 def test_verdicts() -> None:
