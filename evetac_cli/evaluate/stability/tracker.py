@@ -6,7 +6,7 @@ tracks knows not to trust it. Nonsense has to be refused.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.devices.simulated import rig
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
@@ -191,27 +192,31 @@ def _simulated(name: str, seed: int) -> SimulatedSlip:
     """A slip with this extreme part."""
     plan = merge(first_plan("slip", str(OBJECT)), SLIP_SOON, SLIPS[name])
     trial = SimulatedTrial((), Path("slip.recording.h5"), 0, seed, plan)
-    played, nodes, dots_px, radius_px = [], [], _dots_told(trial), 0.0
     devices, slices = play(trial)
+    played, nodes = [], []
     try:
-        radius_px = float(devices.camera.sensor["sensor/dot_radius_px"])
+        sensor = devices.camera.sensor
         for events, rows in slices:
             played.append(((events.x, events.y, events.p), rows["truth/dot_xy_px"]))
             nodes.append(rows[slip_grid.NODES])
     finally:
         devices.close()
-    rightly = replace(trial, plan=replace(plan, scene=replace(plan.scene, calibration=None)))
-    rest_px = _dots_told(rightly)
-    return SimulatedSlip(dots_px, rest_px, radius_px, played, slip_grid.fewest_nodes(nodes))
+    radius_px, fewest = float(sensor["sensor/dot_radius_px"]), slip_grid.fewest_nodes(nodes)
+    return SimulatedSlip(_dots_px(sensor), _rest_px(trial), radius_px, played, fewest)
 
 
-def _dots_told(trial: SimulatedTrial) -> Floats:
-    """The dots at rest as the sensor's calibration has them, (n, 2)."""
-    devices, _ = play(trial)
+def _rest_px(trial: SimulatedTrial) -> Floats:
+    """Where the dots truly are at rest, whatever the trial's calibration says."""
+    rightly = replace(trial.plan, scene=replace(trial.plan.scene, calibration=None))
+    devices = rig(rightly, trial.seeds())
     try:
-        return np.asarray(devices.camera.sensor["sensor/dot_xy_px"].reshape(-1, 2))
+        return _dots_px(devices.camera.sensor)
     finally:
         devices.close()
+
+
+def _dots_px(sensor: Mapping[str, Any]) -> Floats:
+    return np.asarray(sensor["sensor/dot_xy_px"].reshape(-1, 2))
 
 
 def _followed(

@@ -82,11 +82,21 @@ def test_a_dot_astray_is_not_ok_unless_it_is_flagged(monkeypatch):
     assert "1 of 63 dots flagged lost, 0 others" in rows[0]["outcome"]
 
 
-@pytest.mark.slow
-def test_a_dot_that_leaves_the_frame_counts():
-    """Assert that dots which leave the frame, and are reported in it, are as far off as they are."""
+def test_dots_that_leave_the_frame_are_as_far_off_as_they_are_until_they_are_flagged():
+    """Assert that dots which jump out of the frame count until all are flagged, soon, and that their row says why."""
     worst, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "stable", slices=200)
-    assert worst["value"] > 300.0
+    assert 5.0 < worst["value"] < 20.0
+    assert worst["outcome"].startswith("63 of 63 dots flagged lost, 0 others")
+    assert "; a dot jumps by 5.0 px in a slice, of which at most 3 px are followed at once" in worst["outcome"]
+    without_flags, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "paper", slices=200)
+    assert without_flags["value"] > 300.0
+
+
+def test_why_a_row_is_out_of_bounds():
+    """Assert that a row names a grid that is off and a jump, and says nothing of what a tracker can see."""
+    assert "".join(stability._why_off(0.4, 2.9)) == ""
+    assert "told of dots 2.0 px from where they are" in "".join(stability._why_off(2.0, 2.9))
+    assert "jumps by 3.5 px in a slice, of which at most 3 px" in "".join(stability._why_off(0.1, 3.5))
 
 
 def test_faults_are_seen(monkeypatch):
