@@ -66,6 +66,11 @@ def no_parts(job: Any, params: Any) -> Sequence[Job]:
     return ()
 
 
+def no_warnings(rows: Rows) -> list[str]:
+    """Nothing is wrong with what came out."""
+    return []
+
+
 def all_rows(rows: Rows, params: Any) -> tuple[Rows, list[str]]:
     """A terminal shows every row, and no sentence."""
     return rows, []
@@ -77,9 +82,10 @@ class Stage(Generic[P]):
 
     jobs: what has to be made from files and parameters, and where; run: make one job, (job, params, *, force, progress)
     -> Outcome. cautions: what to know before long work begins. parts: of a job, what can be made at the same time
-    before it. for_people: the rows that a terminal shows, and what they amount to. dry_run: what would be made and what
-    that costs, (jobs, params, *, force, progress) -> Outcome; dry_run_for_people: what of it fits a screen. recipe:
-    that of a job's output, as far as indexes know its inputs, (job, params, store.index.known.Known) -> Recipe or None.
+    before it. for_people: the rows that a terminal shows, and what they amount to. warnings: what to know of all rows
+    together, said once on stderr. dry_run: what would be made and what that costs, (jobs, params, *, force, progress)
+    -> Outcome; dry_run_for_people: what of it fits a screen. recipe: that of a job's output, as far as indexes know its
+    inputs, (job, params, store.index.known.Known) -> Recipe or None.
     """
 
     jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]
@@ -87,6 +93,7 @@ class Stage(Generic[P]):
     cautions: Callable[[Sequence[Any], P], list[str]] = no_cautions
     parts: Callable[[Any, P], Sequence[Job]] = no_parts
     for_people: Callable[[Rows, P], tuple[Rows, list[str]]] = all_rows
+    warnings: Callable[[Rows], list[str]] = no_warnings
     dry_run: Callable[..., Outcome] | None = None
     dry_run_for_people: Callable[[Outcome], tuple[Rows, list[str]]] = lambda shown: (shown.rows, [])
     recipe: Callable[[Any, P, Any], Any] | None = None

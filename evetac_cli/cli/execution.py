@@ -61,6 +61,8 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             own = outcomes[0].summary if len(outcomes) == 1 else {}
             simulated = any(outcome.simulated for outcome in outcomes)
             rows = [row for outcome in outcomes for row in outcome.rows]
+            for line in stage.warnings(rows) if not running.quiet else ():
+                console.say(f"warning: {line}")
             if running.as_json:
                 console.show(title, rows, own or console.count(outcomes), simulated=simulated, as_json=True)
             elif not running.quiet:

@@ -28,6 +28,7 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.gel_columns import gel_counts
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 
 OUTPUT = "report"
@@ -96,7 +97,7 @@ def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     ]
     if all(row["paper_share_mean"] is None for row in of_intervals):
         lines.append(f"The paper's figures are about other motions, those of `evetac record --scene {PAPERS_SCENE}`.")
-    return rows, lines
+    return rows, lines + slip_grid.resting_on(rows)
 
 
 def _rgb_bytes_s(params: EvaluateDataRate) -> float:
@@ -135,7 +136,7 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
         row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
         row[f"window_share_{name}"] = None if window_bytes_s is None else window_bytes_s / _rgb_bytes_s(params)
     reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
-    return row | {"not_answered": "; ".join(reasons) or None}
+    return row | {slip_grid.COLUMN: slip_grid.nodes_of(recording), "not_answered": "; ".join(reasons) or None}
 
 
 def intervals(recording: Recording, around_s: float) -> dict[str, SliceInterval]:

@@ -27,6 +27,7 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings import slip_grid
 
 OUTPUT = "report"
 METHOD = 2
@@ -97,7 +98,7 @@ def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
             beside = "" if published is None else f" (the paper, on its own objects: {published:.2f})"
             held = round(row["success"] * row["trials"])
             lines.append(f"{row['setting']}: lifted and held to the end in {held} of {row['trials']}{beside}.")
-    return rows, lines
+    return rows, lines + slip_grid.resting_on(rows)
 
 
 def trial_row(path: Path, header: Header) -> dict[str, Any]:
@@ -106,9 +107,11 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     plan = read_plan(planned, str(path))
     with StageFile(path, "recording") as recording:
         rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
+        nodes = slip_grid.nodes_of(recording)
     seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
     figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds))
-    return {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, **figures}
+    names = {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name}
+    return {**names, **figures, slip_grid.COLUMN: nodes}
 
 
 def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:

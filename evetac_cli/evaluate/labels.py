@@ -17,6 +17,7 @@ from evetac_cli.evaluate import report, report_job
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
 
 OUTPUT = "report"
@@ -40,7 +41,7 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     for number, path in enumerate(job.inputs):
         with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
             onset = int(labels.read("onset_slice"))
-            true = true_onsets(recording)
+            true, nodes = true_onsets(recording), slip_grid.nodes_of(recording)
             headers.append(labels.header)
         has_onset = onset >= 0
         t_s, gross = true["t_s_ms"], true["gross_slip_start_ms"]
@@ -52,6 +53,7 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
                 **true,
                 "onset_error_ms": onset - t_s if has_onset and t_s is not None else None,
                 "onset_before_gross_slip_ms": gross - onset if has_onset and gross is not None else None,
+                slip_grid.COLUMN: nodes,
             }
         )
         progress(number + 1, len(job.inputs))
@@ -96,7 +98,8 @@ def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
     right = len(errors) - early - late
     words = f"Onset within {EARLIEST_MS} to +{LATEST_MS} ms of the true one in {right} of {slipped} that slip"
     wrong = ((early, "early"), (late, "late"), (missed, "not found"))
-    return rows, [", ".join([words, *(f"{name} in {count}" for count, name in wrong if count)]) + "."]
+    told = ", ".join([words, *(f"{name} in {count}" for count, name in wrong if count)]) + "."
+    return rows, [told, *slip_grid.resting_on(rows)]
 
 
 def true_onsets(recording: Recording) -> dict[str, int | None]:

@@ -25,6 +25,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
@@ -102,7 +103,7 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
                 f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of where they began in"
                 f" {row['consistent']} of {decided}{beside}."
             )
-    return rows, lines
+    return rows, lines + slip_grid.resting_on(rows)
 
 
 @contextmanager
@@ -176,6 +177,7 @@ def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, A
         "error_px_rms": None,
         "error_px_worst": None,
         "still_px_rms": None,
+        slip_grid.COLUMN: None if truth is None else slip_grid.nodes_of(truth),
     }
     if truth is None:
         return row, None

@@ -16,7 +16,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings import streams
+from evetac_cli.store.recordings import slip_grid, streams
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
 
@@ -137,10 +137,25 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture", "streams"))) or "none",
             **info_slip.figures(recording),
+            **_slip_grid(recording),
             **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),
         }
+
+
+def _slip_grid(recording: Recording) -> dict[str, Any]:
+    """Of a simulated recording with unstable slip: how many nodes resolve it, and what to do if they are too few."""
+    nodes = slip_grid.nodes_of(recording)
+    if nodes is None:
+        return {}
+    from evetac_cli.sim.setup.plan import read_plan  # here, as most files are no simulated recordings
+
+    pitch_mm = None  # of one that was trimmed or imported the header does not say
+    with suppress(InputError):
+        pitch_mm = read_plan(recording.header["parameters"], str(recording.path)).scene.solver.node_pitch_mm
+    words = slip_grid.unresolved(nodes, pitch_mm)
+    return {slip_grid.COLUMN: nodes, **({"warning": words} if words else {})}
 
 
 def _streams(recording: Recording) -> dict[str, str]:

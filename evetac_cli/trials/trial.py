@@ -16,16 +16,16 @@ from evetac_cli.commands.trials import Trials
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job
+from evetac_cli.jobs import Job, Rows
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import Plan, plans
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import one_file
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.segments import refuse_leftover
 
 OUTPUT = "recording"
-FEWEST_NODES = 4  # in half the wavelength of unstable slip; with fewer, onset depends on the grid
 
 
 @dataclass(frozen=True)
@@ -208,11 +208,11 @@ class SolverFigures:
         self._slices += len(steps)
         self._steps += int(steps.sum())
         self._errors_um += np.atleast_1d(rows["truth/estimated_error_um"]).tolist()
-        half = np.atleast_1d(rows["truth/slip_half_wavelength_nodes"])
-        self._half_wavelength = min(self._half_wavelength, float(np.min(half[np.isfinite(half)], initial=math.inf)))
+        nodes = slip_grid.fewest_nodes(rows[slip_grid.NODES])
+        self._half_wavelength = min(self._half_wavelength, math.inf if nodes is None else nodes)
 
     def figures(self, solver: Solver) -> dict[str, Any]:
-        """Steps a slice, estimated errors of a step, and a warning where nodes are too far apart."""
+        """Steps a slice, estimated errors of a step, and a warning where nodes are too far apart, or None."""
         if not self._slices:
             return {}
         row: dict[str, Any] = {
@@ -221,10 +221,10 @@ class SolverFigures:
         }
         if solver.step_ms is None:
             row["slices_over_tolerance"] = int((np.array(self._errors_um) > solver.tolerance_um).sum())
-        if self._half_wavelength < FEWEST_NODES:
-            pitch_mm = solver.node_pitch_mm * self._half_wavelength / FEWEST_NODES
-            row["warning"] = (
-                f"onset of slip depends on the gel's grid: unstable slip spans {self._half_wavelength:.1f} nodes,"
-                f" of {FEWEST_NODES} at least; --node-pitch-mm {pitch_mm:.2f} resolves it"
-            )
-        return row
+        nodes = None if self._half_wavelength == math.inf else self._half_wavelength
+        return row | {slip_grid.COLUMN: nodes, "warning": slip_grid.unresolved(nodes, solver.node_pitch_mm)}
+
+
+def for_people(rows: Rows, params: Trials) -> tuple[Rows, list[str]]:
+    """All rows without their warnings, which are said once for all of them."""
+    return [{name: value for name, value in row.items() if name != "warning"} for row in rows], []

@@ -446,18 +446,20 @@ def test_what_was_made_is_the_last_line(label_is: Any, files: list[str]) -> None
 
 
 def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
-    """Assert that a stage can choose rows for people and say what they amount to, and that --json has every row."""
+    """Assert that a stage can choose rows for people, say what they amount to, and warn; --json has all rows."""
     answer = Outcome([{"a": 1}, {"b": 2}], True, {"count": 2})
     stage = module_of(
         lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
         lambda *_, **__: answer,
         for_people=lambda rows, chosen: (rows[1:], ["early in 1 of 2"]),
         cautions=lambda jobs, chosen: ["few files"],
+        warnings=lambda rows: [f"too coarse in {len(rows)}"],
     )
     monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
     result = evetac("evaluate", "slip", *files)
     assert result.stdout.splitlines()[-2:] == ["count: 2", "early in 1 of 2"]
     assert result.stderr.splitlines()[0] == "note: few files"
+    assert result.stderr.splitlines()[-1] == "warning: too coarse in 2"
     assert " a " not in result.stdout
     shown = evetac("evaluate", "slip", *files, "--json", "-q")
     assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")

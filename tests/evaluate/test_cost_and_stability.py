@@ -79,7 +79,7 @@ def small(monkeypatch, tmp_path):
         monkeypatch.setattr(unloading, name, Extent(amount, amount))
     monkeypatch.setattr(camera_cost, "workloads", tiny_workloads)
     monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
-    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ([(bounds.ONSET, 0.0)], "not tried"))
     few = stability.PARTS["sim"]._replace(cases=lambda seed, full: cases(seed, full)[::9])
     monkeypatch.setitem(stability.PARTS, "sim", few)
 
@@ -301,7 +301,8 @@ def by_hand(monkeypatch):
 def test_stability_counts_what_is_ok(by_hand):
     """Assert that the summary counts cases, refusals and what is not ok, and that rows that are not ok come first."""
     outcome = run_stage(stability, [], EvaluateStability())[1]
-    counts = {"cases": 3, "refused": 1, "cases_not_ok": 1, "not_ok_by_part": "gel 0 of 2, gripper 1 of 1"}
+    counts = {"cases": 3, "refused": 1, "measured": 2, "cases_not_ok": 1}
+    counts |= {"not_ok_by_part": "gel 0 of 1 (1 refused), gripper 1 of 1"}
     assert outcome.summary.items() >= {**counts, "not_ok": "gripper: b"}.items()
     assert [(row["case"], row["ok"]) for row in outcome.rows] == [
         ("b", False), ("a", True), ("a", True), ("b", True), ("c", True)
@@ -317,7 +318,7 @@ def test_strict(by_hand, tmp_path):
         result = evaluate("stability", "--strict")
         assert result.exit_code == 1
         assert "sim: cases outside their bounds" in result.stderr
-        assert "1 of 3 that are not ok" in result.stderr
+        assert "1 of 2 that are not ok" in result.stderr
         assert "force left unbalanced" in result.stdout
         (tmp_path / "sim.stability.report.h5").unlink(missing_ok=True)
     shown = json.loads(evaluate("stability", "--strict", "--json").stdout)

@@ -236,3 +236,16 @@ def test_m4_info_of_an_import_with_any_parameters(
         h5.attrs["header"] = json.dumps(header)
     with pytest.raises(InputError, match="recording"):
         shown(path, capsys)
+
+
+@pytest.mark.parametrize(("nodes", "warned"), [(None, False), (6.0, False), (2.5, True)])
+def test_a_grid_that_is_too_coarse_for_its_slip(
+    nodes: float | None, warned: bool, made: Made, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a recording's fewest nodes are shown where slip is unstable, and that too few are warned of."""
+    monkeypatch.setattr(info.slip_grid, "nodes_of", lambda recording: nodes)
+    lines = shown(made.recordings[0], capsys)
+    assert (f"slip_half_wavelength_nodes {nodes:g}" in lines) if nodes else not any("nodes" in line for line in lines)
+    said = [line for line in lines if line.startswith("warning onset of slip depends on the gel's grid")]
+    assert len(said) == warned
+    assert all("--node-pitch-mm" in line for line in said)

@@ -15,6 +15,7 @@ from evetac_cli.devices import cameras, grippers
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup import solver as scene_solver
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials import trial as trials
 from evetac_cli.trials.grasp import settings
@@ -113,3 +114,21 @@ def test_a_series_of_grasps_is_resolved_once(
     for job in jobs:
         assert grasp.run(job, params).made
     assert calls == once
+
+
+@pytest.mark.parametrize(("nodes", "warned"), [(6.0, False), (2.5, True)])
+def test_a_grid_that_is_too_coarse_is_warned_of(nodes: float, warned: bool) -> None:
+    """Assert that the row of a recording has its fewest nodes and what to do, and that people read that once."""
+    solver = trials.SolverFigures()
+    for half in (np.nan, nodes + 1.0, nodes):
+        solver.add(
+            {"truth/mechanical_steps": 2, "truth/estimated_error_um": 0.1, "truth/slip_half_wavelength_nodes": half}
+        )
+    row = solver.figures(scene_solver.Solver())
+    assert row["slip_half_wavelength_nodes"] == nodes
+    assert (row["warning"] is not None) == warned
+    shown, said = record.STAGE.for_people([row], Record())
+    assert said == []
+    assert shown == [{name: value for name, value in row.items() if name != "warning"}]
+    assert record.STAGE.warnings([row, row]) == grasp.STAGE.warnings([row, row])
+    assert len(record.STAGE.warnings([row, row])) == warned

@@ -13,13 +13,13 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import own_report, picture, plots, report, report_job
-from evetac_cli.evaluate.cost import grasp, labels, models, pipeline, scene_parts, tracker
+from evetac_cli.evaluate.cost import deciding, grasp, labels, models, pipeline, scene_parts, tracker
 from evetac_cli.evaluate.cost import simulator as simulator_cost
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 
 
 class CostPart(NamedTuple):
@@ -149,7 +149,7 @@ def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
                 f"{row['setting']}, {row[error]:.3g} in {row['time_us_median']:.4g} us" for row in (least, fastest)
             ]
             lines.append(f"{error}: least with {words[0]}; fastest with {words[1]}.")
-    return rows, lines
+    return rows, lines + deciding.undecided(rows)
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

@@ -4,12 +4,14 @@ Each setting differs from the usual one (no added latency, 500 Hz, the package's
 with every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held
 to the end, `error_mm_moved` how far the held objects moved in the gripper (mean), `force_n` how firmly they were held
 at the end. more_mm_moved is the paired difference from the usual setting on the same trials, where both held, with its
-interval (see paired). Run times are those of the detector: tracker, features and network of one slice. Beside the
+interval (see paired) and, where that is undecided, what would decide it (see deciding). Run times are those of the
+detector: tracker, features and network of one slice. Beside the
 network stands the simulation's own knowledge of slip (`detector truth`): no detector can know more of the present,
 though one may predict.
 """
 
 import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +25,7 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import picture
+from evetac_cli.evaluate.cost.deciding import Effort
 from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
 from evetac_cli.evaluate.paired import difference, known
 from evetac_cli.evaluate.rows import Extent, collect, run_times
@@ -72,7 +75,12 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
     """Rows of every setting with every controller."""
     chosen = settings(params.full, inputs[1:])
-    return collect(_rows(chosen, params), len(CONTROLLERS.pick(params.full)) * len(chosen), progress)
+    started = time.process_time()
+    rows = collect(_rows(chosen, params), len(CONTROLLERS.pick(params.full)) * len(chosen), progress)
+    tried = params.trials or TRIALS.pick(params.full)
+    effort = Effort(params, tried, (time.process_time() - started) / 60.0 / tried)
+    compared = ("more_mm_moved", "interval_low_mm", "interval_high_mm", "trials_compared")
+    return [effort.beside(row, chosen[0].name, *compared) for row in rows]
 
 
 def summary(rows: Rows) -> dict[str, Any]:

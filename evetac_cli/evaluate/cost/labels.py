@@ -20,6 +20,7 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
+from evetac_cli.evaluate.cost.deciding import Effort
 from evetac_cli.evaluate.paired import difference, known
 from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.jobs import Progress, Row, Rows
@@ -46,16 +47,23 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
     `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip,
     `onset_share` their share, `error_ms_reference` the largest distance from the reference's onset. `more_ms_onset` is
-    how much larger the error is than the reference's on the same trials, with its interval (see paired). Run times are
-    over the trials. `speedup` is the reference's run time over that of the setting.
+    how much larger the error is than the reference's on the same trials, with its interval (see paired) and, where that
+    is undecided, what would decide it (see deciding). Run times are over the trials. `speedup` is the reference's run
+    time over that of the setting.
     """
+    asked = params.trials or OBJECTS.count(",") + 1
     with TemporaryDirectory() as folder:
+        started = time.process_time()
         recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder), params.trials)
+        minutes = [(time.process_time() - started) / 60.0 / asked]  # a trial: of recording, then of each setting
         every = EVERY.pick(params.full) if params.trials is None else 1
-        rows = collect(_rows(recordings, every), len(methods()), progress)
+        rows = collect(_rows(recordings, every, minutes), len(methods()), progress)
+    reference, compared = rows[0]["setting"], ("more_ms_onset", "interval_low_ms", "interval_high_ms", "trials")
     for row in rows:
         row["speedup"] = rows[0]["time_us_median"] / row["time_us_median"] if row["time_us_median"] else None
-    return rows
+    tried = [asked if number < ROUND_ONSET else max(asked // every, 1) for number in range(len(rows))]
+    efforts = (Effort(params, trials, sum(minutes)) for trials in tried)
+    return [effort.beside(row, reference, *compared) for effort, row in zip(efforts, rows, strict=True)]
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -80,17 +88,19 @@ def methods() -> list[tuple[str, Method]]:
     ]
 
 
-def _rows(recordings: Sequence[Path], every: int) -> Iterator[Row]:
+def _rows(recordings: Sequence[Path], every: int, minutes: list[float]) -> Iterator[Row]:
     reference: list[int] = []
     for number, (setting, method) in enumerate(methods()):
         step = 1 if number < ROUND_ONSET else every
         onsets, true, took_us = [], [], []
+        started = time.process_time()
         for path in recordings[::step]:
             with open_recording(path) as recording:
                 true.append(_true_onset(recording))
                 onset, us = method(recording)
             onsets.append(onset)
             took_us.append(us)
+        minutes.append((time.process_time() - started) / 60.0 / max(len(onsets), 1))
         reference = reference or onsets
         yield _row(setting, np.array(onsets), np.array(true), np.array(reference[::step]), np.array(took_us))
 

@@ -5,8 +5,10 @@ labels, tracks, features, the judgement of the package's detector. All of it is 
 the same trials, simulated more finely in every respect. Columns, as means over the trials:
 
 - error_ms_gross_slip: onset of gross slip (`truth/slip`) in the simulation with this setting.
-- error_ms_label, error_ms_detection: onset of the labels, and first detection by the package's detector (which is made
-  to warn 10 ms ahead), both against the onset of gross slip in the reference's truth.
+- error_ms_label: onset of the labels, against the onset of gross slip in the reference's truth.
+- error_share_detection: share of trials in which the first detection by the package's detector (which is made to warn
+  10 ms ahead) moves by more than DETECTION_MS from that on the reference; detection_moved_ms_median: by how far, in the
+  median. No mean: near its threshold one trial moves by hundreds of ms.
 - error_px_dots: tracked dots against the reference's true dots, root mean square up to gross slip.
 - error_n_shear: shear force on a pad, told from the tracked dots by a regression that was fitted at the defaults on
   other trials, against the reference's true one, root mean square up to gross slip.
@@ -15,12 +17,14 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 - time_us_*: processor time of the chain for a recorded millisecond, over the trials; record_us_median, grasp_us_median:
   of recording alone, and of a simulated millisecond of the grasp.
 
-A second table has the paired difference of every setting from the defaults, with its interval (see paired), a third
-every trial, with its onsets. A row is on the Pareto front of an error where the intervals say so against every other
-row; the reference is no candidate. The errors of labels, detector, tracker and regression are in every row: what a
-setting adds is in the differences.
+A second table has the paired difference of every setting from the defaults, with its interval (see paired) and, where
+it is undecided, the command that would decide it and the minutes of that (see deciding); a third has every trial, with
+its onsets. A row is on the Pareto front of an error where the intervals say so against every other row; the reference
+is no candidate. The errors of labels, tracker and regression are in every row: what a setting adds is in the
+differences.
 """
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.arrays import Floats
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate import picture
 from evetac_cli.evaluate.cost.chain import (
@@ -38,12 +42,14 @@ from evetac_cli.evaluate.cost.chain import (
     Chain,
     ChainTrial,
     Lifted,
+    detection_moved_ms,
     fit_force,
     run_chain,
     run_grasp,
     slip_errors,
 )
-from evetac_cli.evaluate.paired import difference, known, on_front
+from evetac_cli.evaluate.cost.deciding import Effort
+from evetac_cli.evaluate.paired import difference, known, on_front, share_difference
 from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 
@@ -80,7 +86,7 @@ ERRORS = (*SLIP_ERRORS, *GRASP_ERRORS)
 TITLES = {
     "error_ms_gross_slip": "true onset of gross slip",
     "error_ms_label": "onset by the labels",
-    "error_ms_detection": "first detection of slip",
+    "error_share_detection": "trials whose first detection moves",
     "error_px_dots": "tracked dots",
     "error_n_shear": "shear force from the dots",
     "error_mm_moved": "object moved in the grasp",
@@ -95,25 +101,33 @@ class Measured:
         self.setting = setting
         self.trials: Rows = []
         self.errors: dict[str, list[float]] = {name: [] for name in ERRORS}
+        self.detection_moved_ms: list[float] = []
         self.chain_us: list[float] = []
         self.record_us: list[float] = []
         self.grasp_us: list[float] = []
 
     def add(
-        self, trial: ChainTrial, chain: Chain, lifted: Lifted, slip_errors: dict[str, float], reference: Lifted
+        self,
+        trial: ChainTrial,
+        made: tuple[Chain, Lifted],
+        slip_errors: dict[str, float],
+        reference: tuple[Chain, Lifted],
     ) -> None:
-        """Append what came out of a trial."""
-        both_held = lifted.held and reference.held
-        moved = abs(lifted.moved_mm - reference.moved_mm) if both_held else float("nan")
+        """Append what came out of a trial, beside the same of the reference."""
+        chain, lifted = made
+        both_held = lifted.held and reference[1].held
+        moved = abs(lifted.moved_mm - reference[1].moved_mm) if both_held else float("nan")
         errors = {**slip_errors, "error_share_lost": float(not lifted.held), "error_mm_moved": moved}
         for name, value in errors.items():
             self.errors[name].append(value)
+        self.detection_moved_ms.append(detection_moved_ms(chain, reference[0]))
         self.trials.append(
             {
                 "trial_flags": f"--object {trial.object} --seed {trial.seed} {self.setting.flags}".rstrip(),
                 "gross_slip_ms": chain.gross_slip_ms,
                 "label_ms": chain.label_ms,
                 "detection_ms": chain.detection_ms,
+                "detection_moved_ms": known(self.detection_moved_ms[-1]),
                 **{name: known(errors[name]) for name in SLIP_ERRORS},
                 "grasped_object": trial.grasped,
                 "held": lifted.held,
@@ -147,20 +161,21 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
         done += 1
         progress(done, total)
     force = fit_force(calibration)
+    started = time.process_time()
     for trial in tried:
         reference: tuple[Chain, Lifted] | None = None
         for entry in measured:
             with TemporaryDirectory() as folder:  # files of one setting have the names of those of another
-                chain = run_chain(trial, entry.setting, Path(folder))
-                lifted = run_grasp(trial, entry.setting, Path(folder))
-            reference = reference or (chain, lifted)
-            entry.add(trial, chain, lifted, slip_errors(chain, reference[0], force), reference[1])
+                made = run_chain(trial, entry.setting, Path(folder)), run_grasp(trial, entry.setting, Path(folder))
+            reference = reference or made
+            entry.add(trial, made, slip_errors(made[0], reference[0], force), reference)
             done += 1
             progress(done, total)
-    return tables(measured)
+    minutes_a_trial = (time.process_time() - started) / 60.0 / len(tried)
+    return tables(measured, Effort(params, len(tried), minutes_a_trial))
 
 
-def tables(measured: Sequence[Measured]) -> Rows:
+def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
     """The three tables; of `measured` the reference comes first, the defaults second."""
     reference, defaults, *_ = measured
     fronts = _fronts(measured[1:])
@@ -168,7 +183,9 @@ def tables(measured: Sequence[Measured]) -> Rows:
     rows += [_row(entry, [name for name in ERRORS if fronts[name][at]]) for at, entry in enumerate(measured[1:])]
     for name in ERRORS:
         for entry in measured[2:]:
+            shares = _shares(name, entry.of(name), defaults.of(name))
             apart = difference(entry.of(name), defaults.of(name), _resolution(name))
+            apart = share_difference(*shares) if shares else apart
             rows.append(
                 {
                     "error": name.removeprefix("error_"),
@@ -177,9 +194,18 @@ def tables(measured: Sequence[Measured]) -> Rows:
                     "interval_low": known(apart.low),
                     "interval_high": known(apart.high),
                     "trials": apart.trials,
+                    **effort.deciding(apart, shares),
                 }
             )
     return rows + [row for entry in measured for row in entry.trials]
+
+
+def _shares(name: str, ours: Floats, theirs: Floats) -> tuple[Flags, Flags] | None:
+    """In which trials that have both an error holds, ours and theirs, where it is a share of trials."""
+    if not name.startswith("error_share"):
+        return None
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    return ours[both] > 0.0, theirs[both] > 0.0
 
 
 def _resolution(name: str) -> float:
@@ -198,7 +224,7 @@ def _fronts(candidates: Sequence[Measured]) -> dict[str, list[bool]]:
 def _row(entry: Measured, front: list[str] | None) -> Row:
     """The row of a setting; front: the errors on whose Pareto front it is, None for the reference."""
     own = front is None  # against itself a reference has no errors, but those of what looks at it
-    compared_with_itself = ("error_ms_gross_slip", "error_mm_moved") if own else ()
+    compared_with_itself = ("error_ms_gross_slip", "error_share_detection", "error_mm_moved") if own else ()
     errors = {name: None if name in compared_with_itself else _mean(entry.of(name)) for name in ERRORS}
     on = None if front is None else ", ".join(name.removeprefix("error_") for name in front) or "none"
     return {
@@ -206,6 +232,7 @@ def _row(entry: Measured, front: list[str] | None) -> Row:
         "flags": entry.setting.flags or "none",
         "trials": len(entry.chain_us),
         **errors,
+        "detection_moved_ms_median": None if own else _median(np.array(entry.detection_moved_ms)),
         **run_times(np.array(entry.chain_us)),
         "record_us_median": float(np.median(entry.record_us)),
         "grasp_us_median": float(np.median(entry.grasp_us)),
@@ -216,6 +243,11 @@ def _row(entry: Measured, front: list[str] | None) -> Row:
 def _mean(values: Floats) -> float | None:
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else None
+
+
+def _median(values: Floats) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else None
 
 
 def summary(rows: Rows) -> dict[str, Any]:

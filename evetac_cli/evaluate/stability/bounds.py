@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Rows
+from evetac_cli.store.recordings import slip_grid
 
 
 class Bound(NamedTuple):
@@ -48,6 +49,12 @@ ONSET = Bound(
     0.5,
     "ms",
     "half a slice of events: the onset falls into the right slice of 1 ms, or into the one beside it",
+)
+RESOLVED = Bound(
+    "nodes that half a wavelength of unstable slip lacks",
+    0.0,
+    f"of {slip_grid.FEWEST_NODES} nodes",
+    "with fewer the onset depends on the grid, which no shorter step mends: a finer --node-pitch-mm does",
 )
 TURNS = Bound(
     "times that the finger turns back",
@@ -121,6 +128,14 @@ LET_GO = Bound(
     "mA",
     "a grasp that cannot go on lets go: torque off, and an error that says why",
 )
+
+
+def in_nodes(nodes: float | None) -> str:
+    """What a row adds where its slip is not resolved by the nodes of the gel; nothing where it is."""
+    if not slip_grid.is_unresolved(nodes):
+        return ""
+    fewest = slip_grid.FEWEST_NODES
+    return f"; half a wavelength of unstable slip is {nodes:.1f} nodes, of {fewest} at least: it depends on the grid"
 
 
 def case_rows(case: str, outcome: str, measured: Sequence[tuple[Bound, float]], **columns: str) -> Rows:

@@ -1,7 +1,9 @@
 """evaluate stability: whether a part stays within stated bounds where it is stiff, extreme, or given nonsense.
 
 Every part is a function `(seed, full) -> cases`, in which a case is a function that runs it and returns its rows: one
-for each quantity that is measured of it, with the bound and the reason for it (bounds.py).
+for each quantity that is measured of it, with the bound and the reason for it (bounds.py). What is refused in words is
+counted apart from what was measured and is within its bounds. Yardsticks, which are told what only a simulation knows,
+are shown and not counted.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,23 +16,24 @@ from evetac_cli.errors import EvetacError, attach_outcome
 from evetac_cli.evaluate import own_report, report
 from evetac_cli.evaluate.stability import grasp, tracker
 from evetac_cli.evaluate.stability import simulator as simulator_stability
-from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 
 
 class StabilityPart(NamedTuple):
-    """How a part is tried, and the column by which its cases are counted."""
+    """How a part is tried, the column by which its cases are counted, and how groups end that are yardsticks."""
 
     cases: Callable[[int, bool], Sequence[Callable[[], Rows]]]
     counted_by: str
+    yardstick: str | None = None
 
 
 PARTS: dict[str, StabilityPart] = {
     "sim": StabilityPart(simulator_stability.cases, "part"),
     "track": StabilityPart(tracker.cases, "preset"),
-    "grasp": StabilityPart(grasp.cases, "controller"),
+    "grasp": StabilityPart(grasp.cases, "controller", grasp.TOLD),
 }
 
 
@@ -52,45 +55,62 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
         for number, run_case in enumerate(cases, start=1):
             rows += run_case()
             progress(number, len(cases))
-        return sorted(rows, key=lambda row: bool(row["ok"])), summary(rows, part.counted_by)
+        return sorted(rows, key=lambda row: bool(row["ok"])), summary(rows, part)
 
     made = report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
     failed = made.summary["cases_not_ok"]
     if params.strict and failed:
-        counted = f"{failed} of {made.summary['cases']} that are not ok"
+        counted = f"{failed} of {made.summary['measured']} that are not ok"
         error = EvetacError("cases outside their bounds", where=params.part, expected="all cases ok", found=counted)
         raise attach_outcome(error, made)
     return made
 
 
 def for_people(rows: Rows, params: EvaluateStability) -> tuple[Rows, list[str]]:
-    """The rows that are not ok, or all where all are; and how many cases that is."""
+    """The rows that are not ok, or all where all are; how many cases that is, and how many were refused."""
+    refused = len({_case(row, PARTS[params.part]) for row in rows if _is_refused(row)})
+    apart = f" {refused} cases are refused in words." if refused else ""
     failed = [row for row in rows if not row["ok"]]
     if failed:
         cases = len({row["case"] for row in failed})
-        return failed, [f"Outside their bounds: {cases} cases; --json prints those that are ok, too."]
-    return rows, ["All cases are within their bounds, or refused in words."]
+        return failed, [f"Outside their bounds: {cases} cases; --json prints those that are ok, too.{apart}"]
+    return rows, [f"All cases that were measured are within their bounds.{apart}"]
 
 
-def summary(rows: Rows, counted_by: str) -> dict[str, Any]:
-    """How many cases there are, refused and not ok, by a column too, and the names of all that are not ok.
+def summary(rows: Rows, part: StabilityPart) -> dict[str, Any]:
+    """How many cases there are, refused, measured and not ok, by a column too, and the names of all that are not ok.
 
-    A case is ok where all its rows are.
+    A case is ok where all its rows are. A refusal is no measured case: nothing came out that could be within a bound.
     """
+    counted = [row for row in rows if part.yardstick is None or not row[part.counted_by].endswith(part.yardstick)]
     ok: dict[tuple[str, str], bool] = {}
-    for row in rows:
-        key = (row[counted_by], row["case"])
+    for row in counted:
+        key = _case(row, part)
         ok[key] = ok.get(key, True) and row["ok"]
-    groups = {group: [good for (of, _), good in ok.items() if of == group] for group, _ in ok}
-    counts = [f"{group} {len(cases) - sum(cases)} of {len(cases)}" for group, cases in groups.items()]
-    refused = {(row[counted_by], row["case"]) for row in rows if row["outcome"].startswith("refused")}
+    refused = {_case(row, part) for row in counted if _is_refused(row)}
+    counts = []
+    for group in dict.fromkeys(group for group, _ in ok):
+        own = {key: good for key, good in ok.items() if key[0] == group}
+        in_words = len(own.keys() & refused)
+        apart = f" ({in_words} refused)" if in_words else ""
+        counts.append(f"{group} {sum(not good for good in own.values())} of {len(own) - in_words}{apart}")
     return {
         "cases": len(ok),
         "refused": len(refused),
+        "measured": len(ok) - len(refused),
         "cases_not_ok": sum(not good for good in ok.values()),
-        f"not_ok_by_{counted_by}": ", ".join(counts),
+        f"not_ok_by_{part.counted_by}": ", ".join(counts),
         "not_ok": "; ".join(f"{group}: {case}" for (group, case), good in ok.items() if not good) or None,
     }
+
+
+def _case(row: Row, part: StabilityPart) -> tuple[str, str]:
+    return row[part.counted_by], row["case"]
+
+
+def _is_refused(row: Row) -> bool:
+    """A refusal without words is a failure."""
+    return bool(row["ok"]) and str(row["outcome"]).startswith("refused")
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

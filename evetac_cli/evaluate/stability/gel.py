@@ -143,6 +143,6 @@ def _gel_rows(case: GelCase, steps: int, theta: float, slides_within_s: float) -
     outcome += f"{np.mean(sweeps):.3g} sweeps a step, at most {max(sweeps)}"
     rows = case_rows(case.name, outcome, measured, part="gel")
     if slides_within_s:
-        error, words = onset_error(case, slides_within_s, theta)
-        rows += case_rows(case.name, words, [error], part="gel")
+        measured, words = onset_error(case, slides_within_s, theta)
+        rows += case_rows(case.name, words, measured, part="gel")
     return rows

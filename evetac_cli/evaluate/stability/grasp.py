@@ -4,6 +4,9 @@ An object should be held: lifted, balanced, and moved by no more than a stated d
 goal should stay in the gripper's range, the current within its limit, and the fingers that hold it at rest. A grasp
 that cannot go on should let go, with torque off, and say why in an error; that is as good as holding. What is dropped
 without a word is not ok, whether or not a gripper of limited force could have held it.
+
+A case that is not ok is tried again with a detector that is told the true gross slip, which only a simulation knows
+(TOLD): where that holds the object, the detector has failed; where it does not, controller, gripper or physics have.
 """
 
 from collections.abc import Callable
@@ -17,7 +20,14 @@ from numpy.typing import NDArray
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.evaluate.cost.short_grasps import CONTROLLERS, FixedDetector, GraspResult, ShortGrasp, run_short_grasp
+from evetac_cli.evaluate.cost.short_grasps import (
+    CONTROLLERS,
+    FixedDetector,
+    GraspResult,
+    ShortGrasp,
+    ground_truth_detector,
+    run_short_grasp,
+)
 from evetac_cli.evaluate.stability.bounds import (
     CURRENT,
     FINITE,
@@ -27,6 +37,7 @@ from evetac_cli.evaluate.stability.bounds import (
     MOVED,
     SWING,
     case_rows,
+    in_nodes,
     run_case,
 )
 from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, MORE_LIFTS, Tables, merge
@@ -37,6 +48,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import SensorGripper
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials.grasp.loop import SliceDetector
 
 QUICK_CONTROLLERS = ("paper", "load-proportional")
@@ -44,7 +56,7 @@ BALANCE_S = 2.0
 SETTLED_MS = 500  # at the end, in which the fingers should be at rest
 USUAL_OBJECT = 11
 DIES_AFTER_MS = 2500  # while the hand rises
-NAN_AT_REST = "truth/slip_half_wavelength_nodes"  # there is none where nothing slips
+TOLD = ", detector truth"  # how controllers are called whose detector is told the true gross slip
 
 
 @dataclass
@@ -100,6 +112,7 @@ class GraspCase:
     wrap_detector: Callable[[SliceDetector, np.random.Generator], SliceDetector] = lambda detector, rng: detector
     timing: tuple[tuple[str, Any], ...] = ()  # fields of ShortGrasp
     paper_only: bool = False
+    own_detector: bool = False  # the case is its detector, and another one would be another case
 
 
 def _servo(factor: float, plan: Plan) -> Plan:
@@ -116,6 +129,10 @@ def _scene(tables: Tables, plan: Plan) -> Plan:
     return merge(plan, tables)
 
 
+def _always(*, slips: bool) -> Callable[[SliceDetector, np.random.Generator], SliceDetector]:
+    return lambda detector, rng: FixedDetector(detector, lambda: slips)
+
+
 def extreme_cases(*, full: bool) -> list[GraspCase]:
     """The extremes, by name."""
     factors = (0.1, 0.3, 3.0, 10.0) if full else (0.1, 10.0)
@@ -126,9 +143,13 @@ def extreme_cases(*, full: bool) -> list[GraspCase]:
         *(GraspCase(f"servo gain x{factor:g}", partial(_servo, factor)) for factor in factors),
         *(GraspCase(f"law's gain x{factor:g}", timing=(("gain", factor),), paper_only=True) for factor in factors),
         *(GraspCase(f"friction {mu:g}", partial(_friction, mu)) for mu in frictions),
-        GraspCase("detector never fires", wrap_detector=lambda detector, rng: FixedDetector(detector, lambda: False)),
-        GraspCase("detector always fires", wrap_detector=lambda detector, rng: FixedDetector(detector, lambda: True)),
-        GraspCase("detector dies while the hand rises", wrap_detector=lambda detector, rng: DyingDetector(detector)),
+        GraspCase("detector never fires", wrap_detector=_always(slips=False), own_detector=True),
+        GraspCase("detector always fires", wrap_detector=_always(slips=True), own_detector=True),
+        GraspCase(
+            "detector dies while the hand rises",
+            wrap_detector=lambda detector, rng: DyingDetector(detector),
+            own_detector=True,
+        ),
         GraspCase("one slice in five lost", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, lost=0.2)),
         GraspCase(
             "one slice in five twice", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, twice=0.2)
@@ -150,22 +171,37 @@ def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     """Every case with every controller; only the paper's law has a gain."""
     controllers = CONTROLLERS if full else QUICK_CONTROLLERS
     return [
-        partial(grasp_rows, case, controller, seed)
+        partial(judged_rows, case, controller, seed)
         for controller in controllers
         for case in extreme_cases(full=full)
         if not (case.paper_only and controller == "load-proportional")
     ]
 
 
-def grasp_rows(case: GraspCase, controller: str, seed: int) -> Rows:
-    """Grasp once under a case: what became of the object, or how the grasp broke off."""
+def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
+    """The rows of a case and, where one is not ok, those with the true slip, which tell what has failed."""
+    rows = grasp_rows(case, controller, seed)
+    failed = {row["quantity"] for row in rows if not row["ok"]}
+    if not failed or case.own_detector:
+        return rows
+    told = grasp_rows(case, controller, seed, told=True)
+    still = failed & {row["quantity"] for row in told if not row["ok"]}
+    verdict = "the detector fails: with the true slip this is ok"
+    if still:
+        verdict = "not for the detector: this fails with the true slip too"
+    return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + told
+
+
+def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
+    """Grasp once under a case: what became of the object, or how the grasp broke off; told: of the true slip."""
+    name = f"{controller}{TOLD}" if told else controller
     rng = np.random.default_rng([seed, 1])
     short = replace(ShortGrasp(USUAL_OBJECT, controller, balance_s=BALANCE_S), **dict(case.timing))
     used: list[Rig] = []
 
     def wrap(detector: SliceDetector, devices: Rig) -> SliceDetector:
         used.append(devices)
-        return case.wrap_detector(detector, rng)
+        return case.wrap_detector(ground_truth_detector(detector, devices) if told else detector, rng)
 
     def run() -> Rows:
         try:
@@ -173,10 +209,10 @@ def grasp_rows(case: GraspCase, controller: str, seed: int) -> Rows:
         except EvetacError as error:
             if not used:  # refused before anything was gripped
                 raise
-            return let_go(case.name, controller, error, used[0])
-        return check(case.name, controller, result)
+            return let_go(case.name, name, error, used[0])
+        return check(case.name, name, result)
 
-    return run_case(case.name, run, controller=controller)
+    return run_case(case.name, run, controller=name)
 
 
 def let_go(name: str, controller: str, error: EvetacError, devices: Rig) -> Rows:
@@ -192,7 +228,8 @@ def let_go(name: str, controller: str, error: EvetacError, devices: Rig) -> Rows
 def check(name: str, controller: str, result: GraspResult) -> Rows:
     """The rows of a grasp that ended by itself."""
     rows, figures = result.rows, result.figures
-    truth = [rows[path] for path in rows if path.startswith("truth/") and path != NAN_AT_REST]
+    # NaN where nothing slips: the nodes that resolve slip.
+    truth = [rows[path] for path in rows if path.startswith("truth/") and path != slip_grid.NODES]
     numbers = [*truth, rows["gripper/current_ma"]]
     not_finite = sum(int((~np.isfinite(column)).sum()) for column in numbers)
     goals = rows["control/goal_ticks"]
@@ -210,6 +247,7 @@ def check(name: str, controller: str, result: GraspResult) -> Rows:
         measured.append((SWING, swing_ticks))
     ending = "held" if figures["balanced"] else "lost in balance" if figures["lifted"] else "not lifted"
     outcome = f"{ending}, with {rows['truth/normal_force_n'].max():.3g} N at the most"
+    outcome += in_nodes(slip_grid.fewest_nodes(rows[slip_grid.NODES]))
     return case_rows(name, outcome, measured, controller=controller)
 
 

@@ -16,13 +16,14 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import GRAVITY_M_S2
-from evetac_cli.evaluate.stability.bounds import ONSET, Bound
+from evetac_cli.evaluate.stability.bounds import ONSET, RESOLVED, Bound, in_nodes
 from evetac_cli.evaluate.stability.gel_case import COULOMB, GelCase, stiff
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pressure
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
 from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.store.recordings import slip_grid
 
 MM_PER_PX = 0.0329  # of the default sensor
 REFERENCE_MS = (0.02, 0.04)  # steps of the reference, and of the one that shows how far the reference itself is off
@@ -107,19 +108,25 @@ def onset_s(case: GelCase, within_s: float, solver: Solver) -> float:
     return math.nan
 
 
-def onset_error(case: GelCase, within_s: float, theta: float) -> tuple[tuple[Bound, float], str]:
-    """The error of the onset in ms, at most: the distance from the reference and how far that may be off; in words."""
+def onset_error(case: GelCase, within_s: float, theta: float) -> tuple[list[tuple[Bound, float]], str]:
+    """The error of the onset in ms, at most, and how many nodes are missing to resolve unstable slip; and in words.
+
+    The error is the distance from the reference and how far that may be off, on the same nodes.
+    """
     solvers = [Solver(theta=theta), *(Solver(theta=theta, step_ms=step_ms) for step_ms in REFERENCE_MS)]
     onset, reference, coarser = (onset_s(case, within_s, solver) for solver in solvers)
     own_ms = 1e3 * abs(reference - coarser)
     words = f"slips {_at(onset)}, reference {_at(reference)} (within {own_ms:.2g} ms)"
+    measured = [(ONSET, 1e3 * abs(onset - reference) + own_ms)]
     half = _half_wavelength_nodes(case, reference)
-    words += f"; half a wavelength of unstable slip is {half:.3g} nodes" if math.isfinite(half) else ""
-    return (ONSET, 1e3 * abs(onset - reference) + own_ms), words
+    if math.isfinite(half):
+        measured.append((RESOLVED, max(slip_grid.FEWEST_NODES - half, 0.0)))
+        words += in_nodes(half) or f"; half a wavelength of unstable slip is {half:.3g} nodes"
+    return measured, words
 
 
 def _half_wavelength_nodes(case: GelCase, time_s: float) -> float:
-    """Where the gel is pressed hardest, at a time; below 4 the onset depends on the grid, and scenes warn of it."""
+    """Where the gel is pressed hardest, at a time; infinity where slip is stable, or there is none."""
     if math.isnan(time_s):
         return math.inf
     state, shares = case.start()

@@ -6,7 +6,7 @@ tracks knows not to trust it. Nonsense has to be refused.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.devices.simulated import rig
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
@@ -23,6 +24,7 @@ from evetac_cli.evaluate.stability.bounds import (
     SAME_DOTS,
     WORST_DOT,
     case_rows,
+    in_nodes,
     refusal,
     run_case,
 )
@@ -32,6 +34,7 @@ from evetac_cli.jobs import Rows
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.sim.setup.plan import first_plan
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials.record.simulated import play
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -43,6 +46,8 @@ EVENTS_PER_PX = 300.0  # of a dot that moves by a pixel, as simulated
 DOT_RADIUS_PX = 15.0
 SLICES = Extent(quick=200, full=1000)
 OBJECT = 11  # of the paper, in slips
+TOLD_RIGHT_PX = 0.5  # a grid that is off by less is as well known as `calibrate` makes it
+FOLLOWED_PX = 2.0 * TrackerConstants.trust_px  # in a slice, by `stable`: so much is seen, and so much corrected
 
 
 @dataclass(frozen=True)
@@ -163,24 +168,55 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
     """Track a simulated slip with a preset; what is simulated is kept for the next preset."""
 
     def run() -> Rows:
-        dots_px, radius_px, slices = _simulated(name, seed)
-        return _followed(f"slip, {name}", preset, PRESETS[preset].for_dots(radius_px), dots_px, slices)
+        slip = _simulated(name, seed)
+        constants = PRESETS[preset].for_dots(slip.dot_radius_px)
+        rows = _followed(f"slip, {name}", preset, constants, slip.dots_px, slip.slices, slip.rest_px)
+        return [{**row, "outcome": f"{row['outcome']}{in_nodes(slip.half_wavelength_nodes)}"} for row in rows]
 
     return run_case(f"slip, {name}", run, preset=preset)
 
 
+@dataclass(frozen=True)
+class SimulatedSlip:
+    """A slip: the dots that the tracker is told of, where they truly rest, their radius, the slices; see slip_grid."""
+
+    dots_px: Floats
+    rest_px: Floats
+    dot_radius_px: float
+    slices: list[tuple[Columns, Floats]]
+    half_wavelength_nodes: float | None
+
+
 @lru_cache(maxsize=1)
-def _simulated(name: str, seed: int) -> tuple[Floats, float, list[tuple[Columns, Floats]]]:
-    """The dots that the tracker is told of, their radius in px, and the slices of a slip with this extreme part."""
+def _simulated(name: str, seed: int) -> SimulatedSlip:
+    """A slip with this extreme part."""
     plan = merge(first_plan("slip", str(OBJECT)), SLIP_SOON, SLIPS[name])
     trial = SimulatedTrial((), Path("slip.recording.h5"), 0, seed, plan)
     devices, slices = play(trial)
+    played, nodes = [], []
     try:
         sensor = devices.camera.sensor
-        played = [((events.x, events.y, events.p), rows["truth/dot_xy_px"]) for events, rows in slices]
+        for events, rows in slices:
+            played.append(((events.x, events.y, events.p), rows["truth/dot_xy_px"]))
+            nodes.append(rows[slip_grid.NODES])
     finally:
         devices.close()
-    return sensor["sensor/dot_xy_px"].reshape(-1, 2), float(sensor["sensor/dot_radius_px"]), played
+    radius_px, fewest = float(sensor["sensor/dot_radius_px"]), slip_grid.fewest_nodes(nodes)
+    return SimulatedSlip(_dots_px(sensor), _rest_px(trial), radius_px, played, fewest)
+
+
+def _rest_px(trial: SimulatedTrial) -> Floats:
+    """Where the dots truly are at rest, whatever the trial's calibration says."""
+    rightly = replace(trial.plan, scene=replace(trial.plan.scene, calibration=None))
+    devices = rig(rightly, trial.seeds())
+    try:
+        return _dots_px(devices.camera.sensor)
+    finally:
+        devices.close()
+
+
+def _dots_px(sensor: Mapping[str, Any]) -> Floats:
+    return np.asarray(sensor["sensor/dot_xy_px"].reshape(-1, 2))
 
 
 def _followed(
@@ -189,22 +225,41 @@ def _followed(
     constants: TrackerConstants,
     dots_px: Floats,
     slices: Iterable[tuple[Columns, Floats]],
+    rest_px: Floats | None = None,
 ) -> Rows:
-    """How far the tracker is from the true dots, over all slices and all dots that it does not flag as lost."""
+    """How far the tracker is from the true dots, over all slices and all dots that it does not flag as lost.
+
+    rest_px: where the dots truly are before the first slice, if not where the tracker is told that they are.
+    """
     state = tracker.start(dots_px, constants)
-    reported, events_max = [], 0
+    reported, events_max, flagged, jump_px = [], 0, 0, 0.0
+    before_px = rest_px = dots_px if rest_px is None else rest_px
     off_px = np.zeros(len(dots_px))
     for (x, y, p), true_px in slices:
         tracker.step(state, x, y, p)
         off_px = np.linalg.norm(state.dot_xy_px - true_px, axis=1)
         reported.append(off_px[~state.lost])
+        flagged += int(state.lost.sum())
         events_max = max(events_max, len(x))
+        jump_px = max(jump_px, float(np.linalg.norm(true_px - before_px, axis=1).max()))
+        before_px = true_px
     distances_px = np.concatenate(reported) if any(map(len, reported)) else np.zeros(1)
     silent = int((off_px[~state.lost] > WORST_DOT.most).sum())
     outcome = f"{int(state.lost.sum())} of {len(dots_px)} dots flagged lost, {silent} others off by more than"
-    outcome += f" {WORST_DOT.most:g} px at the end; up to {events_max:,} events a slice"
+    outcome += f" {WORST_DOT.most:g} px at the end; {flagged / max(len(reported), 1):.3g} flagged in the mean slice, up"
+    outcome += f" to {events_max:,} events"
+    outcome += "".join(_why_off(float(np.linalg.norm(dots_px - rest_px, axis=1).max()), jump_px))
     measured = [(WORST_DOT, float(distances_px.max())), (P99_DOT, float(np.percentile(distances_px, 99)))]
     return case_rows(case, outcome, measured, preset=preset)
+
+
+def _why_off(told_off_px: float, jump_px: float) -> Iterator[str]:
+    """What a row adds where dots are elsewhere before a tracker can have seen it: it was told wrong, or they jumped."""
+    if told_off_px > TOLD_RIGHT_PX:
+        yield f"; told of dots {told_off_px:.1f} px from where they are, which shows in events only where they move"
+        yield " (`evetac calibrate` finds them)"
+    if jump_px > FOLLOWED_PX:
+        yield f"; a dot jumps by {jump_px:.1f} px in a slice, of which at most {FOLLOWED_PX:g} px are followed at once"
 
 
 def nonsense() -> list[tuple[str, Callable[[], object]]]:

@@ -53,6 +53,9 @@ SYSTEM = 8  # numbers of every dot: inverse matrix (xx, xy, yy), right side (2),
 CHANCE = 1.0  # both sides may differ by so many standard deviations: sqrt of the sum of w
 UNLIMITED = 1e12  # ... so many explain every difference
 LEAST_SHARE = 0.01  # less than this of one polarity: the camera sends only the other
+LIGHT_DOTS = 0.75  # so many of the dots have events of one polarity, ...
+LIGHT_AHEAD = 0.6  # ... which is so far ahead of the other, of all their events: the light changes, and nothing moves
+LIGHT_SLICES = 50.0  # such slices are counted over about so many
 LEAST_DAMPING = 1e-9  # of the matrix: below this, rounding would decide
 MOST_WEIGHT = 1e12  # beyond this, neighbours are one body to the last bit
 
@@ -163,11 +166,14 @@ def solve(
         polarity_weight[1] += sums[i, BRIGHTER] / UNITS
     both = polarity_weight[0] + polarity_weight[1]
     chance = CHANCE if min(polarity_weight[0], polarity_weight[1]) > LEAST_SHARE * both else UNLIMITED
+    state["light_slices"] *= 1.0 - 1.0 / LIGHT_SLICES
+    state["light_slices"] += chance == CHANCE and _light_changes(dots, sums)
     damping = 0.5 / state["step_size"]
     constants = damping, state["regulariser_weight"], state["trust_px"], state["event_px"], state["most_events"], chance
     system = np.empty((dots, SYSTEM))
+    one_rim_px, too_far = state["one_rim_px"][:dots], state["too_far"][:dots]
     for i in range(dots):
-        _set_up(i, sums, neighbour_count[i], constants, system, shift_px)
+        _set_up(i, sums, neighbour_count[i], constants, system, shift_px, one_rim_px, too_far)
     for _ in range(state["sweeps"]):
         for i in range(dots):
             right_x = system[i, 3]
@@ -187,6 +193,22 @@ def solve(
 
 
 @njit(cache=True, error_model="numpy")
+def _light_changes(dots: int, sums: NDArray[np.int64]) -> bool:
+    """Whether the events of nearly all dots at once have one polarity: the light, and no motion, has made them."""
+    darker = 0
+    brighter = 0
+    only_darker = 0
+    only_brighter = 0
+    for i in range(dots):
+        darker += sums[i, DARKER]
+        brighter += sums[i, BRIGHTER]
+        only_darker += sums[i, DARKER] > 4 * sums[i, BRIGHTER]
+        only_brighter += sums[i, BRIGHTER] > 4 * sums[i, DARKER]
+    ahead = abs(darker - brighter)
+    return max(only_darker, only_brighter) >= LIGHT_DOTS * dots and ahead > LIGHT_AHEAD * (darker + brighter)
+
+
+@njit(cache=True, error_model="numpy")
 def _set_up(
     i: int,
     sums: NDArray[np.int64],
@@ -194,15 +216,25 @@ def _set_up(
     constants: tuple[float, float, float, float, float, float],
     system: NDArray[np.float64],
     shift_px: NDArray[np.float64],
+    one_rim_px: NDArray[np.float64],
+    too_far: NDArray[np.uint8],
 ) -> None:
-    """The motion seen by dot i, into shift_px, and its row of the system for the correction, which starts at 0."""
+    """The motion seen by dot i, into shift_px, and its row of the system for the correction, which starts at 0.
+
+    What one rim alone shows is added to one_rim_px; too_far is set where both show more than a slice may follow.
+    """
     damping, regulariser_weight, trust_px, event_px, most_events, chance = constants
     xx = sums[i, 2] / UNITS
     xy = sums[i, 3] / UNITS
     total = (sums[i, DARKER] + sums[i, BRIGHTER]) / UNITS
     yy = total - xx  # n is a unit vector
     by_chance = chance * sqrt(total)
-    both_x, both_y = _both_rims(i, sums, by_chance)
+    both_x, both_y, alone_x, alone_y = _both_rims(i, sums, by_chance)
+    one_rim_px[i, 0] += event_px * alone_x
+    one_rim_px[i, 1] += event_px * alone_y
+    shown_x = event_px * (both_x + alone_x)
+    shown_y = event_px * (both_y + alone_y)
+    too_far[i] = shown_x * shown_x + shown_y * shown_y > 4.0 * trust_px * trust_px
     seen_x, seen_y = _limited(event_px * both_x, event_px * both_y, trust_px)
     of_one_polarity = max(abs(sums[i, DARKER] - sums[i, BRIGHTER]) / UNITS - by_chance, 0.0)
     scale = min(1.0, most_events / max(total, 1e-12)) * (1.0 - of_one_polarity / max(total, 1e-12))
@@ -226,8 +258,8 @@ def _set_up(
 
 
 @njit(cache=True, error_model="numpy")
-def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float, float]:
-    """Sum of +n on the leading and -n on the trailing rim of dot i, as far as the two agree but for chance."""
+def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float, float, float, float]:
+    """Sum of +n on the leading, -n on the trailing rim of dot i as far as they agree but for chance; and the rest."""
     leading_x = sums[i, DARKER + 1] / UNITS
     leading_y = sums[i, DARKER + 2] / UNITS
     trailing_x = -sums[i, BRIGHTER + 1] / UNITS
@@ -238,12 +270,12 @@ def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float
     both_x = leading_x + trailing_x
     both_y = leading_y + trailing_y
     if off2 <= by_chance * by_chance:
-        return both_x, both_y
+        return both_x, both_y, 0.0, 0.0
     # Take off what the louder rim has too much, but never so much that the sum begins to grow again.
     louder = (both_x * off_x + both_y * off_y) / off2  # > 0: the leading one
     beyond_chance = 1.0 - by_chance / sqrt(off2)
     share = min(max(louder, -beyond_chance), beyond_chance)
-    return both_x - share * off_x, both_y - share * off_y
+    return both_x - share * off_x, both_y - share * off_y, share * off_x, share * off_y
 
 
 @njit(cache=True, error_model="numpy")

@@ -16,7 +16,7 @@ Why so:
 """
 
 from dataclasses import fields
-from math import inf
+from math import inf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +30,8 @@ from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_
 from evetac_cli.kernels.tracking.presets import MAX_REACH_PX, TrackerConstants
 
 CAPACITY = grid.MOST_DOTS  # dots that a state has room for
+# Largest curvature of the distance term over regulariser_weight * pitch**2: one pattern of dots, its edges included.
+STIFFNESS = 98.8
 _PIXEL, _POLARITY = np.dtype(np.uint16), np.dtype(np.uint8)
 _NO_POLARITY = np.empty(0, np.uint8)
 
@@ -44,11 +46,16 @@ STATE = np.dtype(
         *((item.name, np.int64) for item in fields(TrackerConstants) if item.type is int),
         *((item.name, np.float64) for item in fields(TrackerConstants) if item.type is float),
         ("gathered", np.int64, (CAPACITY + 1, descent.SUMS)),  # sums of the slices since the last step, see descent.py
+        ("light_slices", np.float64),  # slices lately in which the light has changed, see fit.py
         ("polarity_weight", np.float64, 2),  # sum of the weights of ring events, darker and brighter, up to now
         ("centre_xy_px", np.float64, (CAPACITY + 1, 2)),  # see dot_xy_px; row n is the dummy dot (buckets.py)
         ("rest_xy_px", np.float64, (CAPACITY, 2)),  # centres at the start
         ("rest_distance_px2", np.float64, (CAPACITY, grid.MAX_NEIGHBOURS)),  # squared, to each neighbour at the start
         ("listed_xy_px", np.float64, (CAPACITY, 2)),  # centres when the buckets were filled, see buckets.py
+        # With `fit`, for lost_dots.py: what one rim alone has shown lately, how far a dot has gone, and its neighbours.
+        ("one_rim_px", np.float64, (CAPACITY, 2)),
+        ("own_way_px", np.float64, (CAPACITY, 2)),
+        ("near_way_px", np.float64, (CAPACITY, 2)),
         ("neighbours", np.int32, (CAPACITY, grid.MAX_NEIGHBOURS)),  # indices first, then -1
         ("neighbour_count", np.int32, CAPACITY),  # how many indices that are
         ("events", np.int32, CAPACITY + 1),  # see events_per_dot; row n is the dummy dot
@@ -56,7 +63,9 @@ STATE = np.dtype(
         ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # where each bucket's dots begin in bucket_dots
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
         ("pixel_events", np.uint16, hot_pixels.COUNTS_SHAPE),  # recent events of every pixel, see hot_pixels.py
-        ("lost", np.uint8, CAPACITY),  # 1: far from where its neighbours place it, see lost_dots.py
+        ("lost", np.uint8, CAPACITY),  # 1: not to be trusted, see lost_dots.py
+        ("left_behind", np.uint8, CAPACITY),  # 1: lost for another reason than its distance
+        ("too_far", np.uint8, CAPACITY),  # 1: in this slice both rims show more than may be followed
         *((item.name, np.uint8) for item in fields(TrackerConstants) if item.type is bool),
         ("_end", np.uint8, 2),  # up to a multiple of 8 bytes
     ],
@@ -103,11 +112,14 @@ def start(
 
     dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and apart from each other; a row of NaN is a
     missing dot, which never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up
-    with -1; from `grid.neighbours` if not given. ValueError if the dots or the neighbours are not like this.
+    with -1; from `grid.neighbours` if not given. ValueError if the dots or the neighbours are not like this, or the
+    constants overshoot or stall on these dots (`require_followable`).
     """
     rest = _checked_dots(dot_xy_px)
     n = len(rest)
     pairs = grid.neighbours(rest) if neighbours is None else _checked_neighbours(neighbours, rest)
+    rest_distance_px2 = np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0)
+    require_followable(constants, rest_distance_px2)
     array = np.zeros(1, STATE)
     record = array[0]
     for item in fields(TrackerConstants):
@@ -118,12 +130,50 @@ def start(
     record["rest_xy_px"][:n] = rest
     record["neighbours"][:n] = pairs
     record["neighbour_count"][:n] = (pairs >= 0).sum(axis=1)
-    record["rest_distance_px2"][:n] = np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0)
+    record["rest_distance_px2"][:n] = rest_distance_px2
     record["listed_xy_px"][:n] = -inf  # far from everywhere: the first step fills the buckets
     state = TrackerState(array)
     no_events = np.empty(0, np.uint16)
     step(state, no_events, no_events, _NO_POLARITY)  # compiles or loads the kernel now and not in the first slice
     return state
+
+
+def require_followable(constants: TrackerConstants, rest_distance_px2: NDArray[np.float64]) -> None:
+    """Refuse constants with which no dot could be followed; ValueError says which is to be smaller, and than what.
+
+    rest_distance_px2: (n, 8) to neighbours, squared, 0 where there is none. Without `fit`, a step overshoots by more
+    than it corrects where step_size * (4 N / 3 + STIFFNESS * regulariser_weight * pitch**2) is 2 or more. N is taken as
+    the fewest ring events that move a dot: what is unstable with those is so with all. With `fit`, the sweeps end
+    before even a dot with most_events is heard where its neighbours weigh as much as that in every sweep.
+    """
+    weight, step_size = constants.regulariser_weight, constants.step_size
+    if constants.fit:
+        most = constants.sweeps * constants.most_events / grid.MAX_NEIGHBOURS
+        if weight > most:
+            raise ValueError(
+                f"regulariser_weight: expected at most {most:g} (sweeps * most_events / {grid.MAX_NEIGHBOURS}: with"
+                f" more, neighbours hold every dot where it is), found {weight:g}; choose a smaller regulariser_weight"
+            )
+        return
+    nearest_px2 = np.min(rest_distance_px2, axis=1, where=rest_distance_px2 > 0.0, initial=inf)
+    pitch_px2 = float(np.median(nearest_px2[np.isfinite(nearest_px2)])) if np.isfinite(nearest_px2).any() else 0.0
+    ring_events = constants.min_events + 1
+    rule = (
+        f"step_size * (4 N / 3 + {STIFFNESS:g} * regulariser_weight * pitch**2) < 2 with N = {ring_events}, the fewest"
+    )
+    rule += f" ring events that move a dot, and dots {sqrt(pitch_px2):.1f} px apart"
+    by_events, by_neighbours = 4.0 * ring_events / 3.0, STIFFNESS * weight * pitch_px2
+    if step_size * by_events >= 2.0:
+        raise ValueError(
+            f"step_size: expected below {2.0 / by_events:.3g} ({rule}), found {step_size:g}; choose a smaller step_size"
+            f"{' or min_events' if constants.min_events else ''}"
+        )
+    if step_size * (by_events + by_neighbours) >= 2.0:
+        most = (2.0 / step_size - by_events) / (STIFFNESS * pitch_px2)
+        raise ValueError(
+            f"regulariser_weight: expected below {most:.3g} ({rule}), found {weight:g} with step_size {step_size:g};"
+            " choose a smaller regulariser_weight or step_size"
+        )
 
 
 def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None = None) -> None:
@@ -246,7 +296,7 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
             if ring_events[i] > state["min_events"]:
                 centre_xy_px[i, 0] = min(max(centre_xy_px[i, 0] + shift_px[i, 0], 0.0), FRAME_PX[0] - 1.0)
                 centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), FRAME_PX[1] - 1.0)
-    lost_dots.update(state, moved, ring_events)
+    lost_dots.update(state, moved, ring_events, shift_px)
     state["slices"] += 1
 
 

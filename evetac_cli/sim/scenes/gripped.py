@@ -20,7 +20,7 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, dots, gel
-from evetac_cli.sim.gel.adaptive import Slice
+from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
@@ -48,6 +48,7 @@ from evetac_cli.sim.setup.sensor import Sensor
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
 GONE_M = 0.02  # an object that slid this far is lost
+CLOSING_S, CLOSING_STEPS = 0.5, 10  # of a finger on what a ramp holds, before the trial begins
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
 TEXTURE_PX = (1024, 1024)
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
@@ -202,8 +203,10 @@ class GraspSimulation:
         second_pad = None if self._second is None else self._second.pad(self._gel)
         self._pads = (self._gel,) if second_pad is None else (self._gel, second_pad)
         self._gel_slices = GelSlices(self._gel, self._solver, second_pad, timer)
-        self._press()
         self._friction = friction_of(sampled)
+        if self._kind == "ramp":
+            self._close(second_pad)
+        self._press()
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
         self._window_from_middle_m: tuple[float, float] | None = None
@@ -236,9 +239,7 @@ class GraspSimulation:
 
     def nodes_of_slip(self) -> float:
         """Half the wavelength of unstable slip at the slip limit, in nodes of the grid; infinity where it is stable."""
-        return nodes_of_slip(
-            self._slip_limit_n, self._curve, self._gaps, self._gel, self._friction, self._pressure_law
-        )
+        return nodes_of_slip(self._slip_limit_n, self._curve, self._gaps, self._gel, self._friction, self._pressure_law)
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
@@ -315,6 +316,28 @@ class GraspSimulation:
             self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
+
+    def _close(self, second_pad: gel.GelState | None) -> None:
+        """Let the gel follow a finger that closes to where the trial starts, and then rests as long.
+
+        Why so: what is pressed at once would be squeezed aside while the camera already looks.
+        """
+        stepper = Stepper(self._solver, CLOSING_S / CLOSING_STEPS, second_pad)
+        end_ticks, end_m, end_n = self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n
+        before_n = 0.0
+        for step in range(2 * CLOSING_STEPS):
+            self.finger.closing_ticks = end_ticks * min((step + 1) / CLOSING_STEPS, 1.0)
+            self.finger.indentation_m, self.finger.force_n = (
+                contact.lookup(table, self._curve.step_ticks, self.finger.closing_ticks)
+                for table in (self._curve.indentation_m, self._curve.force_n)
+            )
+            self._press()
+            force_n, still = (before_n, self.finger.force_n), (0.0, 0.0, 0.0)
+            stepper.advance(
+                self._gel, self._shares, force_n, still, self._friction, still, second_shares=self._second_shares
+            )
+            before_n = self.finger.force_n
+        self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n = end_ticks, end_m, end_n
 
     def _press(self) -> None:
         """Find how the nodes share the normal force where the finger is now."""

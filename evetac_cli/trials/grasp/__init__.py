@@ -20,11 +20,12 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
 from evetac_cli.store.files import up_to_date
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials import part_costs
 from evetac_cli.trials.grasp import simulated
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
-from evetac_cli.trials.trial import simulated_trials
+from evetac_cli.trials.trial import for_people, simulated_trials
 
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "tracker")
@@ -119,4 +120,11 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
     raise TypeError(f"grasp has no {type(job).__name__}")
 
 
-STAGE = Stage(jobs, run, dry_run=dry_run, dry_run_for_people=part_costs.for_people)
+STAGE = Stage(
+    jobs,
+    run,
+    for_people=for_people,
+    warnings=slip_grid.once,
+    dry_run=dry_run,
+    dry_run_for_people=part_costs.for_people,
+)

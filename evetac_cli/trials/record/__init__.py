@@ -21,13 +21,14 @@ from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
 from evetac_cli.store.files import output_path, up_to_date
+from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials import part_costs
 from evetac_cli.trials.record import capture, capture_plan, imported, preview, simulated
 from evetac_cli.trials.record.capture_plan import DeviceRecording
 from evetac_cli.trials.record.imported import ImportJob
 from evetac_cli.trials.record.preview import Preview
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
-from evetac_cli.trials.trial import SimulatedTrial, device_trials, simulated_trials
+from evetac_cli.trials.trial import SimulatedTrial, device_trials, for_people, simulated_trials
 
 METHOD = simulated.METHOD
 WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
@@ -125,4 +126,11 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     raise TypeError(f"record has no {type(job).__name__}")
 
 
-STAGE = Stage(jobs, run, dry_run=dry_run, dry_run_for_people=part_costs.for_people)
+STAGE = Stage(
+    jobs,
+    run,
+    for_people=for_people,
+    warnings=slip_grid.once,
+    dry_run=dry_run,
+    dry_run_for_people=part_costs.for_people,
+)

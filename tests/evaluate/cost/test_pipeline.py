@@ -19,9 +19,11 @@ from evetac_cli.evaluate.cost.chain import (
     Chain,
     ChainTrial,
     Lifted,
+    detection_moved_ms,
     run_chain,
     slip_errors,
 )
+from evetac_cli.evaluate.cost.deciding import Effort
 from evetac_cli.evaluate.cost.pipeline import DEFAULTS, ERRORS, Measured, tables, trials
 from evetac_cli.evaluate.labels import true_onsets
 from evetac_cli.evaluate.rows import Extent, SolverSetting, line
@@ -49,7 +51,7 @@ def test_errors_by_hand() -> None:
         {
             "error_ms_gross_slip": 2.0,
             "error_ms_label": 3.0,
-            "error_ms_detection": 50.0,
+            "error_share_detection": 1.0,
             "error_px_dots": 0.5,
             "error_n_shear": 1.0,
         }
@@ -58,12 +60,28 @@ def test_errors_by_hand() -> None:
     assert all(np.isnan(list(slip_errors(chain(1, 1, 1), chain(None, None, None), twice).values())))
 
 
-def measured(setting: SolverSetting, slow: float, off: float, held: bool = True) -> Measured:
+def test_how_far_the_first_detection_moves() -> None:
+    """Assert that it is compared with that of the reference, the end where there is none, and that 5 ms are not far."""
+    twice = Regression(np.diag([2.0, 2.0]), np.zeros(2))
+    for ours, theirs, moved in ((45, 50, 5.0), (44, 50, 6.0), (None, 50, 50.0), (50, None, 50.0), (None, None, 0.0)):
+        one, other = chain(50, 50, ours), chain(50, 50, theirs)
+        assert detection_moved_ms(one, other) == moved
+        assert slip_errors(one, other, twice)["error_share_detection"] == float(moved > 5.0)
+    assert np.isnan(detection_moved_ms(chain(1, 1, 1), chain(None, None, None)))
+
+
+EFFORT = Effort(EvaluateCost(part="pipeline"), 4, 0.5)
+
+
+def measured(
+    setting: SolverSetting, slow: float, off: float, held: bool = True, moved_from: int | None = 50
+) -> Measured:
     entry = Measured(setting)
     for trial in range(4):
-        errors = dict.fromkeys(pipeline.SLIP_ERRORS, off + 0.01 * trial)
+        errors = dict.fromkeys(pipeline.SLIP_ERRORS, off + 0.01 * trial) | {"error_share_detection": float(off > 20.5)}
         one = chain(50, 50, 50)._replace(chain_us=slow + trial, record_us=0.5 * slow)
-        entry.add(ChainTrial(8, 10_000 + trial, 11), one, Lifted(held, 1.0 + off, slow), errors, Lifted(True, 1.0, 1.0))
+        made = one, Lifted(held, 1.0 + off, slow)
+        entry.add(ChainTrial(8, 10_000 + trial, 11), made, errors, (chain(50, 50, moved_from), Lifted(True, 1.0, 1.0)))
     return entry
 
 
@@ -75,14 +93,18 @@ def test_tables() -> None:
             measured(SolverSetting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
             measured(DEFAULTS, 300.0, 20.0),
             measured(fine, 600.0, 10.0),
-            measured(coarse, 310.0, 21.0, held=False),
-        ]
+            measured(coarse, 310.0, 21.0, held=False, moved_from=None),
+        ],
+        EFFORT,
     )
     json.dumps(rows, allow_nan=False, default=str)
     settings = {row["setting"]: row for row in rows if "flags" in row}
     assert [row["flags"] for row in settings.values()] == ["--step-ms 0.1", "none", "--step-ms 0.25", "--step-ms 1"]
     assert settings["reference"]["error_ms_gross_slip"] is None
     assert settings["reference"]["pareto"] is None
+    assert settings["reference"]["error_share_detection"] is settings["reference"]["detection_moved_ms_median"] is None
+    moved = [(row["error_share_detection"], row["detection_moved_ms_median"]) for row in settings.values()]
+    assert moved[1:] == [(0.0, 0.0), (0.0, 0.0), (1.0, 50.0)]
     assert settings["defaults"]["error_px_dots"] == pytest.approx(20.015)
     assert "px_dots" in settings["defaults"]["pareto"].split(", ")
     assert "px_dots" in settings["fixed step, 0.25 ms"]["pareto"].split(", ")
@@ -94,6 +116,10 @@ def test_tables() -> None:
     assert apart["px_dots", "fixed step, 0.25 ms"]["more_than_defaults"] == pytest.approx(-10.0)
     assert apart["px_dots", "fixed step, 0.25 ms"]["interval_high"] < 0
     assert apart["px_dots", "fixed step, 0.25 ms"]["trials"] == 4
+    assert apart["px_dots", "fixed step, 0.25 ms"]["decided"] == "yes"
+    assert apart["share_detection", "fixed step, 1 ms"]["more_than_defaults"] == 1.0
+    assert apart["share_detection", "fixed step, 0.25 ms"]["decided"] == "no difference seen"
+    assert apart["mm_moved", "fixed step, 1 ms"]["decided"] == "not compared"
     trials = [row for row in rows if "trial_flags" in row]
     assert len(trials) == 4 * 4
     assert trials[9]["trial_flags"] == "--object 8 --seed 10001 --step-ms 0.25"
@@ -253,7 +279,8 @@ def test_the_picture() -> None:
                 measured(one, 600.0 / one.solver["step_ms"], 10.0)
                 for one in line("fixed step", "step_ms", (0.5, 1.0), "ms")
             ),
-        ]
+        ],
+        EFFORT,
     )
     figure = figure_module.Figure()
     pipeline.draw(figure, rows, ERRORS)

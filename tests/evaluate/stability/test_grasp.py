@@ -10,15 +10,23 @@ import pytest
 from evetac_cli.commands.evaluate import EvaluateStability
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.errors import DeviceError
-from evetac_cli.evaluate.cost.short_grasps import GraspResult
+from evetac_cli.evaluate.cost.short_grasps import FixedDetector, GraspResult
 from evetac_cli.evaluate.stability import bounds, command
 from evetac_cli.evaluate.stability import grasp as stability
 from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, merge
-from evetac_cli.evaluate.stability.grasp import DyingDetector, GraspCase, UnevenSlices, extreme_cases, grasp_rows
+from evetac_cli.evaluate.stability.grasp import (
+    DyingDetector,
+    GraspCase,
+    UnevenSlices,
+    extreme_cases,
+    grasp_rows,
+    judged_rows,
+)
 from evetac_cli.jobs import Job, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.trials.grasp.loop import SliceDetector
 from tests.evaluate.conftest import CountingDetector
 
 SHORT = (("lift_s", 0.3), ("balance_s", 0.1))
@@ -137,12 +145,55 @@ def test_refusals_are_ok() -> None:
 
 
 def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert rows of real grasps, what is not ok first, counted by controller in the summary."""
+    """Assert rows of real grasps, what is not ok first, and counted by controller, without those told the true slip."""
     monkeypatch.setattr(stability, "extreme_cases", lambda full: [GraspCase("as usual", timing=SHORT)])
     chosen = EvaluateStability(part="grasp")
     outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
     assert {(row["controller"], row["case"]) for row in outcome.rows} == {
-        (controller, "as usual") for controller in stability.QUICK_CONTROLLERS
+        (f"{controller}{told}", "as usual")
+        for controller in stability.QUICK_CONTROLLERS
+        for told in ("", stability.TOLD)
     }
     assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
+    assert outcome.rows[0]["outcome"].endswith("; not for the detector: this fails with the true slip too")
+    assert outcome.summary["cases"] == 2
     assert outcome.summary["not_ok_by_controller"] == "paper 1 of 1, load-proportional 1 of 1"
+
+
+@pytest.mark.parametrize("own_detector", [False, True])
+@pytest.mark.parametrize("holds", [False, True])
+def test_a_failed_detector_is_told_from_a_failed_grasp(
+    own_detector: bool, holds: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a case that fails is tried with the true slip, unless it is its detector, and what that tells."""
+    asked = []
+
+    def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
+        asked.append(told)
+        measured = [(bounds.HELD, 0.0 if told and holds else 1.0), (bounds.MOVED, 1.0)]
+        return bounds.case_rows(case.name, "lost", measured, controller=controller + stability.TOLD * told)
+
+    monkeypatch.setattr(stability, "grasp_rows", grasp_rows)
+    rows = judged_rows(GraspCase("x", own_detector=own_detector), "paper", 0)
+    assert asked == ([False] if own_detector else [False, True])
+    assert rows[1]["outcome"] == "lost"  # what is ok needs no verdict
+    if own_detector:
+        assert rows[0]["outcome"] == "lost"
+        return
+    verdict = "the detector fails: with the true slip this is ok" if holds else "not for the detector"
+    assert rows[0]["outcome"].startswith(f"lost; {verdict}")
+    assert [row["controller"] for row in rows] == ["paper"] * 2 + ["paper, detector truth"] * 2
+
+
+def test_who_is_told_the_true_slip() -> None:
+    """Assert that the case's own detector stands behind one that is told, where the grasp is told, and only there."""
+    seen: list[SliceDetector] = []
+
+    def wrap(detector: SliceDetector, rng: np.random.Generator) -> SliceDetector:
+        seen.append(detector)
+        return DyingDetector(detector, 3)
+
+    case = GraspCase("x", wrap_detector=wrap, timing=SHORT)
+    rows = [grasp_rows(case, "paper", 0, told=told)[0] for told in (False, True)]
+    assert [isinstance(detector, FixedDetector) for detector in seen] == [False, True]
+    assert [row["controller"] for row in rows] == ["paper", "paper, detector truth"]

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from evetac_cli.evaluate.stability import onset
-from evetac_cli.evaluate.stability.bounds import ONSET
+from evetac_cli.evaluate.stability.bounds import ONSET, RESOLVED
 from evetac_cli.evaluate.stability.gel import gel_rows
 from evetac_cli.evaluate.stability.gel_case import GelCase
 from evetac_cli.evaluate.stability.onset import WEIGHT_ON_S, onset_cases, onset_error, onset_s
@@ -45,7 +45,7 @@ def test_incipient_slip_on_a_coarse_grid_is_no_onset(name):
 def test_an_object_that_never_slips():
     """Assert that there is no onset of what sticks, and that no onset is within no bound."""
     case = GelCase("x", columns=6, rows=5, friction=gel.Friction(10.0, 10.0))
-    (bound, error_ms), words = onset_error(case, 0.005, 0.55)
+    ((bound, error_ms),), words = onset_error(case, 0.005, 0.55)
     assert bound is ONSET
     assert math.isnan(error_ms)
     assert words.startswith("slips never, reference never")
@@ -54,7 +54,7 @@ def test_an_object_that_never_slips():
 def test_onset_with_constant_friction():
     """Assert that with constant friction the default steps have the onset of the reference within the bound."""
     case, within_s = CASES[CONSTANT]
-    (_, error_ms), words = onset_error(case, within_s, 0.55)
+    ((_, error_ms),), words = onset_error(case, within_s, 0.55)
     assert error_ms <= ONSET.most, words
 
 
@@ -82,3 +82,15 @@ def test_every_onset_case_is_another():
     case, _ = CASES["slides, hand jerks by 20 m/s2 for 30 ms"]
     assert case.force(0.135)[0] == pytest.approx(0.981 + 2.0)
     assert case.force(0.2)[0] == pytest.approx(0.981)
+
+
+def test_a_grid_that_does_not_resolve_its_slip_is_not_ok(monkeypatch):
+    """Assert that a case whose unstable slip is shorter than the nodes resolve misses a bound, and its row says so."""
+    monkeypatch.setattr(onset, "onset_s", lambda *given: 0.2)
+    for pressed, ok in ((0.1, True), (100.0, False)):
+        case = GelCase("x", columns=6, rows=5, friction=gel.Friction(0.8, 0.4), load=lambda _, n=pressed: n)
+        measured, words = onset_error(case, 0.1, 0.55)
+        values = {bound.quantity: value for bound, value in measured}
+        assert values[ONSET.quantity] == 0.0
+        assert (values.get(RESOLVED.quantity, 0.0) <= RESOLVED.most) == ok
+        assert ("it depends on the grid" in words) != ok

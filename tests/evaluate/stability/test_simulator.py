@@ -28,7 +28,7 @@ def test_the_suite_holds_all_that_it_should(monkeypatch):
     """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
     monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
     monkeypatch.setattr(simulator_stability, "CAMERA_SLICES", 1)
-    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ((bounds.ONSET, 0.0), "not tried"))
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ([(bounds.ONSET, 0.0)], "not tried"))
     cases = [run() for run in simulator_stability.cases(0, False)]
     assert all(row["ok"] for rows in cases for row in rows)
     assert {row["part"] for rows in cases for row in rows} == {"gel", "gripper", "camera", "nonsense"}

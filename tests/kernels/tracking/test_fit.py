@@ -240,7 +240,8 @@ def test_a_flood_on_one_dot_is_outvoted() -> None:
     y = np.round(place[1] + np.linspace(-5, 5, 1000)).astype(np.uint16)
     x = np.full(1000, int(place[0]) + 18, np.uint16)
     for most in (20.0, 1e6):
-        state = tracker.start(grid(), replace(STABLE, hot_pixel_events=0, event_px=0.0, most_events=most))
+        state = tracker.start(grid(), replace(STABLE, hot_pixel_events=0, event_px=0.0))
+        state.record["most_events"] = most
         tracker.step(state, x, y, np.full(1000, BRIGHTER, np.uint8))
         moved.append(np.linalg.norm(state.dot_xy_px[14] - place))
     assert 0 < moved[0] < moved[1] / 4
@@ -334,10 +335,11 @@ def test_any_constants_keep_the_state_finite(
 ) -> None:
     """Assert that no events and no constants make a step longer than twice trust_px, or leave the frame."""
     rng = np.random.default_rng(seed)
-    constants = replace(
-        STABLE, step_size=step_size, regulariser_weight=weight, most_events=most, sweeps=sweeps, rim_lag_px=lag_px
-    )
-    state = tracker.start(grid(), constants)
+    wild = {"step_size": step_size, "regulariser_weight": weight, "most_events": most}
+    wild |= {"sweeps": sweeps, "rim_lag_px": lag_px}
+    state = tracker.start(grid(), STABLE)
+    for name, value in wild.items():  # some of which `start` would refuse: nothing may go wrong in spite of that
+        state.record[name] = value
     for _ in range(3):
         before = state.dot_xy_px.copy()
         dot, angle = rng.integers(0, 30, count), rng.integers(0, 4, count) * np.pi / 2
@@ -355,3 +357,97 @@ def test_polarities_are_needed() -> None:
     for wrong in (None, np.zeros(3, np.int64), np.zeros(2, np.uint8)):
         with pytest.raises(ValueError, match=r"p: expected uint8 polarities.* found"):
             tracker.step(state, x, x, wrong)  # type: ignore[arg-type]
+
+
+def without(slice_: Slice, centre: NDArray[np.float64], hidden: int | None) -> Slice:
+    """A slice without the events of the dot about a centre: of one polarity, or of either where `hidden` is None."""
+    x, y, p = slice_
+    near = np.hypot(x - centre[0], y - centre[1]) < PITCH_PX / 2
+    seen = ~(near & ((p == hidden) | (hidden is None)))
+    return x[seen], y[seen], p[seen]
+
+
+def lost_on_the_way(
+    way_px: NDArray[np.float64], dot: int | None, hidden: int | None = None, since: int = 10
+) -> tuple[NDArray[np.bool_], NDArray[np.float64], TrackerState]:
+    """Which dots are lost after each slice of a way, one of them without events, and how far off they all are."""
+    rng = np.random.default_rng(5)
+    state = tracker.start(grid(), STABLE)
+    lost, off_px = [], []
+    for k, (before, after) in enumerate(zip(way_px, way_px[1:], strict=False)):
+        slice_ = contact_edges(rng, grid() + before, after - before)
+        if dot is not None and k >= since:
+            slice_ = without(slice_, grid()[dot] + after, hidden)
+        tracker.step(state, *slice_)
+        lost.append(state.lost.copy())
+        off_px.append(np.linalg.norm(state.dot_xy_px - grid() - after, axis=1))
+    return np.array(lost), np.array(off_px), state
+
+
+STEADY_PX = np.outer(np.arange(120), [0.1, 0.0])
+MIDDLE, EDGE = 14, 17  # of eight neighbours, and of five
+
+
+@pytest.mark.parametrize("dot", [MIDDLE, EDGE])
+@pytest.mark.parametrize("hidden", [DARKER, BRIGHTER])
+def test_a_dot_with_a_hidden_rim_is_flagged_before_it_is_far(dot: int, hidden: int) -> None:
+    """Assert that a dot of which one rim alone is seen is lost, it alone, before it is 5 px behind the others."""
+    lost, off_px, _ = lost_on_the_way(STEADY_PX, dot, hidden)
+    assert np.flatnonzero(lost.any(axis=0)).tolist() == [dot]
+    assert off_px[:, dot].max() > 5.0
+    assert off_px[~lost[:, dot], dot].max() < 5.0
+
+
+def test_a_dot_that_vanishes_is_flagged() -> None:
+    """Assert that a dot without events amid others that go on is lost; at the edge of the grid gel may stay."""
+    lost, off_px, _ = lost_on_the_way(STEADY_PX, MIDDLE)
+    assert np.flatnonzero(lost.any(axis=0)).tolist() == [MIDDLE]
+    assert off_px[~lost[:, MIDDLE], MIDDLE].max() < 5.0
+    assert not lost_on_the_way(STEADY_PX, EDGE)[0].any()
+
+
+def test_a_dot_left_behind_is_put_back_at_rest() -> None:
+    """Assert that it is where its neighbours place it, and not lost, once they are back and there was rest."""
+    there_and_back = np.concatenate([STEADY_PX[:60], STEADY_PX[60:4:-1]])
+    lost, off_px, state = lost_on_the_way(there_and_back, MIDDLE)
+    assert lost[-1, MIDDLE]
+    for _ in range(STABLE.rest_slices):
+        tracker.step(state, *nothing())
+    assert not state.lost.any()
+    assert np.linalg.norm(state.dot_xy_px[MIDDLE] - grid()[MIDDLE] - there_and_back[-1]) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("way_px", "flagged"), [(shaken(1.0, 498.0, 60), False), (np.outer(range(12), [5.0, 0]), True)]
+)
+def test_dots_that_jump_out_of_their_rings_are_flagged(way_px: NDArray[np.float64], flagged: bool) -> None:
+    """Assert that dots which go 5 px a slice are lost after a few, and that those that swing by 2 px are not."""
+    lost, _, _ = lost_on_the_way(way_px, None)
+    assert lost[4:].all() if flagged else not lost.any()
+
+
+def test_a_flood_on_one_side_of_a_dot_is_flagged() -> None:
+    """Assert that a dot with 10,000 events on one side is lost, it alone."""
+    state = tracker.start(grid(), STABLE)
+    place = np.round(grid()[MIDDLE] + (16.0, 0.0) + np.random.default_rng(1).uniform(-1, 1, (10_000, 2)))
+    tracker.step(state, *place.astype(np.uint16).T.copy(), np.zeros(10_000, np.uint8))
+    assert np.flatnonzero(state.lost).tolist() == [MIDDLE]
+
+
+def test_flickering_light_is_flagged_while_it_lasts() -> None:
+    """Assert that all dots are lost while their whole rims flash, and none after, nor where the light changes once."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    rims = (grid()[:, None] + 15.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)).reshape(-1, 2)
+    x, y = np.round(rims).astype(np.uint16).T.copy()
+    rng = np.random.default_rng(2)
+    state = tracker.start(grid(), STABLE)
+    lost = []
+    for k in range(300):
+        flashes = k == 5 or 40 <= k < 160
+        flash = x, y, np.full(len(x), k // 5 % 2, np.uint8)
+        tracker.step(state, *(flash if flashes else contact_edges(rng, grid(), np.array([0.01, 0.0]))))
+        lost.append(state.lost.copy())
+    flagged = np.array(lost)
+    assert not flagged[:40].any()
+    assert flagged[60:160].all()
+    assert not flagged[-1].any()

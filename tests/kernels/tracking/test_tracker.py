@@ -318,8 +318,8 @@ def test_gradient_clip_bounds_the_speed() -> None:
 
 
 def test_a_dot_moves_at_most_its_radius() -> None:
-    """Assert that a step size far beyond the stable ones moves a dot by its radius per axis and not further."""
-    state = single(constants=replace(PAPER, step_size=1.0, hot_pixel_events=0))
+    """Assert that the largest step size that is taken moves a dot by its radius per axis and not further."""
+    state = single(constants=replace(PAPER, step_size=0.13, hot_pixel_events=0))
     step(state, *columns([(312, 213)] * 100))
     assert state.dot_xy_px.tolist() == [[315, 215]]
 
@@ -328,7 +328,7 @@ def test_dots_stay_in_the_frame() -> None:
     """Assert that a dot pushed out of the frame at any of its four corners stops at the last pixel."""
     corners = np.array([[0, 0], [639, 0], [0, 479], [639, 479]])
     inwards = np.sign(np.array([320, 240]) - corners)
-    state = tracker.start(corners + 3.0 * inwards, replace(PAPER, step_size=1.0))
+    state = tracker.start(corners + 3.0 * inwards, replace(PRESETS["unregularised"], step_size=0.13))
     # Events 12 px off, inside the dot's edge, push it away from them.
     events = corners[:, None] + 3 * inwards[:, None] + inwards[:, None] * np.array([(12, 0), (0, 12)] * 6)
     step(state, *columns(events.reshape(-1, 2)))
@@ -462,9 +462,11 @@ def test_any_events_keep_the_state_finite(
     events: NDArray[np.uint16], repeat: int, preset: str, weight: float, step_size: float, clip: float
 ) -> None:
     """Assert that no events and no constants make a position leave the frame or stop being a number."""
-    wild = replace(PRESETS[preset], regulariser_weight=weight, step_size=step_size, gradient_clip=clip)
+    wild = {"regulariser_weight": weight, "step_size": step_size, "gradient_clip": clip}
     rest = grid(3, 3)
-    state = tracker.start(rest, wild)
+    state = tracker.start(rest, PRESETS[preset])
+    for name, value in wild.items():  # which `start` would refuse: nothing may go wrong in spite of that
+        state.record[name] = value
     x = np.tile(events[:, 0] % np.uint16(700), repeat)
     y = np.tile(events[:, 1] % np.uint16(500), repeat)
     for _ in range(4):
@@ -738,3 +740,46 @@ def test_hot_pixels_do_not_depend_on_order() -> None:
         step(one, x, y)
         step(other, x[order], y[order])
     assert one.dot_xy_px.tolist() == other.dot_xy_px.tolist()
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "named"),
+    [
+        ("paper", {"step_size": 0.3}, "step_size: expected below 0.136"),
+        ("unregularised", {"step_size": 0.14}, "step_size: expected below 0.136"),
+        ("official", {"step_size": 0.31}, "step_size: expected below 0.3"),
+        ("paper", {"regulariser_weight": 0.01}, "regulariser_weight: expected below 0.0017"),
+        ("unregularised", {"regulariser_weight": 1e300}, "regulariser_weight: expected below 0.0017"),
+        ("paper", {"step_size": 1e300, "regulariser_weight": 1e300}, "step_size: expected below 0.136"),
+        ("stable", {"regulariser_weight": 1001.0}, "regulariser_weight: expected at most 1000"),
+    ],
+)
+def test_constants_beyond_the_step_limit_are_refused(preset: str, changes: dict[str, float], named: str) -> None:
+    """Assert that what cannot follow any dot is refused: which constant, below what, what was found, what to do."""
+    with pytest.raises(ValueError, match=rf"^{named}.*, found .*; choose a smaller"):
+        tracker.start(grid(), replace(PRESETS[preset], **changes))  # type: ignore[arg-type]
+
+
+def test_the_step_limit_is_where_steps_begin_to_grow() -> None:
+    """Assert that dots pushed off their grid come back with nine tenths of the limit, and with a tenth more do not."""
+    grows = {}
+    for share in (0.9, 1.1):
+        weight = 2.0 * share / (PAPER.step_size * tracker.STIFFNESS * PITCH_PX**2)
+        state = tracker.start(grid(), replace(PAPER, hot_pixel_events=0, min_events=0))
+        state.record["regulariser_weight"] = weight
+        rest = state.dot_xy_px.copy()
+        state.dot_xy_px[:] += 1e-3 * np.random.default_rng(3).standard_normal(rest.shape)
+        before = np.abs(state.dot_xy_px - rest).max()
+        state.record["gradient_clip"] = 1e-12  # the data term is silent: events only let the dots move
+        for _ in range(200):
+            step(state, *on_edge(rest, 1))
+        grows[share] = np.abs(state.dot_xy_px - rest - (state.dot_xy_px - rest).mean(axis=0)).max() / before
+    assert grows[0.9] < 1.0 < grows[1.1]
+
+
+def test_dots_far_apart_and_alone_have_limits_of_their_own() -> None:
+    """Assert that the limit follows the pitch of the dots, and that a dot without neighbours has no regulariser's."""
+    far = np.stack(np.meshgrid(np.arange(2), np.arange(2)), axis=-1).reshape(-1, 2) * 400.0 + 30.0
+    with pytest.raises(ValueError, match=r"dots 400\.0 px apart\), found 7\.5e-05"):
+        tracker.start(far, PAPER)
+    assert single(constants=replace(PAPER, regulariser_weight=1e300)).dot_xy_px.tolist() == [[300.0, 200.0]]
