@@ -21,7 +21,8 @@ from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.trials.trial import FEWEST_NODES, SimulatedTrial
+from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
+from evetac_cli.trials.trial import SimulatedTrial
 
 REPEATS = 3  # of a dry run, at most
 BUDGET_S = 3.0  # of a dry run: what its runs may take together; a slow scene is measured on fewer slices

@@ -10,6 +10,7 @@ Why so: down is +x of the image in a grasp from the top, +y in one from the side
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -318,11 +319,12 @@ class GraspSimulation:
         self._shear_n = done.friction_n[:2]
 
     def _close(self, second_pad: gel.GelState | None) -> None:
-        """Let the gel follow a finger that closes to where the trial starts, and then rests as long.
+        """Let the gel follow a finger that closes to where the trial starts, and then rests on the free object as long.
 
         Why so: what is pressed at once would be squeezed aside while the camera already looks.
         """
-        stepper = Stepper(self._solver, CLOSING_S / CLOSING_STEPS, second_pad)
+        slow = replace(self._solver, theta=1.0)  # nothing swings while it closes
+        stepper = Stepper(slow, CLOSING_S / CLOSING_STEPS, second_pad)
         end_ticks, end_m, end_n = self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n
         before_n = 0.0
         for step in range(2 * CLOSING_STEPS):
@@ -332,9 +334,10 @@ class GraspSimulation:
                 for table in (self._curve.indentation_m, self._curve.force_n)
             )
             self._press()
-            force_n, still = (before_n, self.finger.force_n), (0.0, 0.0, 0.0)
+            force_n, nothing = (before_n, self.finger.force_n), (0.0, 0.0, 0.0)
+            held = nothing if step < CLOSING_STEPS else None
             stepper.advance(
-                self._gel, self._shares, force_n, still, self._friction, still, second_shares=self._second_shares
+                self._gel, self._shares, force_n, nothing, self._friction, held, second_shares=self._second_shares
             )
             before_n = self.finger.force_n
         self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n = end_ticks, end_m, end_n
