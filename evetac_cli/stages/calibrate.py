@@ -28,7 +28,7 @@ from evetac_cli.store.layout.provenance import Recipe, made
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
-METHOD = 2
+METHOD = 3
 LEAST_DOTS = 4
 WORST_JITTER_PX = 1.0
 

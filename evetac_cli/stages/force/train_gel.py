@@ -27,7 +27,7 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import Recording
 
 OUTPUT = "force-model"
-METHOD = 2
+METHOD = 3
 RANGES = "randomized"  # the sensors that contacts are of
 
 

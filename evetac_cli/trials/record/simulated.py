@@ -27,7 +27,7 @@ from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.trials.trial import OUTPUT, SimulatedTrial, SolverFigures
 
-METHOD = 5
+METHOD = 6
 GONE_MS = 250  # from slip to the end of a trial
 CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
 
