@@ -153,7 +153,7 @@ def _explicit_steps(
 # -- any layer, as a dense matrix --------------------------------------------------------------------------------------
 
 
-class DenseLayer(NamedTuple):
+class LayerMatrix(NamedTuple):
     """A pad of n nodes: stiffness in N/m (2 n, 2 n), displacements along x, then those along y; and how it is squeezed.
 
     squeeze: (2 n, n), the force on the surface with which normal forces of the nodes move it aside, in their unit.
@@ -163,7 +163,7 @@ class DenseLayer(NamedTuple):
     squeeze: Floats
 
 
-def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> DenseLayer:
+def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> LayerMatrix:
     """The layer of an order; goes_on: it does not end where its pad does, but nothing touches it there.
 
     order 0: a G/H on the diagonal, and nothing is squeezed; 1: that of `gel`, its sheet eliminated; 2: exact, stiffness
@@ -173,10 +173,10 @@ def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> De
         raise ValueError(f"order must be 0, 1 or 2, found {order}")
     count = state.stuck.size
     if order == 0:
-        return DenseLayer(state._layer.shear * np.eye(2 * count), np.zeros((2 * count, count)))
+        return LayerMatrix(state._layer.shear * np.eye(2 * count), np.zeros((2 * count, count)))
     shear, pressure = _exact_answers(state) if order == 2 else _sheet_answers(state, goes_on)
     stiffness = np.asarray(np.linalg.inv(shear), dtype=np.float64)
-    return DenseLayer(stiffness, stiffness @ pressure)
+    return LayerMatrix(stiffness, stiffness @ pressure)
 
 
 def _sheet_answers(state: gel.GelState, goes_on: bool) -> tuple[Floats, Floats]:
