@@ -1,28 +1,44 @@
-"""Other ways to solve the trial of the mechanics, to compare with: an explicit integrator, and cosine modes."""
+"""Other ways to solve the trial of the mechanics, to compare with: an explicit integrator, and a dense layer.
+
+The dense layer is one matrix against all nodes, so that it may be any: springs of their own, the sheet of `gel`
+eliminated, or the exact layer. Its balance is searched by alternating directions, which shares no code with `gel`.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import dctn, idctn
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.cost.gel_trial import GelMotion, GelTrial, follow
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.gel_layer import Squeeze, compliance, sheet_stiffness
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.force_balance import pull_sheet
 from evetac_cli.sim.gel.pad_equation import PadConstants, spring
+from evetac_cli.sim.gel.sheet import relax_sheet
 
 CREEP_M_S = 1e-3  # below about this slip speed the explicit integrator's friction is viscous
 TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integrator has blown up
+BEYOND = 3.0  # heights by which the sheet goes on beyond its pad
+BOX = 4  # of the exact layer, in pads: the nearest copy of the pad is three pads away
+FINER = 3  # waves of the exact layer, up to so many times those of the grid on either side
 
 
 def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
-    """The trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere."""
+    """The trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere.
+
+    The sheet inside the gel has no mass: a sweep of over-relaxation a step, from where it was, keeps it in balance.
+    """
     if trial.begin_s or trial.hang_s:
         raise ValueError(
             "the explicit integrator takes trials whose grip falls, and whose weight hangs, from the start"
         )
     state = trial.start()
     shares = trial.shares(state)
+    squeeze = state.squeezed(shares)
     force = np.array(trial.weight_n(0.0))
     layer = state._layer
     rate_n_s = (trial.last_n - trial.first_n) / trial.seconds
@@ -32,11 +48,15 @@ def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
             state.displacement_m,
             state.velocity_m_s,
             state.maxwell_n,
+            state.sheet_m,
+            state._sheet_m_s,
+            state._sheet_rule,
             state.pose,
             state.twist,
             state.inertia,
             state.node_xy_m,
             shares,
+            squeeze,
             trial.first_n + rate_n_s * first * dt_s,
             rate_n_s * dt_s,
             force,
@@ -59,11 +79,15 @@ def _explicit_steps(
     displacement: Floats,
     velocity: Floats,
     maxwell: Floats,
+    sheet: Floats,
+    sheet_velocity: Floats,
+    sheet_rule: Floats,
     pose: Floats,
     twist: Floats,
     inertia: Floats,
     nodes: Floats,
     shares: Floats,
+    squeeze: Floats,
     grip: float,
     grip_change: float,
     force: Floats,
@@ -74,20 +98,21 @@ def _explicit_steps(
 ) -> tuple[int, bool]:
     """Advance in place; returns the steps made, and whether it ended early, as something moved faster than it could."""
     rows, columns = shares.shape
-    stretched = np.empty_like(displacement)
     pull = np.empty_like(displacement)
     rate = np.empty_like(displacement)
+    source = np.zeros((2, rows * (columns + 2)))
+    after = np.empty(rows * (columns + 2))
     keep = math.exp(-dt / layer.maxwell_time)
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
     total = np.empty(3)
     for done in range(steps):
-        for row in range(rows):
-            for column in range(columns):
-                for axis in range(2):
-                    lag = layer.viscous_time * velocity[row, column, axis]
-                    stretched[row, column, axis] = displacement[row, column, axis] + lag
-        spring(stretched, layer.shear, layer.coupling_x, layer.coupling_y, pull)
-        spring(velocity, layer.shear, layer.coupling_x, layer.coupling_y, rate)
+        if layer.spring > 0.0:
+            pull_sheet(displacement, source)
+            relax_sheet(sheet, source, layer.stretch, sheet_rule, after)
+            pull_sheet(velocity, source)
+            relax_sheet(sheet_velocity, source, layer.stretch, sheet_rule, after)
+        spring(displacement, sheet, layer.shear, layer.spring, pull)
+        spring(velocity, sheet_velocity, layer.shear, layer.spring, rate)
         total[:] = force
         fastest = max(abs(twist[0]), abs(twist[1]))
         for row in range(rows):
@@ -104,121 +129,185 @@ def _explicit_steps(
                 total[0] -= layer.pads * rub_x
                 total[1] -= layer.pads * rub_y
                 total[2] -= layer.pads * (x * rub_y - y * rub_x)
-                push_x = rub_x - pull[row, column, 0] - maxwell[row, column, 0]
-                push_y = rub_y - pull[row, column, 1] - maxwell[row, column, 1]
-                velocity[row, column, 0] += dt / layer.node_mass * push_x
-                velocity[row, column, 1] += dt / layer.node_mass * push_y
                 for axis in range(2):
+                    push = rub_x if axis == 0 else rub_y
+                    push += grip * squeeze[row, column, axis] - maxwell[row, column, axis]
+                    push -= pull[row, column, axis] + layer.viscous_time * rate[row, column, axis]
+                    velocity[row, column, axis] += dt / layer.node_mass * push
                     fastest = max(fastest, abs(velocity[row, column, axis]))
                     displacement[row, column, axis] += dt * velocity[row, column, axis]
                     maxwell[row, column, axis] = keep * maxwell[row, column, axis] + gain * rate[row, column, axis]
         for axis in range(3):
             twist[axis] += dt * total[axis] / inertia[axis]
             pose[axis] += dt * twist[axis]
+        if layer.spring > 0.0:
+            moved, moving = sheet.reshape(-1), sheet_velocity.reshape(-1)
+            for entry in range(moved.size):
+                moved[entry] += dt * moving[entry]
         grip += grip_change
         if not fastest < TOO_FAST_M_S:
             return done + 1, True
     return steps, False
 
 
-# -- any layer, by its cosine modes ------------------------------------------------------------------------------------
+# -- any layer, as a dense matrix --------------------------------------------------------------------------------------
 
 
-def layer_stiffness(state: gel.GelState, order: int) -> Floats:
-    """Stiffness in N/m of a node against each cosine pattern of the grid, (rows, columns), free edges.
+class LayerMatrix(NamedTuple):
+    """A pad of n nodes: stiffness in N/m (2 n, 2 n), displacements along x, then those along y; and how it is squeezed.
 
-    order 0: a G/H; 1: that of the stencil of `gel`; 2: a G k / tanh(kH), exact for a layer bonded to a stiff back.
+    squeeze: (2 n, n), the force on the surface with which normal forces of the nodes move it aside, in their unit.
+    """
+
+    stiffness: Floats
+    squeeze: Floats
+
+
+def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> LayerMatrix:
+    """The layer of an order; goes_on: it does not end where its pad does, but nothing touches it there.
+
+    order 0: a G/H on the diagonal, and nothing is squeezed; 1: that of `gel`, its sheet eliminated; 2: exact, stiffness
+    and squeeze, and always goes on.
     """
     if order not in (0, 1, 2):
         raise ValueError(f"order must be 0, 1 or 2, found {order}")
+    count = state.stuck.size
+    if order == 0:
+        return LayerMatrix(state._layer.shear * np.eye(2 * count), np.zeros((2 * count, count)))
+    shear, pressure = _exact_answers(state) if order == 2 else _sheet_answers(state, goes_on)
+    stiffness = np.asarray(np.linalg.inv(shear), dtype=np.float64)
+    return LayerMatrix(stiffness, stiffness @ pressure)
+
+
+def _sheet_answers(state: gel.GelState, goes_on: bool) -> tuple[Floats, Floats]:
+    """As `_exact_answers`, of the sheet inside the gel; where it goes on, by BEYOND heights on all sides."""
+    height_m = state.material.height_m
     rows, columns = state.stuck.shape
-    layer = state._layer
-    angle_y, angle_x = np.meshgrid(np.pi * np.arange(rows) / rows, np.pi * np.arange(columns) / columns, indexing="ij")
-    if order < 2:
-        bent = layer.coupling_x * (2 - 2 * np.cos(angle_x)) + layer.coupling_y * (2 - 2 * np.cos(angle_y))
-        return np.asarray(layer.shear + order * bent)
-    wave_height = np.hypot(angle_x / layer.pitch_x, angle_y / layer.pitch_y) * state.material.height_m
-    wave_height[0, 0] = 1.0
-    stiffness: Floats = layer.shear * wave_height / np.tanh(wave_height)
-    stiffness[0, 0] = layer.shear
-    return stiffness
+    pitch_x, pitch_y = state._layer.pitch_x, state._layer.pitch_y
+    more_x, more_y = (math.ceil(BEYOND * height_m / pitch) if goes_on else 0 for pitch in (pitch_x, pitch_y))
+    x, y = pitch_x * np.arange(columns + 2 * more_x), pitch_y * np.arange(rows + 2 * more_y)
+    nodes = np.stack(np.meshgrid(x, y), axis=-1)
+    inside = np.zeros(nodes.shape[:2], np.bool_)
+    inside[more_y : more_y + rows, more_x : more_x + columns] = True
+    own = np.flatnonzero(np.tile(inside.ravel(), 2))
+    solve = splu((state.material.shear_modulus_pa * sheet_stiffness(nodes, height_m)).tocsc()).solve
+    pulled = np.zeros((4 * inside.size, len(own)))
+    pulled[own, np.arange(len(own))] = 1.0
+    squeeze = Squeeze(nodes, height_m)
+    pushed = np.zeros((4 * inside.size, inside.sum()))
+    for number, node in enumerate(zip(*np.nonzero(inside), strict=True)):
+        normal = np.zeros(inside.shape)
+        normal[node] = 1.0
+        pushed[: 2 * inside.size, number] = np.moveaxis(squeeze.of(normal), 2, 0).ravel()
+    return solve(pulled)[own], solve(pushed)[own]
 
 
-def simulate_modes(
-    trial: GelTrial, order: int, dt_s: float, theta: float, *, tolerance: float = 1e-6, max_rounds: int = 5000
+def _exact_answers(state: gel.GelState) -> tuple[Floats, Floats]:
+    """Displacement in m of the exact layer for each N on a node: of shear, (2 n, 2 n), and of pressure, (2 n, n).
+
+    A force is even over the node's cell, and the displacement is the mean over a cell. It is a sum over the waves of a
+    box of BOX pads. Waves finer than the grid are seen by it as coarser ones and added to those.
+    """
+    rows, columns = state.stuck.shape
+    pitch_x, pitch_y = state._layer.pitch_x, state._layer.pitch_y
+    answers = np.zeros((5, BOX * rows, BOX * columns), dtype=np.complex128)
+    for finer_y in range(-FINER, FINER + 1):
+        for finer_x in range(-FINER, FINER + 1):
+            per_x = np.fft.fftfreq(BOX * columns) + finer_x  # waves for each node
+            per_y = np.fft.fftfreq(BOX * rows) + finer_y
+            k_x, k_y = np.meshgrid(2 * np.pi / pitch_x * per_x, 2 * np.pi / pitch_y * per_y)
+            k = np.hypot(k_x, k_y)
+            along, across, aside = np.ones((3, *k.shape)) * state.material.height_m / state.material.shear_modulus_pa
+            waves = k > 0
+            exact = compliance(k[waves], state.material.height_m, state.material.shear_modulus_pa)
+            along[waves], across[waves], aside[waves] = exact.along, exact.across, exact.aside
+            k[~waves] = 1.0
+            over_cells = (np.sinc(per_y)[:, None] * np.sinc(per_x)) ** 2
+            towards_x, towards_y = k_x / k, k_y / k
+            answers[0] += over_cells * (across + (along - across) * towards_x**2)
+            answers[1] += over_cells * (along - across) * towards_x * towards_y
+            answers[2] += over_cells * (across + (along - across) * towards_y**2)
+            answers[3] += 1j * over_cells * aside * towards_x
+            answers[4] += 1j * over_cells * aside * towards_y
+    apart = np.fft.ifft2(answers).real / state.cell_area_m2
+    row, column = (index.ravel() for index in np.indices((rows, columns)))
+    xx, xy, yy, of_x, of_y = apart[:, row[:, None] - row, column[:, None] - column]
+    return np.block([[xx, xy], [xy, yy]]), np.concatenate([of_x, of_y])
+
+
+def simulate_dense(
+    trial: GelTrial,
+    order: int,
+    dt_s: float,
+    theta: float,
+    *,
+    goes_on: bool = False,
+    tolerance: float = 1e-6,
+    max_rounds: int = 5000,
 ) -> GelMotion:
-    """The trial, time step by time step as `gel.step` poses it, for a layer of any order, solved in another way.
+    """The trial, time step by time step as `gel.step` poses it, for any `dense_layer`, solved in another way.
 
-    The balance is searched by alternating directions: a linear system in cosine modes, then the friction of each node,
-    then the force that makes both agree. It needs no sparse layer, and shares no code with the search of `gel`. The
-    trial's material has to be coupled (order 0 leaves the coupling out here). RuntimeError after max_rounds.
+    The balance is searched by alternating directions: a linear system of all nodes, whose matrix is inverted once, then
+    the friction of each node, then the force that makes both agree. The trial's material has to be coupled (order 0
+    leaves the coupling out here). RuntimeError after max_rounds.
     """
     state = trial.start()
     shares = trial.shares(state)
-    stiffness = layer_stiffness(state, order)[..., None]
+    stiffness, squeezes = dense_layer(state, order, goes_on=goes_on)
+    squeeze = squeezes @ shares.ravel()
     layer = state._layer
+    count = shares.size
     h = theta * dt_s
     mu = trial.friction.static
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
-    diagonal = layer.node_mass / h + (h + layer.viscous_time + gain) * stiffness
-    penalty = math.sqrt(float(diagonal.min() * diagonal.max()))  # between the softest pattern and the stiffest
+    matrix = layer.node_mass / h * np.eye(2 * count) + (h + layer.viscous_time + gain) * stiffness
+    ends = np.linalg.eigvalsh(matrix)[[0, -1]]
+    penalty = math.sqrt(float(ends[0] * ends[1]))  # between the softest pattern and the stiffest
+    matrix[np.diag_indices(2 * count)] += penalty
+    soften = cho_solve(cho_factor(matrix), np.eye(2 * count))
     weight = state.inertia / h / layer.pads
-    slip = np.zeros_like(state.displacement_m)
-    price = np.zeros_like(slip)
-
-    def soften(field: Floats) -> Floats:
-        """Solve (diagonal + penalty) x = field."""
-        solution: Floats = idctn(_modes(field) / (diagonal + penalty), axes=(0, 1), norm="ortho")
-        return solution
-
-    def stiffen(field: Floats) -> Floats:
-        force: Floats = idctn(_modes(field) * stiffness, axes=(0, 1), norm="ortho")
-        return force
+    moved, moving, lagging, slip, price = np.zeros((5, 2 * count))
 
     def advance(first: int, steps: int) -> tuple[int, bool]:
-        nonlocal slip, price
+        nonlocal moving, slip, price
         for k in range(first, first + steps):
-            bound = mu * trial.grip_n((k + theta) * dt_s) * shares
-            right = layer.node_mass / h * state.velocity_m_s - stiffen(state.displacement_m)
-            right -= math.exp(-h / layer.maxwell_time) * state.maxwell_n
+            grip_n = trial.grip_n((k + theta) * dt_s)
+            bound = mu * grip_n * shares.ravel() / penalty
+            right = layer.node_mass / h * moving - stiffness @ moved + grip_n * squeeze
+            right -= math.exp(-h / layer.maxwell_time) * lagging
             body_right = weight * state.twist + np.array(trial.weight_n((k + theta) * dt_s)) / layer.pads
-            arm = state.node_xy_m - state.pose[:2]
-            rigid = np.zeros((3, *arm.shape))  # how the nodes move along with the object
-            rigid[0, ..., 0] = rigid[1, ..., 1] = 1.0
-            rigid[2] = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-            soft = np.stack([soften(penalty * mode) for mode in rigid])
-            system = np.diag(weight) + penalty * np.tensordot(rigid, rigid - soft, ((1, 2, 3), (1, 2, 3)))
-            scale = float(np.abs(right).sum() + bound.sum() + np.abs(body_right).sum())
+            arm = (state.node_xy_m - state.pose[:2]).reshape(-1, 2).T
+            ways = np.zeros((3, 2, count))  # how the nodes move along with the object
+            ways[0, 0] = ways[1, 1] = 1.0
+            ways[2] = -arm[1], arm[0]
+            rigid = ways.reshape(3, 2 * count)
+            soft = penalty * rigid @ soften
+            system = np.diag(weight) + penalty * rigid @ (rigid - soft).T
+            scale = float(np.abs(right).sum() + penalty * bound.sum() + np.abs(body_right).sum())
             for _ in range(max_rounds):
-                alone = soften(right + penalty * (slip - price))
-                lag = penalty * (alone - slip + price)
-                body = np.linalg.solve(system, body_right + np.tensordot(rigid, lag, 3))
-                velocity = alone + np.tensordot(body, soft, 1)
-                apart = velocity - np.tensordot(body, rigid, 1)
+                alone = soften @ (right + penalty * (slip - price))
+                body = np.linalg.solve(system, body_right + penalty * rigid @ (alone - slip + price))
+                velocity = alone + body @ soft
+                apart = velocity - body @ rigid
                 wanted = apart + price
-                speed = np.maximum(np.linalg.norm(wanted, axis=-1), 1e-300)
-                before, slip = slip, np.maximum(0.0, 1.0 - bound / penalty / speed)[..., None] * wanted
+                speed = np.maximum(np.hypot(wanted[:count], wanted[count:]), 1e-300)
+                before, slip = slip, np.tile(np.maximum(0.0, 1.0 - bound / speed), 2) * wanted
                 price = wanted - slip
                 off = max(float(np.abs(apart - slip).max()), float(np.abs(slip - before).max()))
                 if penalty * off <= tolerance * scale:
                     break
             else:
                 raise RuntimeError(f"no balance within {max_rounds} rounds, step {k}")
-            state.maxwell_n *= math.exp(-dt_s / layer.maxwell_time)
+            lagging[:] *= math.exp(-dt_s / layer.maxwell_time)
             build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt_s / layer.maxwell_time)
-            state.maxwell_n += build * stiffen(velocity)
-            state.displacement_m += dt_s * velocity
-            state.velocity_m_s += (velocity - state.velocity_m_s) / theta
+            lagging[:] += build * (stiffness @ velocity)
+            moved[:] += dt_s * velocity
+            moving = moving + (velocity - moving) / theta
             state.pose += dt_s * body
             state.twist += (body - state.twist) / theta
         return steps, False
 
     def sample() -> tuple[Floats, Floats]:
-        return state.pose.copy(), state.displacement_m.reshape(-1, 2).copy()
+        return state.pose.copy(), moved.reshape(2, count).T.copy()
 
     return follow(trial, dt_s, advance, sample)
-
-
-def _modes(field: Floats) -> Floats:
-    modes: Floats = dctn(field, axes=(0, 1), norm="ortho")
-    return modes
