@@ -253,7 +253,7 @@ def vibration_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 def data_rate_steps(sizes: Sizes) -> Iterator[Command]:
     """The paper does not name its object; the heaviest of its table makes about as many events (docs/simulator.md)."""
-    yield evetac("record", "--scene", "data-rate", "--object", "18", "--count", sizes["trajectories"],
+    yield evetac("record", "--scene", "data-rate", "--object", "1", "--count", sizes["trajectories"],
                  "--seed", sizes["seed"], "--out", ".")  # fmt: skip
 
 
