@@ -36,7 +36,7 @@ OBJECTS = (
     18,
     19,
 )  # that the usual grid resolves, and 18
-RATE_OBJECT = 8  # of the paper's figure of the onset; it names none for its data rates
+RATE_OBJECT = 1  # the scene gives it the weight of an unknown one, fitted to data-rate-slip
 # What no table of docs/results has, but a page or a study says in words: figures, and where.
 SAID: dict[str, dict[str, tuple[list[float | None], str]]] = {
     "before": {
