@@ -13,7 +13,7 @@ import numpy as np
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
-from evetac_cli.sim.gel.sheet import Stretch, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import Stretch, pull_sheet, relax_sheet, sheet_imbalance
 
 Three = tuple[float, float, float]  # along x, along y, and about the axis across both
 ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
@@ -144,21 +144,6 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, twist: Three) -> None:
         pull_sheet(work.velocity, work.sheet_source)
         for _ in range(SHEET_SWEEPS):
             relax_sheet(work.sheet, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
-
-
-@njit(cache=True, _nrt=False)
-def pull_sheet(nodes: Floats, source: Floats) -> float:
-    """Fill `source` with what the nodes (rows, columns, 2) pull their sheet with; returns the largest."""
-    rows, columns, _ = nodes.shape
-    most = 0.0
-    for axis in range(2):
-        for row in range(rows):
-            first = row * (columns + 2)
-            for column in range(columns):
-                pull = SPRING * nodes[row, column, axis]
-                source[axis, first + column] = pull
-                most = max(most, abs(pull))
-    return most
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")

@@ -14,8 +14,8 @@ import math
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
-from evetac_cli.sim.gel.force_balance import Stencil, Three, Work, pull_sheet
-from evetac_cli.sim.gel.sheet import relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.force_balance import Stencil, Three, Work
+from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet, sheet_imbalance
 
 Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
 

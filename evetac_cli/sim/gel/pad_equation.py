@@ -7,9 +7,9 @@ import numpy as np
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel.force_balance import Stencil, Work, pull_sheet
+from evetac_cli.sim.gel.force_balance import Stencil, Work
 from evetac_cli.sim.gel.friction import coefficient_after
-from evetac_cli.sim.gel.sheet import Stretch, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import Stretch, pull_sheet, relax_sheet, sheet_imbalance
 
 SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
 

@@ -8,9 +8,8 @@ from scipy.sparse.linalg import splu
 
 from evetac_cli.kernels.gel_layer import SPRING, Squeeze, sheet_stiffness
 from evetac_cli.sim.gel.contact import pad_nodes
-from evetac_cli.sim.gel.force_balance import pull_sheet
 from evetac_cli.sim.gel.gel import Friction, GelMaterial, start, step
-from evetac_cli.sim.gel.sheet import relax_sheet, rule_of, sheet_imbalance, stretch_of
+from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet, rule_of, sheet_imbalance, stretch_of
 
 HEIGHT_M = 4e-3
 GRIDS = [(24, 18), (1, 1), (1, 7), (7, 1), (2, 5)]
