@@ -16,9 +16,8 @@ from evetac_cli.evaluate.cost.gel_trial import GelMotion, GelTrial, follow
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import Squeeze, compliance, sheet_stiffness
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.force_balance import pull_sheet
 from evetac_cli.sim.gel.pad_equation import PadConstants, spring
-from evetac_cli.sim.gel.sheet import relax_sheet
+from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet
 
 CREEP_M_S = 1e-3  # below about this slip speed the explicit integrator's friction is viscous
 TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integrator has blown up
