@@ -52,10 +52,11 @@ STATE = np.dtype(
         ("rest_xy_px", np.float64, (CAPACITY, 2)),  # centres at the start
         ("rest_distance_px2", np.float64, (CAPACITY, grid.MAX_NEIGHBOURS)),  # squared, to each neighbour at the start
         ("listed_xy_px", np.float64, (CAPACITY, 2)),  # centres when the buckets were filled, see buckets.py
-        # With `fit`, for lost_dots.py: what one rim alone has shown lately, how far a dot has gone, and its neighbours.
+        # With `fit`, for lost_dots.py: what one rim alone has shown lately, the ways of dots and neighbours.
         ("one_rim_px", np.float64, (CAPACITY, 2)),
         ("own_way_px", np.float64, (CAPACITY, 2)),
         ("near_way_px", np.float64, (CAPACITY, 2)),
+        ("way_events", np.float64, CAPACITY),
         ("neighbours", np.int32, (CAPACITY, grid.MAX_NEIGHBOURS)),  # indices first, then -1
         ("neighbour_count", np.int32, CAPACITY),  # how many indices that are
         ("events", np.int32, CAPACITY + 1),  # see events_per_dot; row n is the dummy dot
