@@ -195,7 +195,7 @@ def test_a_finer_grid_has_the_same_onset(law: str) -> None:
 
 @pytest.mark.parametrize("plan", PLANS)
 def test_energy_is_never_gained(plan: str) -> None:
-    """Assert that energy and heat, less the work of the weight and of pressure aside, never exceed those at the start."""
+    """Assert that energy and heat, less what weight and pressure work, never exceed those at the start."""
     for law in LAWS.values():
         for solver in (Solver(), Solver(step_ms=1.0)):
             gained_j = max(let_go(seed, PLANS[plan], law, solver).gained_j for seed in SEEDS)
