@@ -78,7 +78,8 @@ def model_path(request: pytest.FixtureRequest, made: Made) -> Path:
 def open_online(model: StageFile, recording: Recording) -> OnlineSlipDetector:
     dots = recording.dot_xy_px
     assert dots is not None
-    return OnlineSlipDetector.start(model, dots, recording.window_px, presets.PRESETS["stable"], recording.sensitivity)
+    constants = presets.PRESETS["stable"].for_dots(recording.dot_radius_px)
+    return OnlineSlipDetector.start(model, dots, recording.window_px, constants, recording.sensitivity)
 
 
 @settings(max_examples=5, deadline=None)
