@@ -13,7 +13,7 @@ import numpy as np
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
-from evetac_cli.sim.gel.sheet import Stretch, pull_sheet, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import SheetStencil, pull_sheet, relax_sheet, sheet_imbalance
 
 Three = tuple[float, float, float]  # along x, along y, and about the axis across both
 ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
@@ -32,7 +32,7 @@ class Stencil(NamedTuple):
 
     own: float
     spring: float
-    stretch: Stretch
+    stretch: SheetStencil
     pads: float
 
 

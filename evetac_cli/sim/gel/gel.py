@@ -40,7 +40,7 @@ from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.force_balance import work_memory
 from evetac_cli.sim.gel.friction import half_wavelength_m
 from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, PadConstants, spring
-from evetac_cli.sim.gel.sheet import rule_of, stretch_of
+from evetac_cli.sim.gel.sheet import rule_of, sheet_stencil
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
 
 MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
@@ -309,7 +309,7 @@ def start(
     if not (pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)):
         raise ValueError("node_xy_m must be a regular grid, x rising along columns and y along rows")
     shear = material.shear_modulus_pa * area / material.height_m
-    stretch = stretch_of(material.height_m, pitch_x, pitch_y)
+    stretch = sheet_stencil(material.height_m, pitch_x, pitch_y)
     layer = PadConstants(
         node_mass=4 * material.density_kg_m3 * material.height_m * area / math.pi**2 if material.with_mass else 0.0,
         shear=shear,

@@ -9,7 +9,7 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work
 from evetac_cli.sim.gel.friction import coefficient_after
-from evetac_cli.sim.gel.sheet import Stretch, pull_sheet, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import SheetStencil, pull_sheet, relax_sheet, sheet_imbalance
 
 SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
 
@@ -30,7 +30,7 @@ class PadConstants(NamedTuple):
     maxwell_share: float
     maxwell_time: float
     pads: float
-    stretch: Stretch
+    stretch: SheetStencil
 
 
 # Plain tuples, as named ones take longer to hand over. Of a pad: displacement, velocity, maxwell, mean (velocity over
@@ -53,7 +53,7 @@ def named_constants(constants: LayerConstants) -> PadConstants:
     """Constants of a pad by their names."""
     node_mass, shear, spring, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads, stretch = constants
     along_x, along_y, across_x, across_y, corner = stretch
-    links = Stretch(along_x, along_y, across_x, across_y, corner)
+    links = SheetStencil(along_x, along_y, across_x, across_y, corner)
     return PadConstants(node_mass, shear, spring, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads, links)
 
 

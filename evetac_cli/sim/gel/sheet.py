@@ -19,7 +19,7 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, ALONG, SPRING
 
 
-class Stretch(NamedTuple):
+class SheetStencil(NamedTuple):
     """The sheet's stencil: its links along and across a wave for each direction of the grid, and to the corners."""
 
     along_x: float
@@ -29,14 +29,14 @@ class Stretch(NamedTuple):
     corner: float
 
 
-def stretch_of(height_m: float, pitch_x_m: float, pitch_y_m: float) -> Stretch:
+def sheet_stencil(height_m: float, pitch_x_m: float, pitch_y_m: float) -> SheetStencil:
     """The stencil of a grid of such pitches."""
     over_x, over_y = (height_m / pitch_x_m) ** 2, (height_m / pitch_y_m) ** 2
     corner = (ALONG - ACROSS) * height_m**2 / (4 * pitch_x_m * pitch_y_m)
-    return Stretch(ALONG * over_x, ALONG * over_y, ACROSS * over_x, ACROSS * over_y, corner)
+    return SheetStencil(ALONG * over_x, ALONG * over_y, ACROSS * over_x, ACROSS * over_y, corner)
 
 
-def rule_of(stretch: Stretch, rows: int, columns: int) -> Floats:
+def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
     """What a node keeps of its velocity in a sweep, and its ease: (x and y, colours, keep and ease, nodes).
 
     Nodes are those of the rows one after the other, two entries longer than a row, as in a bordered array.
@@ -117,7 +117,7 @@ def pull_sheet(nodes: Floats, source: Floats) -> float:
 
 
 @njit(cache=True, _nrt=False)
-def relax_sheet(planes: Floats, source: Floats, stretch: Stretch, rule: Floats, after: Floats) -> None:
+def relax_sheet(planes: Floats, source: Floats, stretch: SheetStencil, rule: Floats, after: Floats) -> None:
     """One sweep of over-relaxation over the sheet's velocities, (2, rows + 2, columns + 2).
 
     source: (2, rows * (columns + 2)), what the nodes pull it with; after: memory for one component.
@@ -137,14 +137,14 @@ def relax_sheet(planes: Floats, source: Floats, stretch: Stretch, rule: Floats, 
 
 
 @njit(cache=True, _nrt=False)
-def _links(stretch: Stretch, axis: int) -> tuple[float, float, float]:
+def _links(stretch: SheetStencil, axis: int) -> tuple[float, float, float]:
     if axis == 0:
         return stretch.along_x, stretch.across_y, stretch.corner
     return stretch.across_x, stretch.along_y, stretch.corner
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
-def sheet_imbalance(planes: Floats, source: Floats, stretch: Stretch, left: Floats) -> float:
+def sheet_imbalance(planes: Floats, source: Floats, stretch: SheetStencil, left: Floats) -> float:
     """Fill `left`, (2, rows * (columns + 2)), with what the balance of the sheet lacks; returns the largest."""
     rows, columns = planes.shape[1] - 2, planes.shape[2] - 2
     stride = columns + 2

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from evetac_cli.kernels.gel_layer import SPRING, Squeeze, sheet_stiffness
 from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.sim.gel.gel import Friction, GelMaterial, start, step
-from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet, rule_of, sheet_imbalance, stretch_of
+from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet, rule_of, sheet_imbalance, sheet_stencil
 
 HEIGHT_M = 4e-3
 GRIDS = [(24, 18), (1, 1), (1, 7), (7, 1), (2, 5)]
@@ -19,7 +19,7 @@ def balanced(columns: int, rows: int, sweeps: int) -> tuple[np.ndarray, float]:
     """How far the sheet is from what the matrix says after so many sweeps, over its largest value; its imbalance."""
     nodes = pad_nodes(columns, rows, (-0.4e-3 * columns, 0.4e-3 * columns), (-0.5e-3 * rows, 0.5e-3 * rows))
     moved = np.random.default_rng(columns).normal(size=(rows, columns, 2))
-    stretch = stretch_of(HEIGHT_M, 0.8e-3, 1e-3)
+    stretch = sheet_stencil(HEIGHT_M, 0.8e-3, 1e-3)
     rule = rule_of(stretch, rows, columns)
     planes, source = np.zeros((2, rows + 2, columns + 2)), np.zeros((2, rows * (columns + 2)))
     pull_sheet(moved, source)
