@@ -1,10 +1,10 @@
 """Blind identification: are sensors that identify has never seen found again, and is their twin told from them?
 
-    make blind-identification                       # 20 sensors from randomized:20020 on
+    make blind-identification                       # 20 sensors from randomized-narrow:20020 on
     make blind-identification SIZES="first=20100 sensors=3 grips=0"
 
-For each sensor randomized:N it simulates what docs/identify.md asks of an owner, shortened: a rest, strokes of a press
-with a pause after each, and a gripper that closes, holds, and lets an object slip, at three places; runs `evetac
+For each sensor randomized-narrow:N it simulates what docs/identify.md asks of an owner, shortened: a rest, strokes of a
+press with a pause after each, and a gripper that closes, holds, and lets an object slip, at three places; runs `evetac
 identify`; and compares the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press
 again: by the sensor itself with another seed, and by its twin, the identified sensor, with a third. A classifier
 (kernels/realism) tells the half seconds of the first recordings from those of the second, of either from the twin's,
@@ -51,6 +51,7 @@ from evetac_cli.sim.setup.scene_file import changed, merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.store.recordings.read import open_recording
 
+RANGES = "randomized-narrow"  # whose ranges are the priors of the committed table
 ROOT = Path(__file__).resolve().parents[1]
 # The packaged scenes, with a longer rest, with fewer and faster strokes after each of which the gel comes to rest, and
 # with objects that are touched farther from the middle of the gel.
@@ -84,7 +85,7 @@ def ends_of(entry: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A row of identify's table: the truth of a sensor, and the ranges of `randomized` from which that follows."""
+    """A row of identify's table: the truth of a sensor, and the ranges of RANGES from which that follows."""
 
     name: str
     part: str = "camera"
@@ -100,8 +101,8 @@ class Parameter:
         """The least and the largest value at the ends of its ranges."""
         keys = self.ranges or (self.name,)
         values = []
-        for corner in product(*(ends_of(reduce(getitem, key.split("."), sensor_ranges())) for key in keys)):
-            row: Mapping[str, Any] = sensor_ranges()
+        for corner in product(*(ends_of(reduce(getitem, key.split("."), sensor_ranges(RANGES))) for key in keys)):
+            row: Mapping[str, Any] = sensor_ranges(RANGES)
             for key, value in zip(keys, corner, strict=True):
                 row = merged(row, reduce(lambda inner, name: {name: inner}, reversed(key.split(".")), value))
             values.append(self.truth(sample_sensor(row, np.random.default_rng(0))))
@@ -142,7 +143,7 @@ def _held(sensor: Sensor) -> float:
 
 def _shift_px(sensor: Sensor) -> float:
     """How far the columns of dots are from where their range begins."""
-    ranges = sensor_ranges()
+    ranges = sensor_ranges(RANGES)
     least_px, _ = ends_of(ranges["dot_shift_x_px"])
     return float(sensor.dot_columns_px[0] - ranges["dot_columns_px"][0] - least_px)
 
@@ -156,7 +157,7 @@ def _bending(sensor: Sensor) -> float:
 
 PLACES = "error of a dot's place, 95 %"  # see `places`; its range is that of the shift of all dots
 N_MA, SERVO = "gripper.force_per_current_n_ma", "gripper.servo_n_tick"
-FRICTION = ("gripper.two_ticks_n", "gripper.friction_factor", "gripper.kinetic_share")
+FRICTION = ("gripper.two_ticks_n", "gripper.friction_factor")
 PARAMETERS = (
     Parameter("noise_hz"),
     Parameter(PLACES, "camera", _shift_px, ("dot_shift_x_px",)),
@@ -235,7 +236,7 @@ def identify_one(work: Path, number: int, grip_count: int) -> None:
     if kept(work, number) is not None:
         return
     started = time.perf_counter()
-    sensor, folder = f"randomized:{number}", work / str(number)
+    sensor, folder = f"{RANGES}:{number}", work / str(number)
     folder.mkdir(exist_ok=True)
     true = one_sensor(sensor)
     first = recordings(work, folder, sensor, number, "first")
@@ -270,7 +271,7 @@ def identify_one(work: Path, number: int, grip_count: int) -> None:
         "seconds": time.perf_counter() - started,
     }
     (work / f"{number}.json").write_text(json.dumps(about, indent=1))
-    print(f"randomized:{number}: {about['seconds']:.0f} s", file=sys.stderr)
+    print(f"{RANGES}:{number}: {about['seconds']:.0f} s", file=sys.stderr)
 
 
 def kept(work: Path, number: int) -> tuple[Row, Windows] | None:
@@ -343,7 +344,7 @@ def area_rows(windows: Mapping[int, Windows]) -> list[Row]:
         apart = realism.auc(own["first"], other["first"]) if len(numbers) > 1 else None
         rows.append(
             {
-                "sensor": f"randomized:{number}",
+                "sensor": f"{RANGES}:{number}",
                 "windows": len(own["first"]),
                 "auc_same": same,
                 "auc_twin": twin,

@@ -83,19 +83,19 @@ SMALL_SLIP: Sizes = {
 # contact without slip. Scene, sensor, objects, trials of each, seed; the seeds are those that it was made with.
 TRAVEL_LEARN = (
     ("slip", "evetac", "1-9", 12, 0),
-    ("slip", "randomized", "1-9", 5, 3000),
+    ("slip", "randomized-narrow", "1-9", 5, 3000),
     ("slip-varied", "evetac", "1-9", 5, 4500),
     ("slip-varied", "evetac", "1-9", 6, 4600),
-    ("slip-varied", "randomized", "1-9", 4, 4000),
-    ("slip-varied", "randomized", "1-9", 4, 4100),
-    ("handling", "randomized", "1-9", 2, 4700),
-    ("lift", "randomized", "1-9", 2, 4800),  # held firmly all the time: motion of the hand without slip
+    ("slip-varied", "randomized-narrow", "1-9", 4, 4000),
+    ("slip-varied", "randomized-narrow", "1-9", 4, 4100),
+    ("handling", "randomized-narrow", "1-9", 2, 4700),
+    ("lift", "randomized-narrow", "1-9", 2, 4800),  # held firmly all the time: motion of the hand without slip
 )
 TRAVEL_CHOOSE = (
     ("slip", "evetac", "1-9", 2, 500),
-    ("slip", "randomized", "1-7", 5, 3100),
+    ("slip", "randomized-narrow", "1-7", 5, 3100),
     ("slip-varied", "evetac", "1-9", 2, 3600),
-    ("slip-varied", "randomized", "1-9", 2, 3700),
+    ("slip-varied", "randomized-narrow", "1-9", 2, 3700),
 )
 AHEAD = ("hist20", "fast-slow")  # the models that are trained to predict too
 LABELS = "event-flow"
@@ -252,7 +252,7 @@ def vibration_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def data_rate_steps(sizes: Sizes) -> Iterator[Command]:
-    """The paper does not name its object; the heaviest of its table makes about as many events (docs/simulator.md)."""
+    """The paper does not name its object; the scene gives object 1 the weight of an unknown one (docs/simulator.md)."""
     yield evetac("record", "--scene", "data-rate", "--object", "1", "--count", sizes["trajectories"],
                  "--seed", sizes["seed"], "--out", ".")  # fmt: skip
 

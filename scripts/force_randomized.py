@@ -2,7 +2,7 @@
 
     python scripts/force_randomized.py FOLDER --first 20000 --sensors 20
 
-For each sensor randomized:N, 5 s each (10 s with --waypoints 4):
+For each sensor randomized-narrow:N, 5 s each (10 s with --waypoints 4):
 
 - N-adapt-0 to 11: a flat face, pressed on with 6 to 20 N and sheared: a minute that a model is adapted on;
 - N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
@@ -47,7 +47,7 @@ def scene_text(face: dict[str, Any], normal_n: float, shear_n: float, waypoints:
 
 def make(scene_name: str, sensor: int, seed: int, objects: str, output: Path) -> None:
     """Record one trial, unless that is done."""
-    chosen = Record(scene=scene_name, objects=objects, sensor=f"randomized:{sensor}", seed=seed)
+    chosen = Record(scene=scene_name, objects=objects, sensor=f"randomized-narrow:{sensor}", seed=seed)
     (trial,) = record.jobs([], chosen, output)
     record.run(trial, chosen)
 
@@ -73,7 +73,7 @@ def main() -> None:
             scene_name = "slip" if name == "slip" else str(scenes / f"{name}.toml")
             objects = str(1 + place % OBJECTS) if name == "slip" else "8"
             make(scene_name, sensor, seed, objects, chosen.folder / f"{sensor}-{name}.recording.h5")
-            print(f"randomized:{sensor} {name}", flush=True)
+            print(f"randomized-narrow:{sensor} {name}", flush=True)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def slip_by_sensor_steps(sizes: Sizes) -> Iterator[Command]:
         yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes["objects"],
                      "--count", sizes["each"], "--seed", seed + 100 * place, "--out", f"slips/{sensor}")  # fmt: skip
     for number in range(seed, seed + sizes["randomized"]):
-        yield evetac("record", "--scene", "slip", "--sensor", f"randomized:{number}",
+        yield evetac("record", "--scene", "slip", "--sensor", f"randomized-narrow:{number}",
                      "--object", sizes["randomized_objects"], "--count", sizes["randomized_each"],
                      "--seed", number + 400, "--out", f"slips/randomized-{number}")  # fmt: skip
     yield evetac("grasp", "--object", sizes["grasped"], "--seed", seed + 800, "--lift-s", 3.5, "--balance-s", 1,
@@ -221,11 +221,11 @@ PART_EFFECTS = measured(
 
 BLIND_IDENTIFICATION = measured(
     "blind-identification",
-    "Parameters of sensors randomized:{first} to {last} in blind identification",
+    "Parameters of sensors randomized-narrow:{first} to {last} in blind identification",
     ("parameter", "{parameter}"),
     ("told", "{told} of {sensors}"),
     ("interval holds the truth", "{held}"),
-    ("width over the range of `randomized`, mean", "{width_mean:.2f}"),
+    ("width over the range of `randomized-narrow`, mean", "{width_mean:.2f}"),
     ("worst", "{width_worst:.2f}"),
     ("found", "{found}"),
     notes=("Parameters that are told of no sensor cannot be told.",),

@@ -24,23 +24,19 @@ def test_truths_lie_in_their_prior_ranges() -> None:
     """Assert that what is compared can be had of a sensor's row, that names come once, and that ranges hold them."""
     assert len(set(NAMES)) == len(NAMES)
     for number in range(9000, 9050):
-        sensor = one_sensor(f"randomized:{number}")
+        sensor = one_sensor(f"{blind.RANGES}:{number}")
         for parameter in blind.PARAMETERS:
             low, high = parameter.prior
             assert low <= parameter.truth(sensor) <= high, (number, parameter.name)
 
 
-# Ranges that are wider than when the table was made: a gear may rub less in motion than at rest.
-WIDER_SINCE = {"gripper: gear friction"}
-
-
 def test_priors_are_those_of_the_table() -> None:
-    """Assert that ranges that follow from those of sensors are as they were when the table was made, or named here."""
+    """Assert that ranges that follow from those of sensors are as they were when the table was made."""
     table = json.loads((blind.ROOT / "docs" / "results" / "blind-identification.json").read_text())
     assert [row["parameter"] for row in table["rows"]] == NAMES
     for row, parameter in zip(table["rows"], blind.PARAMETERS, strict=True):
-        same = parameter.prior == pytest.approx((row["prior_low"], row["prior_high"]), rel=2e-3, abs=1e-12)
-        assert same != (parameter.name in WIDER_SINCE), parameter.name
+        prior = pytest.approx((row["prior_low"], row["prior_high"]), rel=2e-3, abs=1e-12)
+        assert parameter.prior == prior, parameter.name
 
 
 @pytest.mark.parametrize("name", blind.SCENES)
