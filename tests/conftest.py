@@ -131,7 +131,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
             (job,) = stage.jobs([path], chosen, None)
             stage.run(job, chosen)
     features = [made.beside(path, "features") for path in made.recordings]
-    training = Train(epochs=30, max_steps=60, preset="adam", validate=str(features[-1]))
+    training = Train(epochs=30, max_steps=120, preset="adam", validate=str(features[-1]))
     (job,) = train.jobs(features, training, made.model)
     train.run(job, training)
     fitting = TrainForce(samples=10, epochs=2)

@@ -168,7 +168,7 @@ def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path)
     scored = rows(
         toy, "evaluate", "slip", made.folder / "apart.features.h5", "--model", model, "-o", tmp_path / "r.report.h5"
     )
-    assert scored[0]["model"] == "mean-of-dots"
+    assert {row["model"] for row in scored if "seeds" in row} == {"mean-of-dots"}
     named = ("--scene", "short-lift", "--object", "can", "--sensor", "noisy", "--controller", "firm", "--model", model)
     (grasped,) = rows(toy, "grasp", *named, "--lift-s", "1", "--balance-s", "0", "-o", tmp_path)
     assert grasped["output"].endswith("short-lift-can-s0-000.recording.h5")

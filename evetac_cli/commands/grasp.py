@@ -40,7 +40,7 @@ class Grasp(Devices, Trials):
     )
     controller: str = parameter(
         "paper",
-        f"Law of the grip; {names.words(names.CONTROLLERS)}; or a plug-in's.",
+        f"Grip law; {names.words(names.CONTROLLERS)}; or a plug-in's.",
     )
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP

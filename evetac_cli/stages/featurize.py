@@ -120,7 +120,7 @@ def _true_slip_share(recording: Recording) -> NDArray[np.float32]:
         raise InputError(
             "the recording has no truth: only a simulation knows it",
             where=str(recording.path),
-            hint="leave out --true-slip-share",
+            hint="leave out --true-slip-share, or take a recording that `evetac record` simulates",
         )
     share: NDArray[np.float32] = recording.read(TRUE_SLIP_SHARE)
     return share

@@ -12,6 +12,7 @@ from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Flicker, LightSettings, LightStep, VanishingDots
 from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, NoiseFilterSettings, ReadoutLimit
 
+PRESSURE = "friction that grows less than pressure"
 NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
 
 
@@ -48,8 +49,8 @@ def test_one_part_at_a_time(name: str, sensor: str, gel: str) -> None:
 
 def test_what_can_be_left_out() -> None:
     """Assert which parts of three scenes can be had otherwise."""
-    assert set(switched(first_plan("slip"))) == {"window", "cut edge", "noise", "hot pixels"}
-    assert set(switched(first_plan("data-rate", gel="closed"))) == {"pushes", "window", "noise", "hot pixels"}
+    assert set(switched(first_plan("slip"))) == {PRESSURE, "window", "cut edge", "noise", "hot pixels"}
+    assert set(switched(first_plan("data-rate", gel="closed"))) == {PRESSURE, "pushes", "window", "noise", "hot pixels"}
     assert set(switched(first_plan("edge"))) == {"contact edges", "cut edge", "noise", "hot pixels"}
     assert "slow pixels" in switched(first_plan("drop-20g", sensor="randomized:3"))
 

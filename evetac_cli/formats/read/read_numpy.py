@@ -88,7 +88,7 @@ class Array(NamedTuple):
         return f"{kind[:120]} of shape {self.shape}"
 
 
-class Stretch(NamedTuple):
+class StoredRun(NamedTuple):
     """Items of one type that follow each other in an array's bytes."""
 
     array: Array
@@ -177,24 +177,24 @@ def _is_evimo(arrays: dict[str, Array]) -> bool:
     return t.is_column and pairs and p.is_column
 
 
-def _stretches(chosen: list[Array]) -> list[Stretch]:
+def _stretches(chosen: list[Array]) -> list[StoredRun]:
     """Where the values lie: four columns, those of EVIMO, or one stretch of rows."""
     array = chosen[0]
     if len(chosen) == len(EVIMO):
         t, xy, p = chosen
-        pairs = Stretch(xy, np.dtype((xy.dtype, (2,))), 0, xy.shape[0])
-        return [Stretch(t, t.dtype, 0, t.shape[0]), pairs, Stretch(p, p.dtype, 0, p.shape[0])]
+        pairs = StoredRun(xy, np.dtype((xy.dtype, (2,))), 0, xy.shape[0])
+        return [StoredRun(t, t.dtype, 0, t.shape[0]), pairs, StoredRun(p, p.dtype, 0, p.shape[0])]
     if len(chosen) == 4:
-        return [Stretch(one, one.dtype, 0, math.prod(one.shape)) for one in chosen]
+        return [StoredRun(one, one.dtype, 0, math.prod(one.shape)) for one in chosen]
     if array.dtype.names:
-        return [Stretch(array, array.dtype, 0, array.shape[0])]
+        return [StoredRun(array, array.dtype, 0, array.shape[0])]
     rows = array.shape[0]
     if array.columns_first:
-        return [Stretch(array, array.dtype, column * rows, rows) for column in range(4)]
-    return [Stretch(array, np.dtype((array.dtype, (4,))), 0, rows)]
+        return [StoredRun(array, array.dtype, column * rows, rows) for column in range(4)]
+    return [StoredRun(array, np.dtype((array.dtype, (4,))), 0, rows)]
 
 
-def _rows(stretches: list[Stretch]) -> Generator[list[NDArray[Any]], None, None]:
+def _rows(stretches: list[StoredRun]) -> Generator[list[NDArray[Any]], None, None]:
     """All columns as they lie in the file, some rows at a time; at least once, if only without a row."""
     count = stretches[0].items
     at_once = min(BATCH_ROWS, BATCH_BYTES // max(stretch.dtype.itemsize for stretch in stretches))
@@ -218,7 +218,7 @@ def _rows(stretches: list[Stretch]) -> Generator[list[NDArray[Any]], None, None]
 
 
 def _batches(
-    stretches: list[Stretch], places: tuple[int, int, int, int], times: ColumnTimes, where: str
+    stretches: list[StoredRun], places: tuple[int, int, int, int], times: ColumnTimes, where: str
 ) -> Iterator[EventColumns]:
     start = 0
     with _damage_in_words(where):

@@ -22,7 +22,6 @@ Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the la
 # The upper triangle of a symmetric 3 x 3 matrix, row by row.
 Matrix = tuple[float, float, float, float, float, float]
 REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
-SWEEPS = 3  # over the sheet for how it answers a move
 WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
 
 
@@ -108,7 +107,10 @@ def _follow(work: Work, stencil: Stencil, move: Three, reach: float) -> int:
 
 @njit(cache=True, _nrt=False)
 def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
-    """Fill sheet_search: how the sheet answers search_direction, after a few sweeps from where that would have it."""
+    """Fill sheet_search: how the sheet answers search_direction, after one sweep from where that would have it.
+
+    Why so: more sweeps find balances no sooner, as the search along the move is exact.
+    """
     rows, columns = work.bound.shape
     search = work.sheet_search
     for axis in range(2):
@@ -116,8 +118,7 @@ def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
             for column in range(columns):
                 search[axis, row + 1, column + 1] = work.search_direction[row, column, axis]
     pull_sheet(work.search_direction, work.sheet_source)
-    for _ in range(SWEEPS):
-        relax_sheet(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
+    relax_sheet(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
 
 
 @njit(cache=True, _nrt=False)

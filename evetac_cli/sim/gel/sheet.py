@@ -9,6 +9,7 @@ each other. Why so: written without branches it is one flat loop for each, which
 are met by a border of mirrored values, some of the other sign, and by what the rule keeps of a node there.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +17,6 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, ALONG, SPRING
-
-# Factor of over-relaxation: near the best where the nodes stick and pull the sheet along, as most do.
-RELAXATION = 1.45
 
 
 class Stretch(NamedTuple):
@@ -51,10 +49,13 @@ def rule_of(stretch: Stretch, rows: int, columns: int) -> Floats:
     links = ((stretch.along_x, stretch.across_y), (stretch.across_x, stretch.along_y))
     for axis, (link_x, link_y) in enumerate(links):
         diagonal = SPRING + link_x * (2 - lacks_x) + link_y * (2 - lacks_y)
-        ease = RELAXATION / diagonal
+        # the factor of over-relaxation that is best where the nodes stick, as most do, and pull the sheet along
+        smoothness = 1.0 - SPRING / float(diagonal.max())
+        factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
+        ease = factor / diagonal
         # the border beyond an edge is the node itself, or less it (see `mirror`): what its link adds is taken off
         mirrored = link_x * lacks_x - link_y * lacks_y
-        keep = 1.0 - RELAXATION - ease * (mirrored if axis == 0 else -mirrored)
+        keep = 1.0 - factor - ease * (mirrored if axis == 0 else -mirrored)
         for colour in range(2):
             chosen = (row + column) % 2 == colour
             rule[axis, colour, 0, :, :columns] = np.where(chosen, keep, 1.0)

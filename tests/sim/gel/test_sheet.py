@@ -42,7 +42,7 @@ def test_sweeps_find_the_balance(columns: int, rows: int) -> None:
     if min(rows, columns) > 1:
         assert np.abs(off).max() < 1e-9
     _, early = balanced(columns, rows, 2)
-    assert early > 1e-3
+    assert early > 1e-3 or (columns, rows) == (1, 1)  # one node alone is in balance at once
 
 
 @pytest.mark.parametrize("way", [0, 1])

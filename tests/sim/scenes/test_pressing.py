@@ -1,4 +1,4 @@
-"""Scenes in which a face is driven over the gel: shear forces, strokes, dilation, and the noise of sensors."""
+"""Scenes in which a face is driven over the gel: shear forces, strokes, and the noise of sensors."""
 
 import tomllib
 from pathlib import Path

@@ -11,6 +11,7 @@ import pytest
 from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.sim.setup.scene import Randomised
 from evetac_cli.sim.setup.sensor import GelFriction
 from evetac_cli.sim.touch_sensor import TouchSensor
 from tests.sim.scenes.trials import grasp_of, quiet_plan
@@ -19,8 +20,8 @@ COARSE = {"node_pitch_mm": 1.667}
 PART = "friction that grows less than pressure"
 
 
-def with_exponent(exponent: float | None, changes: dict[str, Any] | None = None, **more: float) -> Plan:
-    """A quiet slip trial on a gel with a pressure law."""
+def with_exponent(exponent: float, changes: dict[str, Any] | None = None, **more: float) -> Plan:
+    """A quiet slip trial on a gel with a pressure law of its own, whatever that of the scene."""
     planned = quiet_plan("slip", changes or {})
     return replace(planned, sensor=replace(planned.sensor, friction=GelFriction(pressure_exponent=exponent, **more)))
 
@@ -35,8 +36,14 @@ def let_go(trial: GraspSimulation, slices: int = 700) -> Iterator[dict[str, Any]
 
 
 def test_a_law_of_exponent_0_is_that_without_one() -> None:
-    """Assert the same bits, forces and dots alike, where a sensor names 0 and where nothing is named."""
-    plain, zero = (let_go(grasp_of(with_exponent(exponent))) for exponent in (None, 0.0))
+    """Assert the same bits, forces and dots alike, where the sensor names 0, where the scene does, and as the default.
+
+    The packaged scene names 0.67.
+    """
+    assert first_plan("slip").scene.randomise.pressure_exponent == (0.67, 0.67)
+    assert Randomised.pressure_exponent == (0.0, 0.0)
+    of_scene = quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}})
+    plain, zero = (let_go(grasp_of(planned)) for planned in (of_scene, with_exponent(0.0)))
     for one, other in zip(plain, zero, strict=True):
         for name, value in one.items():
             np.testing.assert_array_equal(value, other[name])
@@ -44,7 +51,7 @@ def test_a_law_of_exponent_0_is_that_without_one() -> None:
 
 def test_all_nodes_together_hold_as_before() -> None:
     """Assert that shares of the friction sum to 1 as the grip opens, and that the slip limit is that of Coulomb."""
-    coulomb, trial = (grasp_of(with_exponent(exponent)) for exponent in (None, 0.67))
+    coulomb, trial = (grasp_of(with_exponent(exponent)) for exponent in (0.0, 0.67))
     assert trial._slip_limit_n == pytest.approx(coulomb._slip_limit_n, rel=1e-12)
     factors = set()
     for row in let_go(trial, 1100):
@@ -70,7 +77,7 @@ def test_it_multiplies_what_the_gel_and_the_second_finger_have() -> None:
     """Assert that patches of friction and a second finger's factor stay, and that the slip limit knows them."""
     second = {"gripper": {"second_finger": {"friction_factor": 0.5, "stiffness_factor": 2.0}}}
     patchy = {"patch_spread": 0.2, "patch_mm": 3.0}
-    plain, trial = (grasp_of(with_exponent(exponent, second, **patchy)) for exponent in (None, 0.67))
+    plain, trial = (grasp_of(with_exponent(exponent, second, **patchy)) for exponent in (0.0, 0.67))
     assert trial._second is not None
     for state, own, shares in (
         (trial._gel, plain._friction_factor, trial._shares),
@@ -107,9 +114,11 @@ def test_it_is_a_part_of_a_scene() -> None:
     def row(planned: Plan) -> dict[str, Any]:
         return next(row for row in rows_of(planned) if row["part"] == PART)
 
-    assert row(first_plan("slip"))["left_out"] == "grows in proportion"
-    assert row(with_exponent(0.67))["built"] == "as pressure to the power 0.33"
-    assert row(with_exponent(None, {"randomise": {"pressure_exponent": [0.5, 1.0]}}))["built"] == (
+    assert row(with_exponent(0.0))["left_out"] == "grows in proportion"
+    assert row(quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}}))["left_out"] == "grows in proportion"
+    assert row(first_plan("slip"))["built"] == "as pressure to the power 0.33"
+    assert row(with_exponent(0.75))["built"] == "as pressure to the power 0.25"
+    assert row(quiet_plan("slip", {"randomise": {"pressure_exponent": [0.5, 1.0]}}))["built"] == (
         "as pressure to the power 0 to 0.5"
     )
     face = first_plan("shear")

@@ -162,8 +162,6 @@ OPTIONAL_PARTS: list[tuple[str, str, dict[str, Any]]] = [
     ("slip", "vanishing_dots", {"dots": [[3, 4], [0, 0]], "at_s": 1.0}),
     ("slip", "friction_change", {"at_s": 1.0, "factor": 0.1}),
     ("slip", "object", {"mass_g": 5.0}),
-    ("slip", "randomise", {"pressure_exponent": 0.67}),
-    ("lift", "randomise", {"pressure_exponent": [0.3, 1.0]}),
     ("slip", "gripper", {"backlash_ticks": 2.0, "friction_factor": 0.7}),
     ("slip", "gripper", {"encoder_noise_ticks": 0.5}),
     ("slip", "gripper", {"second_finger": {"friction_factor": 0.7, "stiffness_factor": 1.3}}),

@@ -85,15 +85,27 @@ def test_every_field_says_what_it_is(kind: str) -> None:
                 assert "maximum" in each, place
 
 
+def in_ranges(named: Any, again: Any) -> Any:
+    """A table in which each number that stands for both ends of a range is that range, where another table has one."""
+    if isinstance(named, dict):
+        return {
+            key: in_ranges(value, again.get(key) if isinstance(again, dict) else None) for key, value in named.items()
+        }
+    return [named, named] if isinstance(named, float) and isinstance(again, list) else named
+
+
 @pytest.mark.parametrize(("type_", "named"), PACKAGED)
 def test_a_table_comes_back(type_: type[Any], named: dict[str, Any]) -> None:
-    """Assert that the table of an object gives it again, and holds nothing that its first table does not name."""
+    """Assert that the table of an object gives it again, and holds nothing that its first table does not name.
+
+    A range that is named by one number comes back as both of its ends.
+    """
     check(type_, named, "here")
     one = build(type_, named)
     again = as_table(one)
     assert build(type_, again) == one
     solver = again.pop("solver", {})
-    assert merged(named, again) == named
+    assert merged(in_ranges(named, again), again) == in_ranges(named, again)
     assert merged(as_table(Solver()), named.get("solver", {})) == {**as_table(Solver()), **solver}
 
 

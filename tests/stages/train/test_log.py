@@ -43,7 +43,7 @@ def test_points_are_written_as_they_come(tmp_path: Path) -> None:
 def test_a_training_is_logged(made: Made, tmp_path: Path) -> None:
     """Assert that the log has the model's loss curve and scores, and that the model is the same as without one."""
     features = [made.beside(path, "features") for path in made.recordings]
-    chosen = Train(epochs=30, max_steps=60, preset="adam", validate=str(features[-1]), patience=100, log="tensorboard")
+    chosen = Train(epochs=30, max_steps=120, preset="adam", validate=str(features[-1]), patience=100, log="tensorboard")
     output, _ = run_stage(train, features, chosen, tmp_path / "a.model.h5")
     log = tmp_path / "a.model.log"
     losses = scalars(log / "network1")

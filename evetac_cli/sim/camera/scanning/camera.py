@@ -16,7 +16,7 @@ flickers or steps: light.
 
 A refractory pixel is blind: its reference follows what it is shown, until its time is over.
 
-Left out: bandwidth, dilation of dots. Dots beyond the cut are the caller's to leave out.
+Left out: bandwidth, dots that grow with the gel under them. Dots beyond the cut are the caller's to leave out.
 """
 
 from dataclasses import dataclass, field
