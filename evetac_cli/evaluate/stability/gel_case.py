@@ -20,7 +20,8 @@ class GelCase:
     """A pad, an object, and the load on them; by default 100 g, held with 2 N a finger.
 
     load: normal force in N over time in s. force: on the object, x, y in N and moment in N m, over time; None is its
-    weight. shares: of the load on each node; None is even. becomes: the friction from a time in s on.
+    weight. shares: of the load on each node; None is even. becomes: the friction from a time in s on. residual: where
+    the search for a step's balance ends.
     """
 
     name: str
@@ -37,6 +38,7 @@ class GelCase:
     force: Callable[[float], Sequence[float] | Floats] | None = None
     shares: Callable[[Floats], Floats] | None = None
     dt_s: float = 1e-3
+    residual: float = 1e-6
 
     def start(self) -> tuple[gel.GelState, Floats]:
         """The state before the first step, and the share of the load on each node."""
@@ -59,12 +61,17 @@ class GelCase:
     def step(
         self, state: gel.GelState, shares: Floats, number: int, dt_s: float, theta: float
     ) -> tuple[gel.StepInfo, float]:
-        """Make the step of this number, and return what it did, and the work of the force on the object in J."""
+        """Make the step of this number; return what it did, and the work of outer forces in J.
+
+        These are the force on the object, and that with which pressure squeezes the gel of all pads aside.
+        """
         time_s = (number + theta) * dt_s
         force, friction = self.force_at(time_s), self.friction_at(time_s)
-        before = state.pose.copy()
-        info = gel.step(state, self.load(time_s) * shares, force, friction, dt_s, theta=theta)
-        return info, float(np.dot(force, state.pose - before))
+        nodal = self.load(time_s) * shares
+        before, before_m = state.pose.copy(), state.displacement_m.copy()
+        info = gel.step(state, nodal, force, friction, dt_s, theta=theta, tolerance=self.residual)
+        squeezing_j = state.pads * float((state.squeezed(nodal) * (state.displacement_m - before_m)).sum())
+        return info, float(np.dot(force, state.pose - before)) + squeezing_j
 
 
 def stiff(factor: float) -> gel.GelMaterial:

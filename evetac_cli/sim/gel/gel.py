@@ -377,6 +377,8 @@ def step(
         raise ValueError(f"nodal_force_n must have the shape of the grid {state.stuck.shape}, found {nodal.shape}")
     if force.shape != (3,) or wanted.shape != (3,):
         raise ValueError(f"body_force_n and prescribed_twist must have shape (3,), found {force.shape}, {wanted.shape}")
+    if not np.isfinite(nodal).all():  # before what it squeezes aside is worked out
+        raise ValueError(FAULTS[1])
     if not (math.isfinite(dt_s) and dt_s > 0):
         raise ValueError(f"dt_s must be finite and > 0, found {dt_s}")
     if not (0.5 <= theta <= 1.0 and tolerance > 0 and max_sweeps >= 1):
