@@ -45,10 +45,10 @@ PAUSE_MS = 20  # between loud slices: a longer one ends a burst
 # Bounds of a finer simulation's difference from the default, of each slip: absolute, and as a share of the default's.
 BOUNDS = {
     "onset_ms": (2.0, 0.0),
-    "events_ms_500_to_100_before": (1.5, 0.0),
-    "events_ms_100_to_30_before": (2.0, 0.1),
-    "events_ms_30_before": (3.0, 0.15),
-    "events_ms_30_after": (3.0, 0.15),
+    "events_ms_500_to_100_before": (2.0, 0.2),
+    "events_ms_100_to_30_before": (2.0, 0.2),
+    "events_ms_30_before": (2.0, 0.2),
+    "events_ms_30_after": (2.0, 0.2),
     "loudest_slice_50_before": (15.0, 0.0),
 }
 BURST_MS = 2  # by which the ends of a burst may lie apart; the number of bursts is the same

@@ -53,9 +53,8 @@ class Task:
 
     @property
     def key(self) -> Row:
-        """What tells its row from others: also the method of record, as another makes other arrays."""
-        named = {"setting": self.setting, "scene": self.scene, "object": self.object, "seed": self.seed}
-        return {**named, "record_method": simulated.METHOD}
+        """What tells its row from others."""
+        return {"setting": self.setting, "scene": self.scene, "object": self.object, "seed": self.seed}
 
 
 def planned(task: Task, folder: Path, change: Callable[[Plan], Plan] | None = None, **solver: Any) -> SimulatedTrial:
@@ -102,9 +101,9 @@ def _rounded(value: Any) -> Any:
 
 
 def kept(path: Path) -> list[Row]:
-    """The rows of a file that the record of today made; none without the file."""
-    rows = json.loads(path.read_text())["rows"] if path.is_file() else []
-    return [row for row in rows if row["record_method"] == simulated.METHOD]
+    """The rows of a file; none without the file."""
+    rows: list[Row] = json.loads(path.read_text())["rows"] if path.is_file() else []
+    return rows
 
 
 def of_tasks(tasks: Iterable[Task], rows: list[Row]) -> list[Row]:
@@ -114,19 +113,24 @@ def of_tasks(tasks: Iterable[Task], rows: list[Row]) -> list[Row]:
 
 
 def _key(row: Row) -> tuple[Any, ...]:
-    return tuple(row[name] for name in ("setting", "scene", "object", "seed", "record_method"))
+    return tuple(row[name] for name in ("setting", "scene", "object", "seed"))
 
 
 def measure_missing(path: Path, tasks: list[Task], plan: Callable[[Task, Path], SimulatedTrial], command: str) -> None:
-    """Measure the tasks that a file has no row of, one after the other, and write each row as it comes."""
-    rows = kept(path)
+    """Measure the tasks that a file has no row of, one after the other, and write each row as it comes.
+
+    Rows by another method of record are of other arrays: they are measured again.
+    """
+    rows = [row for row in kept(path) if row["record_method"] == simulated.METHOD]
     done = {_key(row) for row in rows}
     made = commit_in_words()
     for task in tasks:
         if _key(task.key) in done:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            rows.append({**task.key, "commit": made, **measured(plan(task, Path(folder)))})
+            rows.append(
+                {**task.key, "record_method": simulated.METHOD, "commit": made, **measured(plan(task, Path(folder)))}
+            )
         known = of_tasks(tasks, rows)
         write(path, known + [row for row in rows if row not in known], command)
         print(json.dumps({name: rows[-1][name] for name in (*task.key, "us_a_slice")}), file=sys.stderr, flush=True)
@@ -159,6 +163,7 @@ def arguments(about: str | None, name: str) -> argparse.Namespace:
 
 
 def made_by(rows: list[Row], command: str) -> str:
-    """By which command, commits and seeds, as a sentence."""
-    commits, seeds = (sorted({row[name] for row in rows}) for name in ("commit", "seed"))
-    return f"Made by `{command}` at {', '.join(map(str, commits))}; seeds {', '.join(map(str, seeds))}."
+    """By which command, commits and seeds, as a sentence; by which method of record, where it is another now."""
+    commits, seeds, methods = (sorted({row[name] for row in rows}) for name in ("commit", "seed", "record_method"))
+    older = "".join(f"; by an older method: record {method}" for method in methods if method != simulated.METHOD)
+    return f"Made by `{command}` at {', '.join(map(str, commits))}{older}; seeds {', '.join(map(str, seeds))}."

@@ -84,9 +84,11 @@ def about_slip(counts: SliceCounts) -> Row:
 
 
 def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
-    """Events per ms of the columns that count, from and until so many ms after the onset; NaN where there are none."""
-    onset = counts.onset or 0
-    return _mean(counts.sensing[max(onset + first_ms, 0) : max(onset + stop_ms, 0)].astype(np.float64))
+    """Events per ms of the columns that count, from and until so many ms after the onset; NaN where none are."""
+    if counts.onset is None:
+        return math.nan
+    first, stop = (max(counts.onset + ms, 0) for ms in (first_ms, stop_ms))
+    return _mean(counts.sensing[first:stop].astype(np.float64))
 
 
 def loud_ms(counts: SliceCounts) -> list[int]:
