@@ -65,11 +65,12 @@ def test_halves_have_no_object_in_common() -> None:
     first, second = (set(objects) for objects, _ in sensitivity.HALVES)
     assert not first & second
     assert len({len(objects) * len(seeds) for objects, seeds in sensitivity.HALVES}) == 1
-    assert sensitivity.slips_of("mass_g x 1.3") == [] and len(sensitivity.rates_of("mass_g x 1.3")) == 2
+    assert sensitivity.slips_of("mass_g x 1.3") == [] and sensitivity.rates_of("mass_g x 1.3") != []
 
 
-def test_predictions_of_a_setting() -> None:
+def test_predictions_of_a_setting(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert the share by a threshold of the other half, medians, means, and that other settings' rows are left out."""
+    monkeypatch.setattr(sensitivity, "RATE_SEEDS", (1, 2))
     setting = "memory_um x 0.7"
     early = [-400 if k < 100 else 0 for k in THRESHOLDS]  # right with 100 to 1500 events, not with fewer
     rows = [as_row(task, after_ms=early, half_slips_ms=20.0) for task in sensitivity.slips_of(setting)[:12]]
