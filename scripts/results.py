@@ -22,6 +22,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import likeness_convergence
+import likeness_grid
+import likeness_sensitivity
 import likeness_tables
 
 from evetac_cli.commands import WITH_CONFIG
@@ -98,6 +101,12 @@ SUMMARY = (
     ),
 )
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, see likeness_tables.py
+# Tables that a script of their own makes of its rows in docs/results/likeness.
+OF_SCRIPTS = {
+    "likeness-sensitivity": likeness_sensitivity.as_page,
+    "likeness-convergence": likeness_convergence.as_page,
+    "likeness-grid": likeness_grid.as_page,
+}
 OF_COVARIATES = ("median", "p10", "p90")
 # Where each command has the number of its method.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
@@ -234,6 +243,8 @@ def fill_page(page: str, results: Path) -> str:
             return f"{match['begin']}{summary(results)}\n{match['end']}"
         if match["name"] in LIKENESS:
             return f"{match['begin']}\n{likeness_tables.as_pages(results, as_table)[match['name']]}\n{match['end']}"
+        if match["name"] in OF_SCRIPTS:
+            return f"{match['begin']}\n{OF_SCRIPTS[match['name']](results, as_table)}\n{match['end']}"
         result = json.loads((results / f"{match['name']}.json").read_text())
         return f"{match['begin']}\n{text(result)}\n{match['end']}"
 

@@ -55,7 +55,7 @@ SLICE_NS = SLICE_US * 1000
 PUSHER_N_S_M = 10.0
 PUSHER_ARM_M = 5e-3  # at which the same damper resists a turn
 SURFACE_STEP_M = 1e-6  # a surface that has moved along the gel by less presses as before
-KINETIC_SHARE = 0.85  # the middle of what scenes draw
+KINETIC_SHARE, MEMORY_UM, PRESSURE_EXPONENT = 0.6, 50.0, 0.67  # as in the scenes: the middle of what they draw
 # Beyond these a number is more likely in another unit than meant.
 LONGEST_S, FARTHEST_M, FASTEST_M_S, FASTEST_RAD_S, MOST_N = 10.0, 0.1, 10.0, 100.0, 1000.0
 
@@ -184,7 +184,11 @@ class TouchSensor:
             summary="another simulator drives the object",
             time=SceneTimes(),
             gel=GelSettings(cut=gel == "cut"),
-            randomise=Randomised(kinetic_share=(share, share)),
+            randomise=Randomised(
+                kinetic_share=(share, share),
+                memory_um=(MEMORY_UM, MEMORY_UM),
+                pressure_exponent=(PRESSURE_EXPONENT, PRESSURE_EXPONENT),
+            ),
             solver=with_given(Solver(), solver, "TouchSensor"),
         )
         self.sampled = sampling.sample_trial(scene, replace(touched, kinetic_share=None), one, mechanics)

@@ -17,6 +17,7 @@ QUIETEST_MS = 100  # whose mean is the floor that does not come of motion
 BUSY = 25  # events in a slice, beyond which the paper's training counts it as one in which something happens
 HELD_UNTIL_MS = 500  # before the onset
 BEFORE_MS, AFTER_MS = (-100, -30), (0, 30)
+LOUD = 100  # events in a slice, beyond which it is taken for slip where none is
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def about_slip(counts: SliceCounts) -> Row:
     onset, floor = counts.onset, counts.floor
     about = slice(max(onset - ABOUT_MS, 0), onset + ABOUT_MS)
     after = slice(onset, onset + ABOUT_MS)
-    rate_before, rate_after = (_mean(sensing[max(onset + a, 0) : onset + b]) for a, b in (BEFORE_MS, AFTER_MS))
+    rate_before, rate_after = rate(counts, *BEFORE_MS), rate(counts, *AFTER_MS)
     held = sensing[: max(onset - HELD_UNTIL_MS, 0)]
     all_after = float(sensing[after].sum() + window[after].sum())
     earlier = sensing[counts.start : max(onset - 50, counts.start)]
@@ -72,7 +73,7 @@ def about_slip(counts: SliceCounts) -> Row:
         "events_ms_about_slip": _mean(sensing[about]),
         "window_events_ms_about_slip": _mean(window[about]),
         "events_ms_100_to_30_before": rate_before,
-        "events_ms_30_before": _mean(sensing[max(onset - 30, 0) : onset]),
+        "events_ms_30_before": rate(counts, -30, 0),
         "events_ms_30_after": rate_after,
         "before_over_after": (rate_before - floor) / (rate_after - floor) if rate_after > floor else math.nan,
         "loudest_slice": float(sensing[about].max()) if len(sensing[about]) else math.nan,
@@ -80,6 +81,21 @@ def about_slip(counts: SliceCounts) -> Row:
         "held_above_25_share": _mean((held > BUSY).astype(np.float64)),
         "window_share_after_slip": float(window[after].sum()) / all_after if all_after else math.nan,
     }
+
+
+def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
+    """Events per ms of the columns that count, from and until so many ms after the onset; NaN where none are."""
+    if counts.onset is None:
+        return math.nan
+    first, stop = (max(counts.onset + ms, 0) for ms in (first_ms, stop_ms))
+    return _mean(counts.sensing[first:stop].astype(np.float64))
+
+
+def loud_ms(counts: SliceCounts) -> list[int]:
+    """How many ms before the onset slices of more than 100 events lie, in the 500 ms before it; none without one."""
+    first = max((counts.onset or 0) - HELD_UNTIL_MS, 0)
+    loud = np.flatnonzero(counts.sensing[first : counts.onset or 0] > LOUD)
+    return [int(slice_) for slice_ in (counts.onset or 0) - first - loud]
 
 
 def _mean(values: Floats) -> float:

@@ -37,7 +37,7 @@ def measure(recording: Recording, counts: SliceCounts) -> Row:
     rest, motion = rest_and_motion(recording)
     row |= _at_rest(rest, recording.frame_px) if rest is not None else {}
     row |= _of_dots(recording, rest) if motion is not None else {}
-    row |= _of_layout(recording) | _shares(recording, counts) | about_slip(counts)
+    row |= _of_layout(recording) | shares(recording, counts) | about_slip(counts)
     if recording.has("gripper") and counts.onset is not None:
         row["ramp_ma_s"] = _ramp(recording, counts)
     if recording.has("truth"):
@@ -85,7 +85,7 @@ def _of_layout(recording: Recording) -> Row:
     return row
 
 
-def _shares(recording: Recording, counts: SliceCounts) -> Row:
+def shares(recording: Recording, counts: SliceCounts) -> Row:
     """Bytes per second as a share of the paper's RGB sensor: whole, in contact, about slip; and without the window."""
     row: Row = {}
     for name, span in intervals(recording, 2e-3 * ABOUT_MS).items():
@@ -122,14 +122,21 @@ def _of_truth(recording: Recording, counts: SliceCounts) -> Row:
         return row
     onset = counts.onset
     visible = recording.read("truth/visible_slip_share")
-    for name, share in (("half_slips_ms", HALF), ("most_slips_ms", MOST)):
-        below = np.flatnonzero(visible[:onset] < share)
-        row[name] = float(onset - 1 - (below[-1] if len(below) else 0))
+    row |= slipping_ms(visible, onset)
     lost = first_slice(normal_n <= 0, onset)
     row["contact_after_slip_ms"] = None if lost is None else float(lost - onset)
     touching = normal_n[onset : onset + STICKS_MS] > 0
     if touching.any():
         row["sticks_again_share"] = float((visible[onset : onset + STICKS_MS][touching] < HALF).mean())
+    return row
+
+
+def slipping_ms(visible_slip_share: Floats, onset: int) -> Row:
+    """For how many ms before the onset half, and 80 %, of the visible contact slip without a break."""
+    row: Row = {}
+    for name, share in (("half_slips_ms", HALF), ("most_slips_ms", MOST)):
+        below = np.flatnonzero(visible_slip_share[:onset] < share)
+        row[name] = float(onset - 1 - (below[-1] if len(below) else 0))
     return row
 
 

@@ -49,10 +49,15 @@ def unresolved(nodes: float | None, node_pitch_mm: float | None) -> str | None:
     words += f" of {FEWEST_NODES} at least; "
     if node_pitch_mm is None:
         return words + "record it with a finer --node-pitch-mm"
-    finer_mm = math.floor(100.0 * ROUNDED * node_pitch_mm * nodes / FEWEST_NODES) / 100.0
+    finer_mm = resolving_mm(nodes, node_pitch_mm)
     if finer_mm < FINEST_MM:
         return words + f"no --node-pitch-mm down to {FINEST_MM:g} resolves it: leave this object out"
     return words + f"record it with --node-pitch-mm {finer_mm:.2f} or finer"
+
+
+def resolving_mm(nodes: float, node_pitch_mm: float) -> float:
+    """The coarsest pitch in mm, in hundredths, that resolves slip which spans so many nodes of another pitch."""
+    return math.floor(100.0 * ROUNDED * node_pitch_mm * nodes / FEWEST_NODES) / 100.0
 
 
 def once(rows: Sequence[Mapping[str, Any]]) -> list[str]:

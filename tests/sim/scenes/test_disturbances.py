@@ -100,7 +100,8 @@ def test_mass_of_the_object(mass_g: float) -> None:
     ratio = mass_g / plain.touched.mass_g
     assert samples[1]["mass_kg"] == pytest.approx(samples[0]["mass_kg"] * ratio, rel=1e-12)
     assert {**samples[0], "mass_kg": 0} == {**samples[1], "mass_kg": 0}
-    hanging = held({"object": {"mass_g": mass_g}, "gripper": {"start_factor": [1.2, 1.2]}})
+    # above the limit, as the rim of a heavy contact lets go first, and then holds by kinetic friction alone
+    hanging = held({"object": {"mass_g": mass_g}, "gripper": {"start_factor": [1.6, 1.6]}})
     rows = truth_of(hanging, 700)
     assert not rows["truth/slip"].any()
     weight_n = hanging.sampled.mass_kg * GRAVITY_M_S2
@@ -208,7 +209,7 @@ def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
 
     for dot in (3 * 8 + 4, 0):
         counts = near(events, dot)
-        assert counts[300][0] > 600  # nearly all of its pi 15^2 pixels
+        assert counts[300][0] > 0.85 * np.pi * plan.sensor.dot_radius_px**2  # nearly all of its pixels
         assert counts[300][1].all()
         assert sum(count for count, _ in counts[301:]) == 0
         assert sum(count for count, _ in near(plain, dot)[301:]) > 0

@@ -209,7 +209,7 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None:
     """Assert that object 20, 12 mm off its centre of mass, does not turn in the grip before the current falls."""
-    held = grasp_of(merge(first_plan("slip", "20"), {"gripper": {"start_factor": [1.5, 1.5]}}), seed)
+    held = grasp_of(merge(first_plan("slip", "20"), {"gripper": {"start_factor": [1.9, 1.9]}}), seed)
     assert not any(row["truth/slip"] for row in play_trial(held, 900)[0])
     assert abs(held._gel.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
 
@@ -280,7 +280,7 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     del hurried["push"]
     path = tmp_path / "hurried.toml"
     path.write_text(as_toml(hurried))
-    recipe = Record(scene=str(path), objects="18")
+    recipe = Record(scene=str(path), objects="1")
     output, _ = run_stage(record, [], recipe, tmp_path)
     _, _, about_slip, most_kb = ratios(output)
     assert about_slip == pytest.approx(0.119, abs=0.03)

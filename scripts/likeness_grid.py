@@ -1,0 +1,73 @@
+"""Which objects does the default grid resolve? Half the wavelength of unstable slip, in nodes, of every object.
+
+    python scripts/likeness_grid.py [--out docs/results/likeness/grid.json]
+
+At the slip limit, as `evetac record --scene slip --object 1-20 --seed N --dry-run` has it, over the draws of some
+seeds. An object that spans fewer than 4 nodes in one of them is not resolved, and gets the pitch that resolves it.
+Takes seconds. `make results` puts the table into docs/simulator.md.
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from likeness_trials import FOLDER, SLIP, arguments, commit_in_words, kept, made_by, write
+
+from evetac_cli.commands.record import Record
+from evetac_cli.jobs import Row
+from evetac_cli.store.recordings.slip_grid import is_unresolved, resolving_mm
+from evetac_cli.trials import record
+from evetac_cli.trials.part_costs import nodes_of_slip
+from evetac_cli.trials.record import simulated
+from evetac_cli.trials.trial import SimulatedTrial
+
+NAME = "grid"
+COMMAND = "python scripts/likeness_grid.py"
+OBJECTS, SEEDS = "1-20", range(1, 6)
+
+
+def measured() -> list[Row]:
+    """A row for each object and seed: nodes, None where slip is stable, and the pitch of the nodes."""
+    made = commit_in_words()
+    rows: list[Row] = []
+    for seed in SEEDS:
+        planned = record.jobs([], Record(scene=SLIP, objects=OBJECTS, seed=seed, texture="off"), Path())
+        trials = [trial for trial in planned if isinstance(trial, SimulatedTrial)]
+        pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
+        for called, nodes in nodes_of_slip(trials).items():
+            row = {"object": called, "seed": seed, "nodes": nodes if math.isfinite(nodes) else None}
+            rows.append({**row, "pitch_mm": pitch_mm, "record_method": simulated.METHOD, "commit": made})
+    return rows
+
+
+def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
+    """The table of docs/simulator.md; as_table makes Markdown of heads and rows."""
+    rows = kept(results / FOLDER.name / f"{NAME}.json")
+    lines = [line([row for row in rows if row["object"] == called]) for called in {row["object"]: None for row in rows}]
+    heads = ["object", "nodes, fewest", "most", "pitch that resolves it [mm]"]
+    said = (
+        f"Simulated; half the wavelength of unstable slip at the slip limit, over {len(SEEDS)} draws of the slip scene:"
+    )
+    return "\n\n".join([said, as_table(heads, lines), made_by(rows, COMMAND)]) + "\n"
+
+
+def line(rows: list[Row]) -> list[str]:
+    """The cells of an object, by its rows."""
+    nodes = [math.inf if row["nodes"] is None else row["nodes"] for row in rows]
+    fewest = min(nodes)
+    finer = f"{resolving_mm(fewest, rows[0]['pitch_mm']):.2f}" if is_unresolved(fewest) else "default"
+    return [str(rows[0]["object"]), *(in_words(each) for each in (fewest, max(nodes))), finer]
+
+
+def in_words(nodes: float) -> str:
+    """A number of nodes; many are as good as none."""
+    return "stable" if math.isinf(nodes) else "above 20" if nodes > 20 else f"{nodes:.1f}"
+
+
+def main() -> None:
+    """Measure all objects anew."""
+    write(arguments(__doc__, NAME).out, measured(), COMMAND)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Simulated trials under a changed setting, what the public facts' measures say of each, and rows that are kept.
+
+For likeness_sensitivity.py and likeness_convergence.py. A trial is that of `evetac record` with the same scene, object
+and seed, without the texture in the window, which changes no event of the columns that count. A row is written as soon
+as its trial is measured; one that is there, made by the record of today, is not measured again.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.commands.record import Record
+from evetac_cli.evaluate.cost.chain import timed
+from evetac_cli.evaluate.likeness import single_slice
+from evetac_cli.evaluate.likeness.counts import SliceCounts, about_slip, count, loud_ms, rate
+from evetac_cli.evaluate.likeness.measures import shares, slipping_ms
+from evetac_cli.jobs import Row, silent
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.store.recordings.read import Recording, open_recording
+from evetac_cli.store.recordings.slip_grid import COLUMN, nodes_of
+from evetac_cli.trials import record
+from evetac_cli.trials.record import simulated
+from evetac_cli.trials.trial import SimulatedTrial
+
+FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results" / "likeness"
+SLIP, RATE = "slip", "data-rate"  # scenes
+OF_EVENTS = (
+    "events_ms_about_slip",
+    "events_ms_100_to_30_before",
+    "events_ms_30_before",
+    "events_ms_30_after",
+    "loudest_slice_50_before",
+)  # of about_slip
+EARLY_MS = (-500, -100)  # about the onset
+DIGITS = 5  # of a figure that is kept
+
+
+@dataclass(frozen=True)
+class Task:
+    """A trial to measure: its setting by name, scene, object and seed."""
+
+    setting: str
+    scene: str
+    object: int
+    seed: int
+
+    @property
+    def key(self) -> Row:
+        """What tells its row from others."""
+        return {"setting": self.setting, "scene": self.scene, "object": self.object, "seed": self.seed}
+
+
+def planned(task: Task, folder: Path, change: Callable[[Plan], Plan] | None = None, **solver: Any) -> SimulatedTrial:
+    """The trial of a task with settings of the solver, its plan changed."""
+    chosen: dict[str, Any] = {"scene": task.scene, "objects": str(task.object), "seed": task.seed, "texture": "off"}
+    (trial,) = record.jobs([], Record(**chosen, **solver), folder)
+    assert isinstance(trial, SimulatedTrial)
+    return trial if change is None else replace(trial, plan=change(trial.plan))
+
+
+def measured(trial: SimulatedTrial) -> Row:
+    """Simulate a trial and measure it; us_a_slice is processor time, of which a first trial takes some to load code."""
+    _, seconds = timed(lambda: simulated.run(trial, force=True, progress=silent))
+    with open_recording(trial.output) as recording:
+        counts = count(recording)
+        row: Row = {"slices": len(recording), "us_a_slice": 1e6 * seconds / len(recording), COLUMN: nodes_of(recording)}
+        row |= _of_rate(recording, counts) if trial.plan.scene.name == RATE else _of_slip(recording, counts)
+    return {name: _rounded(value) for name, value in row.items()}
+
+
+def _of_slip(recording: Recording, counts: SliceCounts) -> Row:
+    """Onset since the current began to fall, events about it, first detections by each threshold; None without one."""
+    if counts.onset is None:
+        return {"onset_ms": None}
+    about = about_slip(counts)
+    return {
+        "onset_ms": counts.onset - counts.start,
+        "events_ms_500_to_100_before": rate(counts, *EARLY_MS),
+        **{name: about[name] for name in OF_EVENTS},
+        **slipping_ms(recording.read("truth/visible_slip_share"), counts.onset),
+        "loud_ms": loud_ms(counts),
+        "after_ms": list(single_slice.slip("", counts).after_ms),
+    }
+
+
+def _of_rate(recording: Recording, counts: SliceCounts) -> Row:
+    """Bytes per second as a share of the paper's RGB sensor, of the columns that count."""
+    found = shares(recording, counts)
+    return {name: found.get(name) for name in ("share_whole", "share_contact", "share_slip")}
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) and np.isfinite(value) else value
+
+
+def kept(path: Path) -> list[Row]:
+    """The rows of a file; none without the file."""
+    rows: list[Row] = json.loads(path.read_text())["rows"] if path.is_file() else []
+    return rows
+
+
+def of_tasks(tasks: Iterable[Task], rows: list[Row]) -> list[Row]:
+    """The rows of some tasks that are there, in the order of the tasks."""
+    found = {_key(row): row for row in rows}
+    return [found[key] for key in (_key(task.key) for task in tasks) if key in found]
+
+
+def _key(row: Row) -> tuple[Any, ...]:
+    return tuple(row[name] for name in ("setting", "scene", "object", "seed"))
+
+
+def measure_missing(path: Path, tasks: list[Task], plan: Callable[[Task, Path], SimulatedTrial], command: str) -> None:
+    """Measure the tasks that a file has no row of, one after the other, and write each row as it comes.
+
+    Rows by another method of record are of other arrays: they are measured again.
+    """
+    rows = [row for row in kept(path) if row["record_method"] == simulated.METHOD]
+    done = {_key(row) for row in rows}
+    made = commit_in_words()
+    for task in tasks:
+        if _key(task.key) in done:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(
+                {**task.key, "record_method": simulated.METHOD, "commit": made, **measured(plan(task, Path(folder)))}
+            )
+        known = of_tasks(tasks, rows)
+        write(path, known + [row for row in rows if row not in known], command)
+        print(json.dumps({name: rows[-1][name] for name in (*task.key, "us_a_slice")}), file=sys.stderr, flush=True)
+
+
+def write(path: Path, rows: list[Row], command: str) -> None:
+    """Write rows, a line for each, in one go: a run that is stopped leaves the file as it was."""
+    head = {"name": f"likeness-{path.stem}", "simulated": True, "commands": [command]}
+    lines = ",\n".join(json.dumps(row) for row in rows)
+    text = json.dumps(head, indent=1).removesuffix("\n}") + f',\n "rows": [\n{lines}\n]}}\n'
+    part = path.with_suffix(".part")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part.write_text(text)
+    part.replace(path)
+
+
+def commit_in_words() -> str:
+    """The commit, and whether the tree differs from it but for the tables."""
+    from reproduce import commit  # here, as it imports the tables that are made of these rows
+
+    head, changed = commit()
+    return f"{head}, with uncommitted changes" if changed else head
+
+
+def arguments(about: str | None, name: str) -> argparse.Namespace:
+    """What was given on the command line; about: of --help, name: of the file of rows."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=FOLDER / f"{name}.json", help="file of rows")
+    return parser.parse_args()
+
+
+def made_by(rows: list[Row], command: str) -> str:
+    """By which command, commits and seeds, as a sentence; by which method of record, where it is another now."""
+    commits, seeds, methods = (sorted({row[name] for row in rows}) for name in ("commit", "seed", "record_method"))
+    older = "".join(f"; by an older method: record {method}" for method in methods if method != simulated.METHOD)
+    return f"Made by `{command}` at {', '.join(map(str, commits))}{older}; seeds {', '.join(map(str, seeds))}."
