@@ -91,21 +91,23 @@ def pressed_on(sensor: TouchSensor, trial: GraspSimulation) -> None:
 
 
 def test_dots_are_those_of_the_slip_scene_under_its_motion() -> None:
-    """Assert dots within 0.02 px of those under a hanging cylinder, told its normal force and how far it sank.
+    """Assert that dots move as under a hanging cylinder, within 0.1 px, told its normal force and how far it sank.
 
-    The scene begins with a gel that has been pressed slowly, so the sensor is pressed on first.
+    The scene begins with a gel that has been pressed slowly, in longer steps than the sensor is: where dots are hangs
+    a little on which nodes slipped when.
     """
     trial, contact = held()
     sensor = touched(contact)
     pressed_on(sensor, trial)
-    off_px, moved_px = [], 0.0
+    off_px: list[Any] = []
+    moved_px = 0.0
     for _ in range(200):
         trial.step()
         touch = sensor.step(1e-3, normal_n=trial.finger.force_n, place_m=(trial._gel.pose[0], trial._gel.pose[1]))
-        off_px.append(np.abs(touch.dot_xy_px - trial.gel_camera.dot_xy_px).max())
+        off_px.append(touch.dot_xy_px - trial.gel_camera.dot_xy_px)
         moved_px = max(moved_px, float(np.abs(touch.displacement_px).max()))
     assert moved_px > 1.0
-    assert max(off_px) < 0.02
+    assert np.abs(off_px).max() < 0.1
 
 
 def test_dots_are_those_of_the_slip_scene_under_its_force() -> None:

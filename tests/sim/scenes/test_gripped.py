@@ -231,7 +231,8 @@ def test_pushes_and_grip_of_the_data_rate_scene() -> None:
     planned = first_plan("data-rate", "18")
     pushed = grasp_of(planned)
     push, drive = planned.scene.push, pushed.drive
-    for after_s, share in ((-1e-3, 0.0), (0.02, np.sqrt(0.5)), (0.04, 1.0), (0.081, 0.0)):
+    lasts_s = push.lasts_s
+    for after_s, share in ((-1e-3, 0.0), (lasts_s / 4, np.sqrt(0.5)), (lasts_s / 2, 1.0), (lasts_s + 1e-3, 0.0)):
         for at_s, force_n in zip(push.at_s, push.force_n, strict=True):
             pushed.slices = round((at_s + after_s) * 1000)
             assert pushed._push() == pytest.approx(share * force_n, abs=1e-9)
