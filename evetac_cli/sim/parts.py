@@ -105,7 +105,7 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
             _sensor(friction=even),
         ),
         ScenePart(
-            "friction that grows less than pressure",
+            "friction over pressure",
             _pressure_law(plan),
             "nothing slips" if scene.kind == "tone" else "a face presses evenly" if driven else "grows in proportion",
             _sensor(friction=replace(friction, pressure_exponent=0.0)),

@@ -31,7 +31,7 @@ PARTS = {
         ("shear_modulus_pa", "normal_modulus_pa"), ("randomise.static_friction", "randomise.memory_um", "solver")
     ),
     "friction that varies over the gel": Keys(("friction.patch_spread", "friction.patch_mm")),
-    "friction that grows less than pressure": Keys(("friction.pressure_exponent",), ("randomise.pressure_exponent",)),
+    "friction over pressure": Keys(("friction.pressure_exponent",), ("randomise.pressure_exponent",)),
     "slow creep": Keys(("creep",)),
     "what touches": Keys((), ("kind", "face", "rub", "tone")),
     "gripper": Keys(("gripper",), ("gripper",)),

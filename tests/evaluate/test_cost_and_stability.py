@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli import main
 from evetac_cli.commands.evaluate import EvaluateCost, EvaluateStability
 from evetac_cli.console import plain
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, install_hint
 from evetac_cli.evaluate import picture, plots
 from evetac_cli.evaluate.cost import camera as camera_cost
 from evetac_cli.evaluate.cost import command as cost
@@ -33,7 +33,7 @@ from tests.make import run_stage
 
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 BESIDE = picture.beside
-MECHANICS_ROWS = 3 * 2 + 2 + 1 + 5
+MECHANICS_ROWS = 3 * 2 + 2 + 1 + 6
 UNLOADING_ROWS = 3  # of each of 2 unloadings and 3 frictions
 CAMERA = [
     {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_share_count": 0.0,
@@ -273,7 +273,7 @@ def test_without_matplotlib(pictures, monkeypatch, tmp_path):
     """Assert that without matplotlib the report is made all the same, and it is said how to get the picture."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     output, outcome = run_stage(cost, [], EvaluateCost())
-    assert "'.[plot]'" in outcome.summary["plot"]
+    assert outcome.summary["plot"].endswith(install_hint("plot"))
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
 

@@ -12,7 +12,7 @@ from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Flicker, LightSettings, LightStep, VanishingDots
 from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, NoiseFilterSettings, ReadoutLimit
 
-PRESSURE = "friction that grows less than pressure"
+PRESSURE = "friction over pressure"
 NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
 
 

@@ -23,6 +23,8 @@ from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
 WINDOW_US, NOISE_US, HOT_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 4.0, 5.0, 40.0, 12.0, 7.0
+LAW_US = 6.0  # of friction over pressure, as a part of the gel's
+RUNS = 6  # of a measurement: the trial, and five parts switched
 
 
 class SlowedClock:
@@ -43,13 +45,16 @@ class SlowedClock:
         self.take(NOISE_US * (sensor.noise_hz > 0) + HOT_US * (sensor.hot_pixels > 0))
         self.take(CUT_US * (sensor.cut_contrast > 0))
 
+    def _advance(self, plan: Plan) -> None:
+        self.take(GEL_US + LAW_US * (plan.sensor.friction.pressure_exponent != 0.0))
+
     def play(self, trial: SimulatedTrial, append: Append, timer: Timer) -> None:
         self.runs += 1
-        advance, render = timer("gel and friction", lambda: self.take(GEL_US)), timer("camera", self._render)
+        advance, render = timer("gel and friction", self._advance), timer("camera", self._render)
         for _ in range(100_000):
-            advance()
+            advance(trial.plan)
             render(trial.plan)
-            self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // 5 % 2))
+            self.take(OTHER_US + self.rng.uniform(0.0, self.slowed_us) * (self.runs // RUNS % 2))
             append(None, {})  # type: ignore[arg-type]
 
 
@@ -68,10 +73,10 @@ def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> Non
     shown = texture == "on"
     in_camera = DOTS_US + WINDOW_US * shown + NOISE_US + HOT_US + CUT_US
     assert costs.slices % BLOCK == 0
-    assert costs.whole.mean() == pytest.approx(GEL_US + in_camera + OTHER_US)
+    assert costs.whole.mean() == pytest.approx(GEL_US + LAW_US + in_camera + OTHER_US)
     rows = {row["part"]: row for row in costs.rows()}
-    expected = {"gel and friction": GEL_US, "camera": in_camera, "dots": DOTS_US, "noise": NOISE_US, "cut edge": CUT_US}
-    expected["hot pixels"] = HOT_US
+    expected = {"gel and friction": GEL_US + LAW_US, "friction over pressure": LAW_US, "camera": in_camera}
+    expected |= {"dots": DOTS_US, "noise": NOISE_US, "hot pixels": HOT_US, "cut edge": CUT_US}
     for part, us in {**expected, "everything else": OTHER_US}.items():
         assert rows[part]["time_us"] == pytest.approx(us), part
     assert rows["window"]["time_us"] == (pytest.approx(WINDOW_US) if shown else None)
@@ -85,11 +90,11 @@ def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
     (trial,) = record.jobs([], Record(), None)
     machine.slowed_us = 0.0
     costs = measure(trial, machine.play, 50, budget_s=budget_s)
-    block_s = BLOCK * (GEL_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US) * 1e-6
-    share_s = budget_s / 6  # of one run to try, and five to measure
+    block_s = BLOCK * (GEL_US + LAW_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US) * 1e-6
+    share_s = budget_s / (1 + RUNS)  # of one run to try, and those to measure
     assert costs.slices == BLOCK * max(1, 1 + int(share_s / block_s))
     assert costs.whole.sum() * BLOCK * 1e-6 == pytest.approx(block_s * costs.slices / BLOCK)
-    assert machine.now_s < 5 * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, 5 * block_s)
+    assert machine.now_s < RUNS * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, RUNS * block_s)
 
 
 def test_what_fails_in_a_trial_is_raised(machine: SlowedClock) -> None:
@@ -97,7 +102,7 @@ def test_what_fails_in_a_trial_is_raised(machine: SlowedClock) -> None:
     (trial,) = record.jobs([], Record(), None)
 
     def fails(trial: SimulatedTrial, append: Append, timer: Timer) -> None:
-        machine.play(trial, append if machine.runs < 5 else lambda events, rows: 1 / 0, timer)  # type: ignore[arg-type, return-value]
+        machine.play(trial, append if machine.runs < RUNS else lambda events, rows: 1 / 0, timer)  # type: ignore[arg-type, return-value]
 
     with pytest.raises(ZeroDivisionError):
         measure(trial, fails, 2)
@@ -138,11 +143,11 @@ def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.Monke
 def test_a_difference_within_the_noise_is_not_a_figure(slowed_us: float, machine: SlowedClock) -> None:
     """Assert that a cost is shown as a figure only where it is larger than what the machine makes by itself.
 
-    The clock is slowed in all runs, so that the smallest part drowns, but not the largest.
+    The clock is slowed in the last run, so that the part which is switched in it drowns, but not the largest.
     """
     (trial,) = record.jobs([], Record(), None)
     machine.slowed_us = slowed_us
-    machine.runs = 5  # no run is left alone
+    machine.runs = RUNS  # of those to measure, all but the last are left alone
     costs = measure(trial, machine.play, 1)
     rows = {row["part"]: row for row in costs.rows()}
     shown = {row["part"]: row["time_us"] for row in for_people(Outcome(list(rows.values()), True, SUMMARY))[0]}
@@ -151,6 +156,7 @@ def test_a_difference_within_the_noise_is_not_a_figure(slowed_us: float, machine
         ("cut edge", CUT_US),
         ("noise", NOISE_US),
         ("hot pixels", HOT_US),
+        ("friction over pressure", LAW_US),
         ("dots", DOTS_US),
     ):
         noise_us = rows[part]["noise_us"]
@@ -210,12 +216,12 @@ def test_a_dry_run_of_many_trials_with_devices_names_the_first(tmp_path: Path) -
 def test_objects_whose_slip_the_grid_does_not_resolve(machine: SlowedClock, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a dry run names the objects that press so hard, and that its pitch resolves them all."""
     monkeypatch.setattr(simulated, "play_through", machine.play)
-    params = Record(objects="12,18", node_pitch_mm=1.6)
+    params = Record(objects="2,12,18", node_pitch_mm=1.6)
     summary = record.dry_run(record.jobs([], params, None), params).summary
-    assert list(summary["nodes_of_slip"]) == ["12", "18"]
+    assert list(summary["nodes_of_slip"]) == ["2", "18"]
     assert max(summary["nodes_of_slip"].values()) < 4
     pitch_mm = summary["resolving_pitch_mm"]
     assert pitch_mm == pytest.approx(1.6 * min(summary["nodes_of_slip"].values()) / 4)
-    finer = Record(objects="12,18", node_pitch_mm=0.95 * pitch_mm)
+    finer = Record(objects="2,18", node_pitch_mm=0.95 * pitch_mm)
     nodes = part_costs.nodes_of_slip(record.jobs([], finer, None))
     assert min(nodes.values()) >= 4

@@ -131,7 +131,7 @@ def layer_rows(trial: GelTrial, dt_s: float = 1e-3) -> Iterator[Row]:
     for order in (0, 1):
         layered = replace(trial, material=replace(trial.material, coupled=order == 1))
         yield row(f"layer order {order}", simulate(layered, dt_s, 0.51), reference)
-    yield row("layer order 1, on beyond the pad", simulate_dense(trial, 1, dt_s, 0.51, goes_on=True), reference)
+    yield row("layer order 1 beyond the pad", simulate_dense(trial, 1, dt_s, 0.51, goes_on=True), reference)
     yield row("layer order 2, exact, on beyond the pad", reference, None, "the reference of the layers")
 
 

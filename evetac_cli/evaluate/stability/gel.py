@@ -58,9 +58,9 @@ def gel_cases() -> list[GelCase]:
         GelCase("impact at 100 m/s", twist=(100.0, -30.0, 0.0)),
         GelCase("impact at 1e4 m/s", twist=(1e4, 0.0, 0.0), mass_kg=1.0, inertia_kg_m2=4e-4),
         GelCase("spin of 1e4 rad/s", twist=(0.0, 0.0, 1e4)),
-        # At theta 0.5 nothing is lost here, and what the search leaves unbalanced adds up: with 1e-6 left, 2e-6 of the
-        # energy are gained in 25 steps and 4e-6 in 100; with 1e-8 left, 3e-9 in either. So the search goes on for
-        # longer, and the bound holds for the scheme.
+        # At theta 0.5 nothing is lost here, and what the search leaves unbalanced adds up: with 1e-6 left, up to 4e-6
+        # of the energy were gained in 100 steps; with 1e-8 left, 3e-9 at most. So the search goes on for longer, and
+        # the bound holds for the scheme.
         GelCase("gel without mass and without losses", material=UNDAMPED, residual=1e-8),
         GelCase("stiff gel, friction falls with speed", material=stiff(1e6), load=lambda t: 1 - t, friction=SLIPPERY),
         GelCase("all at once", material=stiff(1e4), mass_kg=1e-3, inertia_kg_m2=1e-9, twist=(10, -5, 1e3), dt_s=1e-2),

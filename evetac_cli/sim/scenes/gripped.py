@@ -112,7 +112,7 @@ class GraspSimulation:
         scene, hand = self._scene, self._scene.hand
         exists = {
             **built_of_gel(self._friction_factor, self._material, scene),
-            "friction that grows less than pressure": self._pressure_law is not None,
+            "friction over pressure": self._pressure_law is not None,
             "gripper": True,
             "free object": True,
             "table and hand": self._kind == "lift",

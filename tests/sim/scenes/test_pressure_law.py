@@ -17,7 +17,7 @@ from evetac_cli.sim.touch_sensor import TouchSensor
 from tests.sim.scenes.trials import grasp_of, quiet_plan
 
 COARSE = {"node_pitch_mm": 1.667}
-PART = "friction that grows less than pressure"
+PART = "friction over pressure"
 
 
 def with_exponent(exponent: float, changes: dict[str, Any] | None = None, **more: float) -> Plan:
