@@ -84,6 +84,7 @@ class Stepper:
         """Move gel and object on by a slice.
 
         shares: (rows, columns), the part of the normal force that each node bears, together 1, or 0 without contact;
+        a new array for each new pressure, as what it squeezes aside is kept for as long as it is the same one.
         force_n: that force in N on one pad at the start and the end of the slice. each: called after each step, with
         what it did and how long it was in s. The rest as for `gel.step`.
         """
