@@ -21,7 +21,20 @@ Measured = Mapping[str, Any]
 def read(results: Path) -> dict[str, Measured]:
     """What was measured before and after, as far as it was."""
     paths = {when: results / FOLDER / f"{when}.json" for when in WHEN}
-    return {when: json.loads(path.read_text()) for when, path in paths.items() if path.is_file()}
+    known = {when: json.loads(path.read_text()) for when, path in paths.items() if path.is_file()}
+    before, after = (known.get(when) for when in WHEN)
+    if before is not None and after is not None:
+        first = {row["name"]: row for row in before["rows"]}
+        known["after"] = {**after, "rows": [as_of_now(row, first.get(row["name"], {})) for row in after["rows"]]}
+    return known
+
+
+def as_of_now(row: Row, first: Row) -> Row:
+    """A row measured after, without figures where its table in docs/results is the one that was there before."""
+    source = row.get("from") or ""
+    if not (row.get("values") and source.startswith("docs/results") and source == first.get("from")):
+        return row
+    return {**row, "values": None, "not_told": f"not made again since ({source})"}
 
 
 def row_of(fact: Fact, measured: Measured) -> Row:
