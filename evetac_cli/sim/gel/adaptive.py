@@ -68,7 +68,8 @@ class Stepper:
         self._sums = np.zeros(12)
         self._fixed_steps = self.solver.fixed_steps or 0
         self._rule = (self.solver.tolerance_um * 1e-6, self.solver.halvings)
-        self._pressed = self._squeeze = np.zeros(0)
+        # of each pad, the shares that were squeezed last, and what that made
+        self._kept: dict[int, tuple[gel.GelState, Floats, Floats]] = {}
 
     def advance(
         self,
@@ -97,11 +98,9 @@ class Stepper:
             wanted = _three(prescribed_twist)
             if not any(wanted):  # nothing swings on an object that is held still: damped most, the gel rests soonest
                 theta = 1.0
-        if shares is not self._pressed:
-            self._pressed, self._squeeze = shares, state.squeezed(shares)
         load = (
             state.gripping(shares),
-            self._squeeze,
+            self._squeezed(0, state, shares),
             *force_n,
             _three(body_force_n),
             prescribed_twist is not None,
@@ -113,7 +112,7 @@ class Stepper:
         if self.second is not None:
             if second_shares is None or second_shares.shape != self.second.stuck.shape:
                 raise ValueError(f"second_shares must have the shape of the second grid {self.second.stuck.shape}")
-            squeeze = self.second.squeezed(second_shares)
+            squeeze = self._squeezed(1, self.second, second_shares)
             second = (self.second.fields, self.second.gripping(second_shares), squeeze, self.second.layer_constants)
         progress[0] = 0.0
         sums[:] = 0.0
@@ -128,6 +127,13 @@ class Stepper:
         steps, error_m, slip_x, slip_y, x_n, y_n, moment, slipping_force_n, heat_j, x_2, y_2, moment_2 = sums.tolist()
         first_n, second_n = (x_n, y_n, moment), (x_2, y_2, moment_2)
         return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
+
+    def _squeezed(self, pad: int, state: gel.GelState, shares: Floats) -> Floats:
+        """What pressure squeezes on a pad, worked out anew where it is another pad or another array of shares."""
+        kept = self._kept.get(pad)
+        if kept is None or kept[0] is not state or kept[1] is not shares:
+            kept = self._kept[pad] = (state, shares, state.squeezed(shares))
+        return kept[2]
 
 
 def _three(given: Sequence[float] | Floats) -> Three:

@@ -12,7 +12,9 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.gel import GelState
 
-DECAY_M = 2.3e-3  # over which the motion of a layer 4 mm high dies off outside a contact, about: H / sqrt(3)
+# Over which the motion of a layer 4 mm high dies off beyond a border along it, H sqrt(ACROSS (1 + 1/SPRING)); square to
+# it, motion reaches 5.5 mm.
+DECAY_M = 2.3e-3
 CAMERA_DISTANCE_M = 25e-3
 
 

@@ -25,7 +25,7 @@ SHEET_SHARE, STRICTER = 0.01, 1e3
 
 
 class Stencil(NamedTuple):
-    """The matrix of the nodes in one time step: own + spring on the diagonal, -spring to the sheet above a node.
+    """The matrix of the nodes in one time step: own + spring on the diagonal, -spring to the sheet below a node.
 
     Both in N s/m. pads: how many pads like this one hold the object.
     """
@@ -37,7 +37,7 @@ class Stencil(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Memory for one step, (rows, columns[, 2]); `loose` and the sheet's fields have a border all around.
+    """Memory for one step, (rows, columns[, 2]); `loose`, `sheet` and `sheet_search` have a border all around.
 
     It is the pad's from step to step (see `work_memory`), as making it anew took a tenth of a step.
 

@@ -434,7 +434,7 @@ def energy(state: GelState) -> float:
     """Energy in J of the object's motion, and of the motion and deformation of all pads.
 
     What the Maxwell arms store is left out: it is counted as lost until it comes back, so that energy at a time, less
-    that at an undeformed start, less the work of outer forces, is never positive.
+    that at an undeformed start, less the work of outer forces, that of pressure on the gel included, is never positive.
     """
     answer = np.empty_like(state.displacement_m)
     layer = state._layer

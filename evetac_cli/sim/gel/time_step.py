@@ -145,7 +145,7 @@ def step_nodes(
     rounds = 0
     while True:
         body_now = (body[0], body[1], body[2])
-        # one sweep is enough where everything sticks; after that a sweep costs less than the rest of a round
+        # one sweep is enough where nothing changes speed; after that a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, stuck, body_now)
             if second is not None:

@@ -200,13 +200,14 @@ class GraspSimulation:
             body_xy_m=middle_m,
             friction_factor=self._friction_factor,
         )
-        self._middle_m = np.array(middle_m)  # the centre of mass at the start
+        self._middle_m = np.array(middle_m)  # the centre of mass when the trial starts
         second_pad = None if self._second is None else self._second.pad(self._gel)
         self._pads = (self._gel,) if second_pad is None else (self._gel, second_pad)
         self._gel_slices = GelSlices(self._gel, self._solver, second_pad, timer)
         self._friction = friction_of(sampled)
         if self._kind == "ramp":
             self._close(second_pad)
+            self._middle_m = self._gel.pose[:2].copy()
         self._press()
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
@@ -321,7 +322,8 @@ class GraspSimulation:
     def _close(self, second_pad: gel.GelState | None) -> None:
         """Let the gel follow a finger that closes to where the trial starts, and then rests on the free object as long.
 
-        Why so: what is pressed at once would be squeezed aside while the camera already looks.
+        Why so: squeezed at once, the gel would go on creeping for some 15 slices. The camera, which starts on dots at
+        rest, sees them jump in the first two.
         """
         slow = replace(self._solver, theta=1.0)  # nothing swings while it closes
         stepper = Stepper(slow, CLOSING_S / CLOSING_STEPS, second_pad)

@@ -25,11 +25,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
-from evetac_cli.kernels.gel_layer import Squeeze, sheet_stiffness
+from evetac_cli.kernels.gel_layer import Squeeze, moved_by
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import dots
 from evetac_cli.sim.gel.contact import cell_area, pad_nodes
@@ -44,7 +43,7 @@ ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the su
 FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one
 PIECES = 5  # a slice, or a multiple: the scanning camera scans 5 times a slice, so it interpolates nothing
 PIECES_A_PERIOD = 16  # at least; 8 of the second harmonic
-MARGIN = 2.0  # in heights, beyond which a layer does not notice where it ends
+MARGIN = 2.0  # heights of gel beyond all points; more change their motion by 1.5 % rms at most
 BLOCK = 50  # slices whose waves are evaluated at once: 0.3 ms a slice otherwise, as numpy is slow to begin
 
 Complexes = NDArray[np.complex128]
@@ -80,36 +79,29 @@ def resonance(frequency_hz: Floats, layer: GelMaterial) -> Complexes:
 
 def pressed_by_disc(
     points_m: Floats, centre_m: Floats, radius_m: float, layer: GelMaterial, normal_modulus_pa: float
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """What points on the gel (points, 2) do for each metre by which a disc that sticks is pressed in or moves aside.
 
     Returns their shift (points, 2) as it is pressed in, by squeeze and lens; and (points, 2, 2), the motion along x and
     y for a motion of the disc along x (the last 0) and y (the last 1): its own under it. It is the layer of all scenes
-    (see kernels/gel_layer) in balance, on nodes a quarter of its height apart that reach MARGIN heights beyond all.
+    (see kernels/gel_layer) in balance, on nodes an eighth of its height or of the disc's radius apart that reach MARGIN
+    heights beyond all. The third is (2, 2), the force on the disc over the shear modulus, in m, for such motions.
     """
     height_m = layer.height_m
+    pitch_m = min(height_m, radius_m) / 8
     low_m = np.minimum(points_m.min(axis=0), centre_m - radius_m) - MARGIN * height_m
     high_m = np.maximum(points_m.max(axis=0), centre_m + radius_m) + MARGIN * height_m
-    columns, rows = np.ceil((high_m - low_m) / (height_m / 4)).astype(int).tolist()
+    columns, rows = np.ceil((high_m - low_m) / pitch_m - 1e-9).astype(int).tolist()
     nodes = pad_nodes(columns, rows, (low_m[0], high_m[0]), (low_m[1], high_m[1]))
-    inside_m = radius_m - np.linalg.norm(nodes - centre_m, axis=2)
-    covered = np.clip(inside_m / (height_m / 4) + 0.5, 0.0, 1.0)
-    pressed_n = normal_modulus_pa / height_m * cell_area(nodes) * covered
-    squeezed = Squeeze(nodes, height_m).of(pressed_n) / layer.shear_modulus_pa
-    count = covered.size
-    held = np.concatenate([np.tile(covered.ravel() >= 0.5, 2), np.zeros(2 * count, np.bool_)])
-    stiffness = sheet_stiffness(nodes, height_m).tocsc()
-    solve = splu(stiffness[~held][:, ~held]).solve
-    pushed = np.zeros((4 * count, 3))
-    pushed[:count, 0], pushed[count : 2 * count, 0] = squeezed[..., 0].ravel(), squeezed[..., 1].ravel()
-    moved = np.zeros((4 * count, 3))
-    moved[:count, 1], moved[count : 2 * count, 2] = held[:count], held[count : 2 * count]
-    moved[~held] = solve(pushed[~held] - stiffness[~held][:, held] @ moved[held])
-    fields = moved[: 2 * count].reshape(2, rows, columns, 3).transpose(1, 2, 0, 3)
+    covered = np.clip((radius_m - np.linalg.norm(nodes - centre_m, axis=2)) / pitch_m + 0.5, 0.0, 1.0)
+    pressed_m2 = normal_modulus_pa / layer.shear_modulus_pa / height_m * cell_area(nodes) * covered
+    fields = moved_by(nodes, height_m, covered >= 0.5, Squeeze(nodes, height_m).of(pressed_m2))
     at_points = dots.interpolation(nodes, points_m)
-    along = dots.field_at(np.ascontiguousarray(fields.reshape(rows, columns, 6)), *at_points).reshape(-1, 2, 3)
+    along = dots.field_at(fields.reshape(rows, columns, 6), *at_points).reshape(-1, 2, 3)
     shift: Floats = along[..., 0] + dots.nearer_by(points_m, dots.field_at(covered[..., None], *at_points)[:, 0])
-    return shift, along[..., 1:]
+    # a layer in balance answers as if each piece of it was a spring of its own
+    answer_m: Floats = fields[..., 1:].sum(axis=(0, 1)) * cell_area(nodes) / height_m
+    return shift, along[..., 1:], answer_m
 
 
 class Drift(NamedTuple):
@@ -194,14 +186,14 @@ class Vibration:
         self._hz = plan.tone_hz
         self._along = share * resonance(ORDERS * self._hz, layer)
         rest_m, modulus_pa = self.gel_camera.rest_m, sensor.normal_modulus_pa
-        self._shift, aside = pressed_by_disc(rest_m, offset_m, radius_m, layer, modulus_pa)
+        self._shift, aside, answer_m = pressed_by_disc(rest_m, offset_m, radius_m, layer, modulus_pa)
         direction = np.array([np.cos(direction_rad), np.sin(direction_rad)])
         self._sideways = aside @ direction
         amplitude_m = factor * tone.at(tone.dot_motion_px, self._hz) * self.gel_camera.mm_per_px * 1e-3
         self._amplitude_m = amplitude_m / self._motion_per_metre()
-        # A rigid disc on the layer: what the tone's share along the surface pulls, and how deep the press goes.
+        # What the tone's share along the surface pulls, the gel around the disc included; and how deep the press goes.
         area_m2 = math.pi * radius_m**2
-        self._shear_n_m = layer.shear_modulus_pa * area_m2 / layer.height_m * direction
+        self._shear_n_m = layer.shear_modulus_pa * (answer_m @ direction)
         self._depth_m_n = layer.height_m / (sensor.normal_modulus_pa * area_m2)
         self._press_n, self._press_s = tone.normal_n, tone.press_s
 

@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 from evetac_cli.arrays import Floats
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.force.dot_field import lattice_field
-from evetac_cli.kernels.gel_layer import Squeeze, sheet_stiffness
+from evetac_cli.kernels.gel_layer import Squeeze, moved_by, sheet_stiffness
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.gel import contact, dots, gel
@@ -79,7 +79,7 @@ def one_contact(sensor: Sensor, rng: np.random.Generator) -> tuple[Floats, Float
     depth_m *= min(1.0, rng.uniform(0.2, 1.0) * DEEPEST_M / depth_m.max())
     normal_n = stiffness * depth_m.sum()
     modulus_ratio = sensor.normal_modulus_pa / sensor.shear_modulus_pa
-    squeezed_m, share = _moved(nodes, depth_m, modulus_ratio, rng)
+    squeezed_m, share, held_m2 = _moved(nodes, depth_m, modulus_ratio, rng)
     # shear force (x, y) over modulus, in m, for each m that the object moves along x (first column) and y
     answer_m = share.sum(axis=(0, 1)) * area_m2 / HEIGHT_M
     size_m2 = rng.uniform(0.0, FRICTION, SHEARS) * rng.random(SHEARS) ** 0.3
@@ -109,7 +109,7 @@ def one_contact(sensor: Sensor, rng: np.random.Generator) -> tuple[Floats, Float
     tracked = np.ones(moved_mm.shape[:2], np.bool_)
     field_mm = lattice_field(moved_mm, (grid_px - middle_px) * mm_per_px, tracked)
     normal_mm2 = np.full(SHEARS, 1e6 * normal_n / sensor.normal_modulus_pa)
-    return field_mm, np.column_stack([1e6 * moved_m @ answer_m.T, normal_mm2])
+    return field_mm, np.column_stack([1e6 * (moved_m @ answer_m.T + held_m2), normal_mm2])
 
 
 def _depth(nodes: Floats, stiffness: float, rng: np.random.Generator) -> Floats:
@@ -139,28 +139,28 @@ def _depth(nodes: Floats, stiffness: float, rng: np.random.Generator) -> Floats:
     return depth_m
 
 
-def _moved(nodes: Floats, depth_m: Floats, modulus_ratio: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _moved(
+    nodes: Floats, depth_m: Floats, modulus_ratio: float, rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
     """Displacement of each node as the object is pressed in, (rows, columns, 2) in m, and as it moves aside.
 
     The latter is (rows, columns, 2, 2): along x and y, for each m of the object along x (the last 0) and y. What bears
-    a load sticks; in some contacts it slips to a part, in all directions alike. modulus_ratio: normal over shear.
+    a load sticks; in some contacts it slips to a part, in all directions alike. modulus_ratio: normal over shear. The
+    third is (2,), the force over the shear modulus, in m2, that holds the object against what pressure squeezes.
     """
-    stiffness = sheet_stiffness(nodes, HEIGHT_M).tocsc()
-    count = depth_m.size
-    sticks = np.concatenate([np.tile((depth_m > 0).ravel(), 2), np.zeros(2 * count, np.bool_)])
-    aside = Squeeze(nodes, HEIGHT_M).of(modulus_ratio * contact.cell_area(nodes) / HEIGHT_M * depth_m)
-    pushed = np.zeros((4 * count, 3))
-    pushed[: 2 * count, 0] = np.concatenate([aside[..., 0].ravel(), aside[..., 1].ravel()])
-    moved = np.zeros((4 * count, 3))
-    moved[:count, 1], moved[count : 2 * count, 2] = sticks[:count], sticks[count : 2 * count]
-    loose = stiffness[~sticks]
-    moved[~sticks] = splu(loose[:, ~sticks]).solve(pushed[~sticks] - loose[:, sticks] @ moved[sticks])
+    area_m2 = contact.cell_area(nodes)
+    squeezed_m2 = Squeeze(nodes, HEIGHT_M).of(modulus_ratio * area_m2 / HEIGHT_M * depth_m)
+    moved = moved_by(nodes, HEIGHT_M, depth_m > 0, squeezed_m2)
     if rng.random() < SLIPPING_SHARE:
+        count = depth_m.size
+        pushed = np.zeros((4 * count, 3))
+        pushed[: 2 * count, 0] = np.moveaxis(squeezed_m2, 2, 0).ravel()
         pushed[:count, 1] = pushed[count : 2 * count, 2] = depth_m.ravel()
-        slipping = splu(stiffness).solve(pushed)
-        for first, column in ((0, 1), (count, 2)):
-            own = slice(first, first + count)
-            slipping[:, column] *= moved[own, column].sum() / slipping[own, column].sum()
+        slipping = splu(sheet_stiffness(nodes, HEIGHT_M).tocsc()).solve(pushed)[: 2 * count]
+        slipping = slipping.reshape(2, *depth_m.shape, 3).transpose(1, 2, 0, 3)
+        for axis in (0, 1):
+            slipping[..., 1 + axis] *= moved[..., axis, 1 + axis].sum() / slipping[..., axis, 1 + axis].sum()
         moved += rng.random() * (slipping - moved)
-    fields = moved[: 2 * count].reshape(2, *depth_m.shape, 3).transpose(1, 2, 0, 3)
-    return np.ascontiguousarray(fields[..., 0]), np.ascontiguousarray(fields[..., 1:])
+    squeezed_m, share = np.ascontiguousarray(moved[..., 0]), np.ascontiguousarray(moved[..., 1:])
+    held_m2: Floats = squeezed_m.sum(axis=(0, 1)) * area_m2 / HEIGHT_M - squeezed_m2.sum(axis=(0, 1))
+    return squeezed_m, share, held_m2

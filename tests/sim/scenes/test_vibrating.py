@@ -91,7 +91,10 @@ def test_a_disc_moves_what_it_holds() -> None:
     """
     layer = GelMaterial()
     points = np.array([[0.0, 0.0], [1e-3, 2e-3], [-3e-3, 2.5e-3], [8e-3, 0.0], [0.0, -8e-3], [14e-3, 0.0]])
-    shift, aside = pressed_by_disc(points, np.zeros(2), 5e-3, layer, 1e6)
+    shift, aside, answer_m = pressed_by_disc(points, np.zeros(2), 5e-3, layer, 1e6)
+    alone_m = np.pi * 5e-3**2 / layer.height_m  # without the gel around it
+    assert answer_m == pytest.approx(answer_m[0, 0] * np.eye(2), abs=3e-3 * answer_m[0, 0])
+    assert 1.5 * alone_m < answer_m[0, 0] < 3 * alone_m
     assert aside[:3] == pytest.approx(np.broadcast_to(np.eye(2), (3, 2, 2)), abs=1e-9)
     assert shift[:3] == pytest.approx(points[:3] / 25e-3, rel=1e-6, abs=1e-12)
     assert 0.02 < aside[3, 1, 1] < aside[3, 0, 0] < 0.6
