@@ -83,10 +83,10 @@ def pressed_by_disc(
     """What points on the gel (points, 2) do for each metre by which a disc that sticks is pressed in or moves aside.
 
     Returns their shift (points, 2) as it is pressed in, by squeeze and lens; (points, 2, 2), the motion along x and y
-    for a motion of the disc along x (the last 0) and y (the last 1), its own under it; and (2, 2), the force on the disc
-    over the shear modulus, in m, for such motions. It is the layer of all scenes (see kernels/gel_layer) in balance, on
-    nodes that reach MARGIN heights beyond all and are an eighth of its height, or of the radius, apart; but no nearer
-    than a disc of a quarter of the height asks for.
+    for a motion of the disc along x (the last 0) and y (the last 1), its own under it; and (2, 2), the force on the
+    disc over the shear modulus, in m, for such motions. It is the layer of all scenes (see kernels/gel_layer) in
+    balance, on nodes that reach MARGIN heights beyond all and are an eighth of its height, or of the radius, apart; but
+    no nearer than a disc of a quarter of the height asks for.
     """
     height_m = layer.height_m
     pitch_m = min(height_m, max(radius_m, height_m / 4)) / 8
