@@ -3,7 +3,8 @@
 Why so: the pad is thin and bonded to a stiff back, so each spot is taken as a spring of its own (a Winkler foundation
 of stiffness E/H per area), several to a cell of a node (cell_gaps). The force then follows the shape of the object in
 closed form, and the closing of the gripper is the sum of both gels' indentation and the bending of the fingers, which
-are softer than the gel.
+are softer than the gel. Left out: a layer that keeps its volume resists being pressed the more, the wider the contact
+is, so that E is an effective modulus.
 Axes are those of the image, seen in a top grasp: x points down (along gravity), y to the side, in metres from the
 centre of the view.
 """
