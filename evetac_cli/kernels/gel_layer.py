@@ -10,8 +10,8 @@ wave and with ACROSS G H across it. In balance the sheet is the surface, smoothe
 pattern is G/H (1 + a x / (1 + a x / SPRING)), x = (kH)^2, a = ALONG or ACROSS: a Pade approximant of the exact one.
 `sheet_stiffness` is it on a grid.
 
-Pressure acts as if the surface were pushed by -H/2 grad p, p smoothed by a Gaussian of SMOOTHING H: what the exact layer
-moves under pressure, times its stiffness along the wave, is that within 5 % of its largest.
+Pressure acts as if the surface were pushed by -H/2 grad p, p smoothed by a Gaussian of SMOOTHING H: what the exact
+layer moves under pressure, times its stiffness along the wave, is that within 5 % of its largest.
 
 Constants were fitted to the exact layer at wavelengths of 2 to 30 heights (8 to 120 mm), where the sheet is off by 2 %
 at most. Shorter waves find it too soft: along the wave by 14 % at 6 mm, a quarter at 5 mm, half at 4 mm, the shortest

@@ -149,7 +149,7 @@ class GelState:
 
     displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step. creep_n: (arms, rows,
     columns, 2), force of the slow arms.
-    sheet_m: (2, rows + 2, columns + 2), displacement of the sheet, x and y apart; its border means nothing between steps.
+    sheet_m: (2, rows + 2, columns + 2), displacement of the sheet, x and y apart; its border means nothing.
     slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 where it sticks.
     friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest. What bounds
     its friction is this times its friction_factor, (rows, columns), where the gel has one.
