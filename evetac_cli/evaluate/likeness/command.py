@@ -26,8 +26,7 @@ from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate import report, report_job
 from evetac_cli.evaluate.likeness import beside
-from evetac_cli.evaluate.likeness.constants import constant_of
-from evetac_cli.evaluate.likeness.facts import NEAR, WITHIN, Fact, as_text, facts, named_tables
+from evetac_cli.evaluate.likeness.facts import NEAR, WITHIN, Fact, as_text, constant_of, facts, named_tables
 from evetac_cli.evaluate.likeness.tables import Ours, ResultTables
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.index import scene_words

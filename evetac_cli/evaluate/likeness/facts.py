@@ -8,16 +8,18 @@ as a prediction, or cannot be told, because public sources contradict each other
 """
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from evetac_cli import resources
 from evetac_cli.evaluate import paper
 from evetac_cli.kernels import estimates
+from evetac_cli.text_files import read_toml
 
 FIT, PREDICTION, UNTOLD = "used to fit", "kept as a prediction", "cannot be told"
 CLASSES = (FIT, PREDICTION, UNTOLD)
+EVERY = "*"  # in a path: all entries of a table, of which the least and the largest value count
 COUNTED = 19  # facts that are counted when it is said how many hold
 
 Within = Literal["within", "half to twice", "off"]
@@ -166,3 +168,26 @@ def as_text(values: Iterable[float | None]) -> str:
 
 def _shown(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+
+
+def constant_of(path: Sequence[str]) -> Values:
+    """The value, or the two ends, of a constant by its path, as in sensors, evetac, threshold; KeyError if it is none.
+
+    The first part is sensors, objects, scenes (then the scene's name) or gripper.
+    """
+    kind, *rest = path
+    if kind == "gripper":
+        from evetac_cli.sim.gripper import Drive  # here, as it loads compiled code
+
+        return (float(getattr(Drive(), rest[0])),)
+    if kind == "scenes":
+        name, *rest = rest
+        found: Any = read_toml(resources.SCENES / f"{name}.toml")
+    else:
+        found = resources.table(kind)
+    if rest[0] == EVERY:
+        values = [row[rest[1]] for row in found.values()]
+        return float(min(values)), float(max(values))
+    for key in rest:
+        found = found[key]
+    return tuple(float(one) for one in found) if isinstance(found, list) else (float(found),)

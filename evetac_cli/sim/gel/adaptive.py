@@ -22,11 +22,12 @@ from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
-# Of `Allowed.steepness`. Why so: at the default tolerance the onset of slip is within 0.25 ms of that of steps of 10 us
-# in 16 trials of each plan of tests/evaluate/cost/test_letting_go.py (seeds 0 to 15); at 0.4 one is 0.47 ms off, at 0.6
-# one 1.2 ms. In the slip scene it takes 1.20 steps a slice instead of 1.03 (object 8), 1.56 instead of 1.10 (18). Where
-# the object's motion is prescribed it begins to slip when it is told to, and any steepness is allowed: in the scene
-# `edge` dots are 0.004 px rms off steps of 0.0125 ms (a handle, seed 1), with the rule 0.0004 px in 1.2 times the time.
+# Of `Allowed.steepness`. Why so, by figures of a gel as stiff along a wave as across it: at the default tolerance the
+# onset of slip is within 0.25 ms of that of steps of 10 us in 16 trials of each plan of
+# tests/evaluate/cost/test_letting_go.py (seeds 0 to 15); at 0.4 one is 0.47 ms off, at 0.6 one 1.2 ms. The slip scene
+# takes 1.20 steps a slice instead of 1.03 (object 8), 1.56 instead of 1.10 (18). Where the object's motion is
+# prescribed it begins to slip when it is told to, and any steepness is allowed: in the scene `edge` dots are 0.004 px
+# rms off steps of 0.0125 ms (a handle, seed 1), with the rule 0.0004 px in 1.2 times the time.
 STEEPEST = 0.25
 LONGER = 0.3  # of the tolerance: below it steps get twice as long again, which makes the error two to four times
 MOST_SWEEPS = 400

@@ -21,7 +21,8 @@ How the minimum is found: force_balance.
 theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order. 0.5 keeps the energy
 of oscillations and is of second order while nothing begins to stick or slip, but whatever rings rings on. 0.51, the
 default, damps what is too fast for the step by 0.96 a step. Why not more: at 0.55 object and gel were 1.5 to 2 times as
-far from a run in steps of 10 us while the grip is released, and so were their jumps from step to step (seeds 0 to 7).
+far from a run in steps of 10 us while the grip is released, and so were their jumps from step to step (seeds 0 to 7,
+before the gel had its sheet).
 """
 
 import copy

@@ -41,7 +41,7 @@ Fields = tuple[
     Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats
 ]
 # force with which a normal force of 1 N squeezes each node aside (rows, columns, 2), and that normal force
-Squeeze = tuple[Floats, float]
+Squeezing = tuple[Floats, float]
 # static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
 FrictionLaw = tuple[float, float, float, float]
 # a PadConstants
@@ -74,7 +74,7 @@ def spring(field: Floats, sheet: Floats, shear: float, to_sheet: float, answer: 
 def begin(
     state: Fields,
     nodal: Floats,
-    squeeze: Squeeze,
+    squeeze: Squeezing,
     pose: Floats,
     friction: FrictionLaw,
     h: float,
@@ -133,7 +133,7 @@ def let_go(
 def _set_up(
     state: Fields,
     nodal: Floats,
-    squeeze: Squeeze,
+    squeeze: Squeezing,
     pose: Floats,
     friction: FrictionLaw,
     factors: tuple[float, float, float],

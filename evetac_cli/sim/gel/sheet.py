@@ -1,7 +1,7 @@
 """The sheet inside the gel through which its surface nodes pull each other (see kernels/gel_layer), in one time step.
 
-Its balance is SPRING q + stretch(q) = SPRING v + source: v are the velocities of the nodes, q those of the sheet above
-them, stretch a stencil of a node's eight neighbours. It has no mass and bears no load, its losses are those of the
+Its balance is SPRING q + stretch(q) = SPRING v: v are the velocities of the nodes, q those of the sheet below them,
+stretch a stencil of a node's eight neighbours. It has no mass and bears no load, its losses are those of the
 whole layer, and so its balance does not depend on the time step: a `rule` is made once for a pad.
 
 A sweep goes over x and y and, of each, over the two colours of a chess board, as those of one colour do not wait for

@@ -17,7 +17,7 @@ from evetac_cli.sim.gel.pad_equation import (
     Fields,
     FrictionLaw,
     LayerConstants,
-    Squeeze,
+    Squeezing,
     advance,
     begin,
     let_go,
@@ -26,7 +26,7 @@ from evetac_cli.sim.gel.pad_equation import (
 )
 
 # Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us a step, on 24 x 18 nodes under a
-# tilted cylinder that begins to slip.
+# tilted cylinder that begins to slip, on a gel without a sheet.
 SWEEPS_A_ROUND = 3
 # Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
 REFRESHES = 4
@@ -75,11 +75,11 @@ NodeArrays = tuple[
 ]
 # normal force of each node, how it squeezes them, force and moment on the object, whether its twist is prescribed, and
 # the twist it has then
-Load = tuple[Floats, Squeeze, Three, bool, Three]
+Load = tuple[Floats, Squeezing, Three, bool, Three]
 # dt, theta, tolerance, max_sweeps, and an Allowed
 StepSettings = tuple[float, float, float, int, float, float, bool]
 # the second finger's pad: its arrays, the normal force of each of its nodes, how that squeezes them, and its constants
-Second = tuple[Fields, Floats, Squeeze, LayerConstants] | None
+Second = tuple[Fields, Floats, Squeezing, LayerConstants] | None
 
 
 @njit(cache=True, _nrt=False)

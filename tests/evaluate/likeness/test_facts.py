@@ -8,8 +8,19 @@ import pytest
 from evetac_cli import resources
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.likeness import facts as listed
-from evetac_cli.evaluate.likeness.constants import constant_of
-from evetac_cli.evaluate.likeness.facts import FIT, NEAR, OFF, PREDICTION, UNTOLD, WITHIN, Fact, as_text, by_name, facts
+from evetac_cli.evaluate.likeness.facts import (
+    FIT,
+    NEAR,
+    OFF,
+    PREDICTION,
+    UNTOLD,
+    WITHIN,
+    Fact,
+    as_text,
+    by_name,
+    constant_of,
+    facts,
+)
 from evetac_cli.evaluate.likeness.tables import DERIVED
 
 
