@@ -112,13 +112,16 @@ def gather(state: np.void, sums: NDArray[np.int64]) -> bool:
 
     state: tracker.STATE, in which they are gathered. `start` runs a slice of its own: the next is number 1.
     """
-    gathered = state["gathered"][: sums.shape[0]]
-    gathered += sums
-    if state["slices"] % state["slices_per_step"] != 0:
-        return False
-    sums[:] = gathered
-    gathered[:] = 0
-    return True
+    gathered = state["gathered"]
+    due = state["slices"] % state["slices_per_step"] == 0
+    for i in range(sums.shape[0]):  # one by one: as whole arrays they take seconds to compile
+        for column in range(sums.shape[1]):
+            so_far = gathered[i, column] + sums[i, column]
+            gathered[i, column] = so_far
+            if due:
+                sums[i, column] = so_far
+                gathered[i, column] = 0
+    return bool(due)
 
 
 @njit(cache=True)

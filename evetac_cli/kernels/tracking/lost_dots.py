@@ -201,7 +201,8 @@ def _find_lost(
         displacement_x = centre_xy_px[i, 0] - rest_xy_px[i, 0]
         displacement_y = centre_xy_px[i, 1] - rest_xy_px[i, 1]
         furthest_px2 = max(furthest_px2, displacement_x * displacement_x + displacement_y * displacement_y)
-    lost[:] = left_behind
+    for i in range(lost.shape[0]):  # assigned as a whole, arrays bring along errors about shapes, slow to compile
+        lost[i] = left_behind[i]
     if 4.0 * furthest_px2 <= LOST_PX * LOST_PX:  # then no two are further apart
         return
     none = np.zeros_like(lost)
@@ -233,7 +234,8 @@ def _put_back(
             centre_xy_px[i, 1] = min(max(rest_xy_px[i, 1] + displacement_y, 0.0), FRAME_PX[1] - 1.0)
             lost[i] = 0
             state["left_behind"][i] = 0
-            state["one_rim_px"][i, :] = 0.0
-            state["own_way_px"][i, :] = 0.0
-            state["near_way_px"][i, :] = 0.0
+            for axis in range(2):
+                state["one_rim_px"][i, axis] = 0.0
+                state["own_way_px"][i, axis] = 0.0
+                state["near_way_px"][i, axis] = 0.0
             state["way_events"][i] = 0.0
