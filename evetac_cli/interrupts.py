@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Sequence, Set
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -30,6 +30,8 @@ ALL = (signal.SIGINT, *ENDING)
 Handler = Callable[[int, FrameType | None], None]
 _came: list[int] = []  # interrupts that were raised
 _waiting: list[int] = []  # those that come up once a file is written
+_held: list[int] = []  # those that came within `signals_blocked`, through another thread
+_handlers: dict[int, Any] = {}  # who handles those once they come up
 
 
 def catch_interrupts(*, every: bool = True) -> None:
@@ -101,12 +103,29 @@ def _exit(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def signals_blocked(numbers: Set[signal.Signals] = INTERRUPTS) -> Iterator[None]:
-    """The system holds these signals back until the block is over; processes that are started in it inherit that."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    """These signals wait until the block is over; processes that are started in it inherit that from the system.
+
+    Blocking alone is not enough: the system then gives the signal to another thread, and numpy's linear algebra has
+    threads, whereupon Python calls the handler here all the same. So the handler waits as well.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    handlers = {number: signal.getsignal(number) for number in numbers} if _in_main_thread() else {}
+    ours = {number: handler for number, handler in handlers.items() if handler not in (None, signal.SIG_IGN)}
+    outside = dict(_handlers)
     try:
+        for number, handler in ours.items():
+            if handler is not _hold:
+                _handlers[number] = handler
+                signal.signal(number, _hold)
+        signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+        _handlers.clear()
+        _handlers.update(outside)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        _let_through(ours)
 
 
 class SignalsLetThrough:
@@ -119,14 +138,34 @@ class SignalsLetThrough:
         self._numbers = numbers
 
     def __enter__(self) -> None:
+        self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         try:
+            if _in_main_thread():
+                for number in self._numbers & _handlers.keys():
+                    signal.signal(number, _handlers[number])
             signal.pthread_sigmask(signal.SIG_UNBLOCK, self._numbers)
+            _let_through(self._numbers)
         except BaseException:
             self.__exit__()
             raise
 
     def __exit__(self, *_: object) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, self._numbers)
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
+        if _in_main_thread():
+            for number in self._numbers & _handlers.keys():
+                signal.signal(number, _hold)
+
+
+def _hold(number: int, frame: FrameType | None) -> None:
+    _held.append(number)
+
+
+def _let_through(numbers: Collection[int]) -> None:
+    """Handle the signals that were held, one of each kind, as the system does."""
+    came = [number for number in dict.fromkeys(_held) if number in numbers]
+    _held[:] = [number for number in _held if number not in numbers]
+    for number in came:
+        signal.raise_signal(number)
 
 
 @contextmanager

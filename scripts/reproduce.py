@@ -30,6 +30,7 @@ from experiments import EXPERIMENTS, Experiment
 from report_facts import facts, methods, report_header, words_for
 from results import fill, keys, text
 
+from evetac_cli import interrupts
 from evetac_cli.errors import EvetacError
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.source import Source
@@ -62,14 +63,15 @@ class Refusal(Exception):
 def run_command(words: Command, folder: Path) -> tuple[int, str]:
     """Run evetac or a script of this folder; progress and messages go straight to the terminal."""
     first, *rest = words
-    if first == "evetac":
-        program = [sys.executable, "-P", "-m", "evetac_cli", *rest]
-        # Ctrl-C waits until evetac looks after it, for while Python starts it would end in a traceback.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    else:
-        program = [sys.executable, str(ROOT / rest[0]), *rest[1:]]
-    process = subprocess.Popen(program, cwd=folder, stdout=subprocess.PIPE, text=True)
-    printed = wait_for(process)
+    ours = first == "evetac"
+    program = ["-P", "-m", "evetac_cli", *rest] if ours else [str(ROOT / rest[0]), *rest[1:]]
+    with interrupts.signals_blocked(interrupts.CTRL_C):
+        # Ctrl-C waits until evetac looks after it, for while Python starts it would end in a traceback. A script does
+        # not look after it: it inherits nothing blocked, and here the handler waits all the same.
+        if not ours:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts.CTRL_C)
+        process = subprocess.Popen([sys.executable, *program], cwd=folder, stdout=subprocess.PIPE, text=True)
+        printed = wait_for(process)
     return process.returncode, printed
 
 
@@ -82,8 +84,8 @@ def wait_for(process: "subprocess.Popen[str]") -> str:
     times = 0
     while True:
         try:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-            printed, _ = process.communicate()
+            with interrupts.SignalsLetThrough(interrupts.CTRL_C):
+                printed, _ = process.communicate()
             break
         except KeyboardInterrupt:
             times += 1

@@ -91,6 +91,30 @@ def test_a_signal_that_is_held_back_comes_up_where_it_is_let_through() -> None:
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
+def test_a_signal_waits_also_if_another_thread_takes_it() -> None:
+    """Assert that a library's thread, to which the system gives a blocked signal, does not bring it up too early."""
+    number, done = signal.SIGINT, []
+    before = signal.getsignal(number)
+    over = threading.Event()
+    library = threading.Thread(target=over.wait)  # it blocks nothing
+    library.start()
+    try:
+        with pytest.raises(KeyboardInterrupt), interrupts.signals_blocked(interrupts.CTRL_C):
+            with interrupts.signals_blocked(interrupts.CTRL_C):  # the inner one ends nothing
+                os.kill(os.getpid(), number)
+                done.append("inner")
+            done.append("outer")
+            with pytest.raises(KeyboardInterrupt), interrupts.SignalsLetThrough(interrupts.CTRL_C):
+                pytest.fail("it did not come up")
+            os.kill(os.getpid(), number)
+            done.append("again")
+    finally:
+        over.set()
+        library.join()
+    assert done == ["inner", "outer", "again"]
+    assert signal.getsignal(number) == before
+
+
 def test_a_file_is_written_to_its_end() -> None:
     """Assert that a signal waits for a file, is known to whoever writes for long, and comes up afterwards, once."""
     with pytest.raises(KeyboardInterrupt), interrupts.interrupts_wait():

@@ -110,8 +110,7 @@ def test_a_session_at_80_columns(tmp_path: Path) -> None:
     counts = re.findall(r"record (\d) of 4: .*?([\d,]+)/([\d,]+) slices", shown.plain)
     for number in "1234":
         pairs = [(done, total) for trial, done, total in counts if trial == number]
-        assert len(pairs) > 3
-        assert pairs[-1][0] == pairs[-1][1]
+        assert pairs and pairs[-1][0] == pairs[-1][1]
     assert shown.last_line == "data"
 
     for command in ("label", "track"):

@@ -323,7 +323,7 @@ def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
     assert table["simulated"]
     assert (table["sizes"]["recordings"], table["sizes"]["models"]) == (2, 1)  # the trial and the grasp; their model
     assert table["sizes"]["training_recordings"] == len(made.recordings)
-    assert table["sizes"]["training_steps"] == 60
+    assert table["sizes"]["training_steps"] == 120
 
 
 def evaluation(*rows: Row) -> Evaluation:
