@@ -29,8 +29,10 @@ from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, CHANNELS
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.resources import MODEL
-from evetac_cli.sim.scenes.gripped import OUT_OF_SIGHT_M, GraspSimulation
+from evetac_cli.sim.camera.gel_camera import GelCamera
+from evetac_cli.sim.scenes.gripped import OUT_OF_SIGHT_M, TEXTURE_PX
 from evetac_cli.sim.setup.plan import first_plan
+from evetac_cli.sim.setup.sampling import sensor_with_gel
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
@@ -40,9 +42,10 @@ SAY_S = 0.5  # between two lines that say how far it is
 
 def _camera() -> None:
     """What the camera of a slip scene runs in its first slice, without the gel, which another process compiles."""
-    mechanics, optics = np.random.default_rng(0).spawn(2)
-    simulation = GraspSimulation(first_plan("slip", "3"), mechanics, optics)
-    camera = simulation.gel_camera
+    plan = first_plan("slip", "3")
+    sensor, texture = sensor_with_gel(plan.scene, plan.sensor), np.zeros(TEXTURE_PX, np.float32)
+    rng = np.random.default_rng(0)
+    camera = GelCamera(sensor, scene=plan.scene, texture=texture, rng=rng, readout=plan.readout)
     camera.render(np.zeros_like(camera.rest_m), OUT_OF_SIGHT_M, 0.0, 0, None, cut_m=camera.cut_rest_m, still=False)
 
 
