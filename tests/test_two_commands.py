@@ -113,7 +113,7 @@ def test_docs_say_what_setup_installs() -> None:
 def test_times_are_the_same_on_every_page(page: str) -> None:
     """Assert that pages which say how long setting up takes give the figures that were measured, and no others."""
     text = " ".join((ROOT / page).read_text().split())
-    assert "a minute and a half of processor time" in text
+    assert "66 to 85 s of processor time" in text
     assert "nine minutes on two cores that a dozen other programs shared" in text
     assert not re.search(r"two to four minutes|a minute or so|six minutes|41 s", text)
 
