@@ -48,16 +48,20 @@ def cpu_s(code: Path, words: str, folder: Path) -> float:
 def cheapest(codes: Sequence[Path], rounds: int, commands: dict[str, str] = COMMANDS) -> dict[str, list[float]]:
     """CPU seconds of each command with the package of each checkout; the first run of each loads caches and is not one.
 
-    The trial is made with the package of the last.
+    Each works on a trial of its own, as one may not read what the other writes: recipe and seed are the same, and where
+    the simulator differs the trials do.
     """
     with tempfile.TemporaryDirectory(prefix="evetac-bench-") as name:
-        folder = Path(name)
-        made = [f"{stage} a.recording.h5" for stage in STAGES]
-        for words in (RECORD, *made, "predict-force a.tracks.h5", "index ."):
-            cpu_s(codes[-1], words, folder)
+        folders = [Path(name) / str(number) for number in range(len(codes))]
+        for code, folder in zip(codes, folders, strict=True):
+            folder.mkdir()
+            made = [f"{stage} a.recording.h5" for stage in STAGES]
+            for words in (RECORD, *made, "predict-force a.tracks.h5", "index ."):
+                cpu_s(code, words, folder)
+        at_work = list(zip(codes, folders, strict=True))
         found = {}
         for what, words in commands.items():
-            spent = [[cpu_s(code, words, folder) for code in codes] for _ in range(rounds + 1)][1:]
+            spent = [[cpu_s(code, words, folder) for code, folder in at_work] for _ in range(rounds + 1)][1:]
             found[what] = [min(column) for column in zip(*spent, strict=True)]
         return found
 
