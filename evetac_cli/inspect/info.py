@@ -149,13 +149,14 @@ def _slip_grid(recording: Recording) -> dict[str, Any]:
     nodes = slip_grid.nodes_of(recording)
     if nodes is None:
         return {}
-    from evetac_cli.sim.setup.plan import read_plan  # here, as most files are no simulated recordings
+    if not slip_grid.is_unresolved(nodes):
+        return {slip_grid.COLUMN: nodes}
+    from evetac_cli.sim.setup.plan import read_plan  # here, as few files need it
 
     pitch_mm = None  # of one that was trimmed or imported the header does not say
     with suppress(InputError):
         pitch_mm = read_plan(recording.header["parameters"], str(recording.path)).scene.solver.node_pitch_mm
-    words = slip_grid.unresolved(nodes, pitch_mm)
-    return {slip_grid.COLUMN: nodes, **({"warning": words} if words else {})}
+    return {slip_grid.COLUMN: nodes, "warning": slip_grid.unresolved(nodes, pitch_mm)}
 
 
 def _streams(recording: Recording) -> dict[str, str]:
