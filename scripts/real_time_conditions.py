@@ -72,6 +72,9 @@ class HalfSpeed:
 
     def __init__(self) -> None:
         self._is_v1, self._above = _cpu_controller()
+        for left in self._above.glob("evetac-*"):  # by a run that was killed: it would keep its share of real time
+            with contextlib.suppress(OSError):  # as of one that is at work
+                left.rmdir()
         self._groups = {what: self._above / f"evetac-{os.getpid()}-{what}" for what in PROCESSES}
         self._nice = dict.fromkeys(PROCESSES, 0)
         self._held: set[int] = set()
