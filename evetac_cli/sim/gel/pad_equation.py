@@ -9,7 +9,7 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work
 from evetac_cli.sim.gel.friction import coefficient_after
-from evetac_cli.sim.gel.sheet import SheetStencil, largest, pull_sheet, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import SheetStencil, largest, mirror, pull_sheet, relax_sheet, sheet_imbalance
 
 SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
 
@@ -199,6 +199,8 @@ def _settle_sheet(displacement: Floats, sheet: Floats, layer: PadConstants, work
     Why so: a step finds velocities within its tolerance, and the sheet would drift off with the sum of what is left.
     What rounding leaves stays, as a gel at rest would never come to rest otherwise.
     """
+    for axis in range(2):  # whoever displaced the sheet from outside need not know of its border
+        mirror(sheet[axis], axis == 0)
     pull_sheet(displacement, work.sheet_source)
     sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_rule, work.sheet_left)
     if largest(work.sheet_left.reshape(-1)) > SHEET_OFF_M:
