@@ -34,9 +34,8 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share paper-recipe \
-  ship \
-	tracking labels vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
+.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share \
+	paper-recipe ship tracking labels vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
