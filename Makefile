@@ -34,8 +34,8 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share ship \
-	tracking labels vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
+.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share \
+	paper-recipe ship tracking labels vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
@@ -76,6 +76,9 @@ slip-images: $(READY)  ## ... train and judge those that see images, the slowest
 	@$(REPRODUCE) --only $@
 
 true-slip-share: $(READY)  ## ... what the true share of the contact that slips is worth to a training
+	@$(REPRODUCE) --only $@
+
+paper-recipe: $(READY)  ## the paper's recipe at its size, and one thing of it changed at a time
 	@$(REPRODUCE) --only $@
 
 ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, and put it into the package

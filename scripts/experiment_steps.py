@@ -4,7 +4,10 @@ A command is a list of words; its globs are expanded in the experiment's folder 
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
 
 Sizes = dict[str, Any]  # name -> int, text such as "1-9", or a tuple of names
 Command = list[str]
@@ -203,6 +206,81 @@ def true_share_steps(sizes: Sizes) -> Iterator[Command]:
         for folder, words in (("labels", ()), ("truth", ("--learn-true-slip-share",))):
             yield learn(sizes, "learn", folder, sizes["seeds"], "adamw", sizes["steps"],
                         "--model", sizes["model"], "--horizon-ms", horizon_ms, *words)  # fmt: skip
+
+
+RECIPE: Sizes = {
+    "seed": 41_000,
+    "known": "1-9",
+    "unseen": "10-17",
+    "train": 35,  # of each known object: 315, beside 45 on which checkpoint and threshold are chosen
+    "choose": 5,
+    "test": 10,
+    "models": ("fast-slow", "hist20", "no-hist"),
+    "seeds": 2,
+    "steps": 150_000,  # at most, for 70 epochs
+    "changes": ("tracker", "labels", "size", "noise"),
+}
+SMALL_RECIPE: Sizes = {
+    "known": "3,8",
+    "unseen": "11",
+    "train": 2,
+    "choose": 1,
+    "test": 1,
+    "models": ("fast-slow",),
+    "seeds": 1,
+    "steps": 200,
+    "changes": ("tracker", "size"),
+}
+ROLES = (("learn", "known", "train", 0), ("choose", "known", "choose", 500), ("known", "known", "test", 1000),
+         ("unseen", "unseen", "test", 1500))  # fmt: skip
+CHANGED_MODEL = "fast-slow"  # the one that is trained where something is changed
+FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories of an object, where their number is changed
+
+
+def recipe_steps(sizes: Sizes) -> Iterator[Command]:
+    """The paper's recipe: its tracker, labels, numbers of trajectories and training; then one of them changed."""
+    for change in ("nothing", *sizes["changes"]):
+        if change == "size":  # learns from fewer of those that are there
+            features = [f"nothing/learn/{name}.features.h5" for name in FEWER]
+            yield from _recipe_trainings(sizes, "nothing", change, *features)
+            continue
+        recordings = "quiet" if change == "noise" else "recordings"
+        tracker = "stable" if change == "tracker" else "paper"
+        labels = "event-flow" if change == "labels" else "farneback"
+        for role, objects, count, offset in ROLES:
+            here = f"{recordings}/{role}/*.recording.h5"
+            if change in ("nothing", "noise"):
+                sensor = ROOT / "scripts" / "no-noise.sensor.toml" if change == "noise" else "evetac"
+                yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes[objects],
+                             "--count", sizes[count], "--seed", sizes["seed"] + offset,
+                             "--out", f"{recordings}/{role}")  # fmt: skip
+            of_labels, of_tracks = (f"{recordings}/{how}/{role}" for how in (labels, tracker))
+            yield evetac("label", here, "--method", labels, "--out", of_labels)
+            yield evetac("track", here, "--preset", tracker, "--out", of_tracks)
+            yield evetac("featurize", here, "--tracks", of_tracks, "--labels", of_labels, "--out", f"{change}/{role}")
+        yield from _recipe_trainings(sizes, change, change, f"{change}/learn/*.features.h5")
+
+
+def _recipe_trainings(sizes: Sizes, features: str, change: str, *learnt: str) -> Iterator[Command]:
+    for model in sizes["models"] if change == "nothing" else (CHANGED_MODEL,):
+        yield evetac("train", *learnt, "--model", model, "--preset", "paper", "--max-steps", sizes["steps"],
+                     "--validate", f"{features}/choose", "--seed", sizes["seed"], "--seeds", sizes["seeds"],
+                     "--out", f"models/{change}")  # fmt: skip
+
+
+def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
+    """Each training is judged on what its own tracker and labels make of the same slips."""
+    return {
+        f"recipe-{change}-{role}": evetac(
+            "evaluate",
+            "slip",
+            f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
+            "--model",
+            f"models/{change}/*.model.h5",
+        )  # fmt: skip
+        for change in ("nothing", *sizes["changes"])
+        for role in ("known", "unseen")
+    }
 
 
 TRACKING_SCENES = (

@@ -72,6 +72,12 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.TRUE_SLIP_SHARE,), in_plan=False,
     ),
     Experiment(
+        "paper-recipe", "the paper's recipe at its size, and one thing of it changed at a time", "data/paper-recipe",
+        2.5, full=steps.RECIPE, small=steps.SMALL_RECIPE,
+        steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
+        tables=(tables.PAPER_RECIPE,), in_plan=False,
+    ),
+    Experiment(
         "ship", "a detector for sensors unlike each other, 10 ms ahead, put into the package", "data/slip", 0.4,
         full=SLIP, small=SMALL_SLIP, steps=steps.ship_steps, after=("slip-data",),
     ),

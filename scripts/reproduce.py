@@ -297,7 +297,7 @@ def perform(
         commands[name] = " ".join(words)
     refusals = []
     for table in experiment.tables:
-        chosen = {name: evaluations[name] for name in table.evaluations}
+        chosen = {name: evaluations[name] for name in table.evaluations or evaluations}
         made = result(table, chosen, dict.fromkeys(commands[name] for name in chosen))
         print(f"\n{text(made)}")
         try:

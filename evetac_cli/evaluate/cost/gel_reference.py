@@ -100,7 +100,7 @@ def _explicit_steps(
     pull = np.empty_like(displacement)
     rate = np.empty_like(displacement)
     source = np.zeros((2, rows * (columns + 2)))
-    after = np.empty(rows * (columns + 2))
+    after = np.empty((rows + 2) * (columns + 2))
     keep = math.exp(-dt / layer.maxwell_time)
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt / layer.maxwell_time)
     total = np.empty(3)

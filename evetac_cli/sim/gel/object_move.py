@@ -15,7 +15,7 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
 from evetac_cli.sim.gel.force_balance import Stencil, Three, Work
-from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import mirror, over_nodes, pull_sheet, relax_sheet, scalar_product, sheet_imbalance
 
 Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
 
@@ -117,6 +117,8 @@ def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
         for row in range(rows):
             for column in range(columns):
                 search[axis, row + 1, column + 1] = work.search_direction[row, column, axis]
+    for axis in range(2):
+        mirror(search[axis], axis == 0)
     pull_sheet(work.search_direction, work.sheet_source)
     relax_sheet(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.after)
 
@@ -124,31 +126,18 @@ def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
 @njit(cache=True, _nrt=False)
 def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
     """Slope and curvature, along search_direction and sheet_search, of one pad's potential without friction."""
-    direction, search = work.search_direction, work.sheet_search
-    rows, columns = work.bound.shape
-    slope = own = 0.0
-    for row in range(rows):
-        for column in range(columns):
-            x, y = direction[row, column, 0], direction[row, column, 1]
-            slope += x * work.pull[row, column, 0] + y * work.pull[row, column, 1]
-            own += x * x + y * y
+    direction = work.search_direction.reshape(-1)
+    slope = scalar_product(direction, work.pull.reshape(-1))
+    own = scalar_product(direction, direction)
     bend = stencil.own * own
     if stencil.spring > 0.0:
         _answer_of_sheet(work, stencil)
-        of_sheet = gained = 0.0
-        for axis in range(2):
-            for row in range(rows):
-                for column in range(columns):
-                    gained += search[axis, row + 1, column + 1] * work.sheet_left[axis, row * (columns + 2) + column]
-        slope -= stencil.spring / SPRING * gained
-        sheet_imbalance(search, work.sheet_source, stencil.stretch, work.search_left)
-        for axis in range(2):
-            for row in range(rows):
-                for column in range(columns):
-                    node, here = direction[row, column, axis], search[axis, row + 1, column + 1]
-                    lacks = work.search_left[axis, row * (columns + 2) + column]
-                    of_sheet += node * (node - here) - here * lacks / SPRING
-        bend += stencil.spring * of_sheet
+        search = work.sheet_search
+        sheet_imbalance(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.search_left)
+        slope -= stencil.spring / SPRING * over_nodes(search, work.sheet_left)
+        # of nodes d and a sheet s: d * (d - s) - s * what the balance of s lacks
+        of_sheet = over_nodes(search, work.sheet_source) + over_nodes(search, work.search_left)
+        bend += stencil.spring * (own - of_sheet / SPRING)
     return slope, bend
 
 
@@ -284,12 +273,12 @@ def _search(work: Work, stencil: Stencil, move: Three, weight: Three, inertial: 
 @njit(cache=True, _nrt=False)
 def _answer(work: Work, part: float) -> None:
     """Move the nodes by a part of search_direction, and the sheet by one of sheet_search."""
-    rows, columns = work.bound.shape
-    for row in range(rows):
-        for column in range(columns):
-            for axis in range(2):
-                work.velocity[row, column, axis] += part * work.search_direction[row, column, axis]
-                work.sheet[axis, row + 1, column + 1] += part * work.sheet_search[axis, row + 1, column + 1]
+    velocity, direction = work.velocity.reshape(-1), work.search_direction.reshape(-1)
+    for entry in range(velocity.size):
+        velocity[entry] += part * direction[entry]
+    sheet, search = work.sheet.reshape(-1), work.sheet_search.reshape(-1)
+    for entry in range(sheet.size):
+        sheet[entry] += part * search[entry]
 
 
 @njit(cache=True, _nrt=False)

@@ -9,7 +9,7 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.force_balance import Stencil, Work
 from evetac_cli.sim.gel.friction import coefficient_after
-from evetac_cli.sim.gel.sheet import SheetStencil, pull_sheet, relax_sheet, sheet_imbalance
+from evetac_cli.sim.gel.sheet import SheetStencil, largest, mirror, pull_sheet, relax_sheet, sheet_imbalance
 
 SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
 
@@ -199,8 +199,11 @@ def _settle_sheet(displacement: Floats, sheet: Floats, layer: PadConstants, work
     Why so: a step finds velocities within its tolerance, and the sheet would drift off with the sum of what is left.
     What rounding leaves stays, as a gel at rest would never come to rest otherwise.
     """
+    for axis in range(2):  # whoever displaced the sheet from outside need not know of its border
+        mirror(sheet[axis], axis == 0)
     pull_sheet(displacement, work.sheet_source)
-    if sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_left) > SHEET_OFF_M:
+    sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_rule, work.sheet_left)
+    if largest(work.sheet_left.reshape(-1)) > SHEET_OFF_M:
         relax_sheet(sheet, work.sheet_source, layer.stretch, work.sheet_rule, work.after)
 
 
@@ -242,6 +245,7 @@ def advance(
     theta: float,
     layer: PadConstants,
     work: Work,
+    twist: Floats,
     info: Floats,
 ) -> None:
     """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
@@ -282,6 +286,11 @@ def advance(
     for row in range(rows):
         for column in range(columns):
             load = nodal[row, column]
+            if work.bound[row, column] == 0.0:  # which the balance does not ask for, and friction once it is loaded
+                slip_x_m_s = mean[row, column, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
+                slip_y_m_s = mean[row, column, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
+                work.slip[row, column, 0], work.slip[row, column, 1] = slip_x_m_s, slip_y_m_s
+                work.speed[row, column] = math.sqrt(slip_x_m_s * slip_x_m_s + slip_y_m_s * slip_y_m_s)
             speed = work.speed[row, column]
             slip_speed[row, column] = speed
             if falls:

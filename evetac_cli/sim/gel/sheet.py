@@ -6,7 +6,8 @@ whole layer, and so its balance does not depend on the time step: a `rule` is ma
 
 A sweep goes over x and y and, of each, over the two colours of a chess board, as those of one colour do not wait for
 each other. Why so: written without branches it is one flat loop for each, which numba makes vector code of. Free edges
-are met by a border of mirrored values, some of the other sign, and by what the rule keeps of a node there.
+are met by a border of mirrored values, some of the other sign, and by what the rule keeps of a node there. Whoever
+changes nodes of a sheet has its border follow (`mirror`); sums and multiples of sheets have theirs already.
 """
 
 import math
@@ -17,6 +18,8 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, ALONG, SPRING
+
+Links = tuple[float, float, float]  # of one component along x, along y, and of the other one over the corners
 
 
 class SheetStencil(NamedTuple):
@@ -37,12 +40,13 @@ def sheet_stencil(height_m: float, pitch_x_m: float, pitch_y_m: float) -> SheetS
 
 
 def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
-    """What a node keeps of its velocity in a sweep, and its ease: (x and y, colours, keep and ease, nodes).
+    """Of x and y: what a node keeps of its velocity in a sweep and its ease, of either colour, and its own weight.
 
-    Nodes are those of the rows one after the other, two entries longer than a row, as in a bordered array.
+    (2, 5, nodes): keep, ease, keep, ease, weight. Nodes are those of the rows one after the other, two entries longer
+    than a row, as in a bordered array.
     """
-    rule = np.zeros((2, 2, 2, rows, columns + 2))
-    rule[:, :, 0] = 1.0
+    rule = np.zeros((2, 5, rows, columns + 2))
+    rule[:, [0, 2]] = 1.0
     row, column = np.arange(rows)[:, None], np.arange(columns)[None, :]
     lacks_x = (column == 0).astype(int) + (column == columns - 1)
     lacks_y = (row == 0).astype(int) + (row == rows - 1)
@@ -52,15 +56,16 @@ def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
         # the factor of over-relaxation that is best where the nodes stick, as most do, and pull the sheet along
         smoothness = 1.0 - SPRING / float(diagonal.max())
         factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
-        ease = factor / diagonal
         # the border beyond an edge is the node itself, or less it (see `mirror`): what its link adds is taken off
         mirrored = link_x * lacks_x - link_y * lacks_y
-        keep = 1.0 - factor - ease * (mirrored if axis == 0 else -mirrored)
+        weight = diagonal + (mirrored if axis == 0 else -mirrored)
+        ease = factor / diagonal
         for colour in range(2):
             chosen = (row + column) % 2 == colour
-            rule[axis, colour, 0, :, :columns] = np.where(chosen, keep, 1.0)
-            rule[axis, colour, 1, :, :columns] = np.where(chosen, ease, 0.0)
-    return rule.reshape(2, 2, 2, rows * (columns + 2))
+            rule[axis, 2 * colour, :, :columns] = np.where(chosen, 1.0 - ease * weight, 1.0)
+            rule[axis, 2 * colour + 1, :, :columns] = np.where(chosen, ease, 0.0)
+        rule[axis, 4, :, :columns] = weight
+    return rule.reshape(2, 5, rows * (columns + 2))
 
 
 @njit(cache=True, _nrt=False)
@@ -80,96 +85,120 @@ def mirror(plane: Floats, odd_rows: bool) -> None:
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
-def _after(
+def _update(
     own: Floats,
     other: Floats,
     stride: int,
-    links: tuple[float, float, float],
+    links: Links,
     source: Floats,
-    rule: Floats,
+    keep: Floats,
+    ease: Floats,
     after: Floats,
 ) -> None:
-    """Velocities of one component after the update of one colour; `other` is the other component."""
+    """Fill the plane `after` with one component after the update of one colour; `other` is the other component."""
     link_x, link_y, corner = links
-    here, below = own[stride:], own[2 * stride + 1 :]
-    above = own[1:]
+    here, above, below = own[stride:], own[1:], own[2 * stride + 1 :]
     under = other[2 * stride :]
-    keep, ease = rule[0], rule[1]
-    for k in range(len(after)):
+    moved = after[stride + 1 :]
+    for k in range(len(keep) - 2):
         total = source[k] + link_x * (here[k] + here[k + 2]) + link_y * (above[k] + below[k])
         total += corner * ((under[k + 2] - other[k + 2]) - (under[k] - other[k]))
-        after[k] = keep[k] * here[k + 1] + ease[k] * total
+        moved[k] = keep[k] * here[k + 1] + ease[k] * total
+
+
+@njit(cache=True, _nrt=False, error_model="numpy")
+def _lacking(
+    own: Floats, other: Floats, stride: int, links: Links, source: Floats, weight: Floats, left: Floats
+) -> None:
+    """Fill `left` with what the balance of one component lacks."""
+    link_x, link_y, corner = links
+    here, above, below = own[stride:], own[1:], own[2 * stride + 1 :]
+    under = other[2 * stride :]
+    for k in range(len(weight) - 2):
+        total = source[k] + link_x * (here[k] + here[k + 2]) + link_y * (above[k] + below[k])
+        total += corner * ((under[k + 2] - other[k + 2]) - (under[k] - other[k]))
+        left[k] = total - weight[k] * here[k + 1]
 
 
 @njit(cache=True, _nrt=False)
-def pull_sheet(nodes: Floats, source: Floats) -> float:
-    """Fill `source` with what the nodes (rows, columns, 2) pull their sheet with; returns the largest."""
+def pull_sheet(nodes: Floats, source: Floats) -> None:
+    """Fill `source`, (2, rows * (columns + 2)), with what the nodes (rows, columns, 2) pull their sheet with.
+
+    The two entries after each row are 0, and left as they are.
+    """
     rows, columns, _ = nodes.shape
-    most = 0.0
+    for row in range(rows):
+        first = row * (columns + 2)
+        for column in range(columns):
+            source[0, first + column] = SPRING * nodes[row, column, 0]
+            source[1, first + column] = SPRING * nodes[row, column, 1]
+
+
+@njit(cache=True, _nrt=False)
+def largest(values: Floats) -> float:
+    """The largest size of numbers in a row. Why four at once: one would wait for the other."""
+    a = b = c = d = 0.0
+    whole = len(values) // 4 * 4
+    for k in range(0, whole, 4):
+        a, b = max(a, abs(values[k])), max(b, abs(values[k + 1]))
+        c, d = max(c, abs(values[k + 2])), max(d, abs(values[k + 3]))
+    for k in range(whole, len(values)):
+        a = max(a, abs(values[k]))
+    return max(a, b, c, d)
+
+
+@njit(cache=True, _nrt=False)
+def scalar_product(one: Floats, other: Floats) -> float:
+    """Sum of the products of the numbers of two rows. Why four at once: as in `largest`."""
+    a = b = c = d = 0.0
+    whole = len(other) // 4 * 4
+    for k in range(0, whole, 4):
+        a, b = a + one[k] * other[k], b + one[k + 1] * other[k + 1]
+        c, d = c + one[k + 2] * other[k + 2], d + one[k + 3] * other[k + 3]
+    for k in range(whole, len(other)):
+        a += one[k] * other[k]
+    return (a + b) + (c + d)
+
+
+@njit(cache=True, _nrt=False)
+def over_nodes(planes: Floats, values: Floats) -> float:
+    """Scalar product of a sheet, (2, rows + 2, columns + 2), with values (2, rows * (columns + 2)), 0 behind a row."""
+    stride = planes.shape[2]
+    total = 0.0
     for axis in range(2):
-        for row in range(rows):
-            first = row * (columns + 2)
-            for column in range(columns):
-                pull = SPRING * nodes[row, column, axis]
-                source[axis, first + column] = pull
-                most = max(most, abs(pull))
-    return most
+        total += scalar_product(planes[axis].reshape(-1)[stride + 1 :], values[axis])
+    return total
 
 
 @njit(cache=True, _nrt=False)
 def relax_sheet(planes: Floats, source: Floats, stretch: SheetStencil, rule: Floats, after: Floats) -> None:
     """One sweep of over-relaxation over the sheet's velocities, (2, rows + 2, columns + 2).
 
-    source: (2, rows * (columns + 2)), what the nodes pull it with; after: memory for one component.
+    source: (2, rows * (columns + 2)), what the nodes pull it with; after: memory for one component, as it is in planes.
     """
     stride = planes.shape[2]
-    count = source.shape[1] - 2
+    half = after.reshape(planes.shape[1], stride)
     for axis in range(2):
-        mirror(planes[1 - axis], axis == 1)
-        own, other = planes[axis].reshape(-1), planes[1 - axis].reshape(-1)
-        links = _links(stretch, axis)
-        for colour in range(2):
-            mirror(planes[axis], axis == 0)
-            _after(own, other, stride, links, source[axis], rule[axis, colour], after[:count])
-            moved = own[stride + 1 :]
-            for k in range(count):
-                moved[k] = after[k]
+        own, other, links = planes[axis].reshape(-1), planes[1 - axis].reshape(-1), _links(stretch, axis)
+        _update(own, other, stride, links, source[axis], rule[axis, 0], rule[axis, 1], after)
+        mirror(half, axis == 0)
+        _update(after, other, stride, links, source[axis], rule[axis, 2], rule[axis, 3], own)
+        mirror(planes[axis], axis == 0)
 
 
 @njit(cache=True, _nrt=False)
-def _links(stretch: SheetStencil, axis: int) -> tuple[float, float, float]:
+def _links(stretch: SheetStencil, axis: int) -> Links:
     if axis == 0:
         return stretch.along_x, stretch.across_y, stretch.corner
     return stretch.across_x, stretch.along_y, stretch.corner
 
 
-@njit(cache=True, _nrt=False, error_model="numpy")
-def sheet_imbalance(planes: Floats, source: Floats, stretch: SheetStencil, left: Floats) -> float:
-    """Fill `left`, (2, rows * (columns + 2)), with what the balance of the sheet lacks; returns the largest."""
-    rows, columns = planes.shape[1] - 2, planes.shape[2] - 2
-    stride = columns + 2
-    worst = 0.0
+@njit(cache=True, _nrt=False)
+def sheet_imbalance(planes: Floats, source: Floats, stretch: SheetStencil, rule: Floats, left: Floats) -> None:
+    """Fill `left`, (2, rows * (columns + 2)), with what the balance of the sheet lacks, and 0 after each row."""
+    stride = planes.shape[2]
     for axis in range(2):
-        mirror(planes[axis], axis == 0)
-    for axis in range(2):
-        own, other = planes[axis], planes[1 - axis]
-        link_x, link_y, corner = _links(stretch, axis)
-        # a border that is mirrored with its sign has a link to an edge that is not there
-        for row in range(rows):
-            for column in range(columns):
-                here = own[row + 1, column + 1]
-                total = source[axis, row * stride + column] - SPRING * here
-                if column > 0:
-                    total += link_x * (own[row + 1, column] - here)
-                if column < columns - 1:
-                    total += link_x * (own[row + 1, column + 2] - here)
-                if row > 0:
-                    total += link_y * (own[row, column + 1] - here)
-                if row < rows - 1:
-                    total += link_y * (own[row + 2, column + 1] - here)
-                below = other[row + 2, column + 2] - other[row + 2, column]
-                above = other[row, column + 2] - other[row, column]
-                total += corner * (below - above)
-                left[axis, row * stride + column] = total
-                worst = max(worst, abs(total))
-    return worst
+        own, other = planes[axis].reshape(-1), planes[1 - axis].reshape(-1)
+        _lacking(own, other, stride, _links(stretch, axis), source[axis], rule[axis, 4], left[axis])
+        for end in range(stride, left.shape[1] + 1, stride):
+            left[axis, end - 2] = left[axis, end - 1] = 0.0

@@ -208,7 +208,7 @@ def step_nodes(
         return TOO_LONG
     info[:] = 0.0
     if second is not None:
-        advance(state_2, nodal_2, friction, dt, theta, layer_2, work_2, info)
+        advance(state_2, nodal_2, friction, dt, theta, layer_2, work_2, body, info)
         for axis in range(3):
             info[16 + axis] = info[9 + axis]
         heat, pressed = info[13], info[14]
@@ -216,7 +216,7 @@ def step_nodes(
     info[1] = worst / scale
     info[12] = change
     info[15] = error
-    advance(state, nodal, friction, dt, theta, layer, work, info)
+    advance(state, nodal, friction, dt, theta, layer, work, body, info)
     if second is not None:
         info[13] += heat
         info[14] = max(info[14], pressed)

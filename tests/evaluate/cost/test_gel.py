@@ -30,8 +30,7 @@ from evetac_cli.evaluate.rows import Extent
 from evetac_cli.kernels.gel_layer import SPRING, compliance
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
-from evetac_cli.sim.gel.force_balance import pull_sheet
-from evetac_cli.sim.gel.sheet import relax_sheet
+from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)
 SHORT = replace(COARSE, seconds=0.05)
@@ -211,7 +210,7 @@ def test_the_dense_sheet_is_that_of_the_gel():
     layer = dense_layer(state, 1)
     rng = np.random.default_rng(0)
     state.displacement_m[:] = rng.normal(0, 1e-5, state.displacement_m.shape)
-    after, source = np.zeros(9 * 14), np.zeros((2, 9 * 14))
+    after, source = np.zeros(11 * 14), np.zeros((2, 9 * 14))
     pull_sheet(state.displacement_m, source)
     for _ in range(200):
         relax_sheet(state.sheet_m, source, state._layer.stretch, state._sheet_rule, after)

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from evetac_cli.kernels.gel_layer import SPRING, Squeeze, sheet_stiffness
 from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.sim.gel.gel import Friction, GelMaterial, start, step
-from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet, rule_of, sheet_imbalance, sheet_stencil
+from evetac_cli.sim.gel.sheet import largest, pull_sheet, relax_sheet, rule_of, sheet_imbalance, sheet_stencil
 
 HEIGHT_M = 4e-3
 GRIDS = [(24, 18), (1, 1), (1, 7), (7, 1), (2, 5)]
@@ -24,8 +24,10 @@ def balanced(columns: int, rows: int, sweeps: int) -> tuple[np.ndarray, float]:
     planes, source = np.zeros((2, rows + 2, columns + 2)), np.zeros((2, rows * (columns + 2)))
     pull_sheet(moved, source)
     for _ in range(sweeps):
-        relax_sheet(planes, source, stretch, rule, np.zeros(source.shape[1]))
-    left = sheet_imbalance(planes, source, stretch, np.zeros_like(source))
+        relax_sheet(planes, source, stretch, rule, np.zeros(planes[0].size))
+    lacks = np.zeros_like(source)
+    sheet_imbalance(planes, source, stretch, rule, lacks)
+    left = largest(lacks.ravel())
     if min(rows, columns) == 1:
         return planes[:, 1:-1, 1:-1], left
     count = rows * columns
