@@ -175,6 +175,31 @@ def test_dry_run_prints_and_runs_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
+    """Assert what each training of the paper's recipe learns from: all but one thing is the paper's."""
+    sizes = reproduce.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
+    commands = [words[1:] for words in BY_NAME["paper-recipe"].steps(sizes)]
+
+    def value(words: Sequence[str], flag: str) -> str:
+        return words[words.index(flag) + 1]
+
+    made = {value(words, "--out"): words for words in commands if words[0] == "featurize"}
+    trained = {value(words, "--out"): words for words in commands if words[0] == "train"}
+    assert list(trained) == ["models/nothing", "models/tracker", "models/labels", "models/size", "models/noise"]
+    for change in ("nothing", "tracker", "labels", "noise"):
+        words = made[f"{change}/learn"]
+        assert words[1].startswith("quiet/") == (change == "noise")
+        assert value(words, "--tracks").endswith("/stable/learn" if change == "tracker" else "/paper/learn")
+        assert value(words, "--labels").endswith("/event-flow/learn" if change == "labels" else "/farneback/learn")
+        assert f"{change}/learn/*.features.h5" in trained[f"models/{change}"]
+    assert [words for words in trained["models/size"] if words.startswith("nothing/learn/")] == [
+        "nothing/learn/*-00[1-9].features.h5",
+        "nothing/learn/*-01[0-2].features.h5",
+    ]
+    assert {value(words, "--preset") for words in trained.values()} == {"paper"}
+    assert {value(words, "--model") for words in commands if words[0] == "train"} == {"fast-slow", "hist20", "no-hist"}
+
+
 @pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "labels", "--size", "steps=7"],
                                    ["--only", "labels", "--size", "each=many"]])  # fmt: skip
 def test_wrong_names_and_sizes_are_refused(words: list[str]) -> None:
