@@ -126,8 +126,8 @@ class Randomised:
     )
     tilt_deg: tuple[float, float] = between("range of the misalignment of the fingers", -5, 5, default=(0.0, 0.0))
     memory_um: tuple[float, float] = between(
-        "distance over which friction follows the slip speed, or its range; 20 is a guess, none is known for this gel;"
-        " 0: at once",
+        "distance over which friction follows the slip speed, or its range; none is known for this gel, the package's"
+        " scenes have 50; 0: at once",
         0,
         1000,
         or_one=True,
