@@ -6,7 +6,7 @@ tracks knows not to trust it. Nonsense has to be refused.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -170,7 +170,7 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
     def run() -> Rows:
         slip = _simulated(name, seed)
         constants = PRESETS[preset].for_dots(slip.dot_radius_px)
-        rows = _followed(f"slip, {name}", preset, constants, slip.dots_px, slip.slices, slip.rest_px)
+        rows = _followed(f"slip, {name}", preset, constants, slip.dots_px, slip.slices, slip.rest_px, slip.vanished)
         return [{**row, "outcome": f"{row['outcome']}{in_nodes(slip.half_wavelength_nodes)}"} for row in rows]
 
     return run_case(f"slip, {name}", run, preset=preset)
@@ -178,11 +178,15 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
 
 @dataclass(frozen=True)
 class SimulatedSlip:
-    """A slip: the dots that the tracker is told of, where they truly rest, their radius, the slices; see slip_grid."""
+    """A slip: the dots that the tracker is told of, where they truly rest, their radius, which vanish, and the slices.
+
+    half_wavelength_nodes: see slip_grid.
+    """
 
     dots_px: Floats
     rest_px: Floats
     dot_radius_px: float
+    vanished: list[int]
     slices: list[tuple[Columns, Floats]]
     half_wavelength_nodes: float | None
 
@@ -202,7 +206,9 @@ def _simulated(name: str, seed: int) -> SimulatedSlip:
     finally:
         devices.close()
     radius_px, fewest = float(sensor["sensor/dot_radius_px"]), slip_grid.fewest_nodes(nodes)
-    return SimulatedSlip(_dots_px(sensor), _rest_px(trial), radius_px, played, fewest)
+    columns, gone = sensor["sensor/dot_xy_px"].shape[1], plan.scene.vanishing_dots
+    vanished = [] if gone is None else [row * columns + column for row, column in gone.dots]
+    return SimulatedSlip(_dots_px(sensor), _rest_px(trial), radius_px, vanished, played, fewest)
 
 
 def _rest_px(trial: SimulatedTrial) -> Floats:
@@ -226,10 +232,12 @@ def _followed(
     dots_px: Floats,
     slices: Iterable[tuple[Columns, Floats]],
     rest_px: Floats | None = None,
+    vanished: Sequence[int] = (),
 ) -> Rows:
     """How far the tracker is from the true dots, over all slices and all dots that it does not flag as lost.
 
-    rest_px: where the dots truly are before the first slice, if not where the tracker is told that they are.
+    rest_px: where the dots truly are before the first slice, if not where the tracker is told that they are. vanished:
+    dots that do so on the way.
     """
     state = tracker.start(dots_px, constants)
     reported, events_max, flagged, jump_px = [], 0, 0, 0.0
@@ -249,6 +257,8 @@ def _followed(
     outcome += f" {WORST_DOT.most:g} px at the end; {flagged / max(len(reported), 1):.3g} flagged in the mean slice, up"
     outcome += f" to {events_max:,} events"
     outcome += "".join(_why_off(float(np.linalg.norm(dots_px - rest_px, axis=1).max()), jump_px))
+    unseen = [dot for dot in vanished if not state.lost[dot]]
+    outcome += _why_unseen(off_px[unseen])
     measured = [(WORST_DOT, float(distances_px.max())), (P99_DOT, float(np.percentile(distances_px, 99)))]
     return case_rows(case, outcome, measured, preset=preset)
 
@@ -260,6 +270,16 @@ def _why_off(told_off_px: float, jump_px: float) -> Iterator[str]:
         yield " (`evetac calibrate` finds them)"
     if jump_px > FOLLOWED_PX:
         yield f"; a dot jumps by {jump_px:.1f} px in a slice, of which at most {FOLLOWED_PX:g} px are followed at once"
+
+
+def _why_unseen(off_px: Floats) -> str:
+    """What a row adds of dots that have vanished and are not flagged, by how far off they are."""
+    if not (off_px > P99_DOT.most).any():
+        return ""
+    words = (
+        f"; {len(off_px)} dot{'s' * (len(off_px) != 1)} that vanished, up to {off_px.max():.1f} px off, not flagged:"
+    )
+    return f"{words} it shows only amid eight neighbours that all go on by a pixel, and about alike"
 
 
 def nonsense() -> list[tuple[str, Callable[[], object]]]:

@@ -97,6 +97,8 @@ def test_why_a_row_is_out_of_bounds():
     assert "".join(stability._why_off(0.4, 2.9)) == ""
     assert "told of dots 2.0 px from where they are" in "".join(stability._why_off(2.0, 2.9))
     assert "jumps by 3.5 px in a slice, of which at most 3 px" in "".join(stability._why_off(0.1, 3.5))
+    assert stability._why_unseen(np.array([0.9])) == stability._why_unseen(np.empty(0)) == ""
+    assert "; 2 dots that vanished, up to 1.9 px off, not flagged" in stability._why_unseen(np.array([1.9, 1.1]))
 
 
 def test_faults_are_seen(monkeypatch):
