@@ -215,7 +215,8 @@ RECIPE: Sizes = {
     "train": 35,  # of each known object: 315, beside 45 on which checkpoint and threshold are chosen
     "choose": 5,
     "test": 10,
-    "models": ("fast-slow", "hist20", "no-hist"),
+    "models": ("fast-slow", "hist20", "hist10", "no-hist", "events-only", "disp-only"),
+    "ahead": ("10",),  # ms ahead of slip that CHANGED_MODEL is trained to warn, besides
     "seeds": 2,
     "steps": 150_000,  # at most, for 70 epochs
     "changes": ("tracker", "labels", "size", "noise"),
@@ -227,6 +228,7 @@ SMALL_RECIPE: Sizes = {
     "choose": 1,
     "test": 1,
     "models": ("fast-slow",),
+    "ahead": (),
     "seeds": 1,
     "steps": 200,
     "changes": ("tracker", "size"),
@@ -262,8 +264,12 @@ def recipe_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def _recipe_trainings(sizes: Sizes, features: str, change: str, *learnt: str) -> Iterator[Command]:
-    for model in sizes["models"] if change == "nothing" else (CHANGED_MODEL,):
-        yield evetac("train", *learnt, "--model", model, "--preset", "paper", "--max-steps", sizes["steps"],
+    trained: list[tuple[str, ...]] = [(CHANGED_MODEL,)]
+    if change == "nothing":
+        trained = [(model,) for model in sizes["models"]]
+        trained += [(CHANGED_MODEL, "--horizon-ms", horizon_ms) for horizon_ms in sizes["ahead"]]
+    for words in trained:
+        yield evetac("train", *learnt, "--model", *words, "--preset", "paper", "--max-steps", sizes["steps"],
                      "--validate", f"{features}/choose", "--seed", sizes["seed"], "--seeds", sizes["seeds"],
                      "--out", f"models/{change}")  # fmt: skip
 

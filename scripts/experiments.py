@@ -73,7 +73,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "paper-recipe", "the paper's recipe at its size, and one thing of it changed at a time", "data/paper-recipe",
-        2.5, full=steps.RECIPE, small=steps.SMALL_RECIPE,
+        3.5, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
         tables=(tables.PAPER_RECIPE,), in_plan=False,
     ),

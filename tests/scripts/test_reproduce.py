@@ -197,7 +197,9 @@ def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
         "nothing/learn/*-01[0-2].features.h5",
     ]
     assert {value(words, "--preset") for words in trained.values()} == {"paper"}
-    assert {value(words, "--model") for words in commands if words[0] == "train"} == {"fast-slow", "hist20", "no-hist"}
+    of_recipe = [words for words in commands if words[0] == "train" and value(words, "--out") == "models/nothing"]
+    assert [value(words, "--model") for words in of_recipe] == [*sizes["models"], "fast-slow"]
+    assert ["--horizon-ms" in words for words in of_recipe] == [False] * len(sizes["models"]) + [True]
 
 
 @pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "labels", "--size", "steps=7"],
