@@ -278,15 +278,13 @@ def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
     """Each training is judged on what its own tracker and labels make of the same slips."""
     return {
         f"recipe-{change}-{role}": evetac(
-            "evaluate",
-            "slip",
-            f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
-            "--model",
-            f"models/{change}/*.model.h5",
-        )  # fmt: skip
+            "evaluate", "slip", f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
+            "--model", f"models/{change}/*.model.h5",
+            "--recordings", f"{'quiet' if change == 'noise' else 'recordings'}/{role}",
+        )
         for change in ("nothing", *sizes["changes"])
         for role in ("known", "unseen")
-    }
+    }  # fmt: skip
 
 
 TRACKING_SCENES = (

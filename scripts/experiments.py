@@ -75,7 +75,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "paper-recipe", "the paper's recipe at its size, and one thing of it changed at a time", "data/paper-recipe",
         3.5, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
-        tables=(tables.PAPER_RECIPE,), in_plan=False,
+        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES), in_plan=False,
     ),
     Experiment(
         "ship", "a detector for sensors unlike each other, 10 ms ahead, put into the package", "data/slip", 0.4,

@@ -188,9 +188,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
     if table.measured:
         columns = tuple(column for column in columns if any(fill(column.cell, row) for row in rows))
         about["summaries"] = {name: evaluation.summary for name, evaluation in evaluations.items()}
-    slips = [[row for row in evaluation.rows if "covariate" in row] for evaluation in evaluations.values()]
-    if slips and all(slips):
-        about["covariates"] = [row for of_one in slips for row in of_one]
+    about |= covariates(evaluations)
     return {
         "name": table.name,
         "title": table.title.format(**words_for(known)),
@@ -208,6 +206,25 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "notes": list(table.notes),
         "rows": shown_rows(table, rows),
     } | about
+
+
+def covariates(evaluations: dict[str, Evaluation]) -> Row:
+    """The covariates of the slips that a table judges on; of several evaluations each says whose slips they are of."""
+    slips = {name: [row for row in evaluation.rows if "covariate" in row] for name, evaluation in evaluations.items()}
+    if not slips or not all(slips.values()):
+        return {}
+    distinct: dict[str, list[Row]] = {}
+    for name, rows in slips.items():
+        if rows not in distinct.values():
+            distinct[name] = rows
+    if len(distinct) == 1:
+        return {"covariates": next(iter(distinct.values()))}
+    tagged = [
+        {**row, "covariate": f"{name.rpartition('-')[2]}: {row['covariate']}"}
+        for name, rows in distinct.items()
+        for row in rows
+    ]
+    return {"covariates": tagged}
 
 
 def extent(value: Any) -> int:
@@ -297,7 +314,9 @@ def perform(
         commands[name] = " ".join(words)
     refusals = []
     for table in experiment.tables:
-        chosen = {name: evaluations[name] for name in table.evaluations or evaluations}
+        chosen = {name: evaluations[name] for name in table.evaluations if name in evaluations}
+        if not chosen:  # --size left out all that it is made of
+            continue
         made = result(table, chosen, dict.fromkeys(commands[name] for name in chosen))
         print(f"\n{text(made)}")
         try:

@@ -175,6 +175,21 @@ def test_dry_run_prints_and_runs_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_covariates_say_whose_slips_they_are_of() -> None:
+    """Assert that those of one evaluation are as they are, those of several named, and the same slips told once."""
+
+    def of(median: float) -> Evaluation:
+        return evaluation({"covariate": "creep [ms]", "median": median}, {"setting": "a"})
+
+    assert reproduce.covariates({"x": of(1.0)}) == {"covariates": [{"covariate": "creep [ms]", "median": 1.0}]}
+    assert reproduce.covariates({"x": of(1.0), "y": evaluation({"setting": "a"})}) == {}
+    several = {"recipe-size-known": of(1.0), "recipe-size-unseen": of(2.0), "recipe-labels-known": of(1.0)}
+    assert reproduce.covariates(several)["covariates"] == [
+        {"covariate": "known: creep [ms]", "median": 1.0},
+        {"covariate": "unseen: creep [ms]", "median": 2.0},
+    ]
+
+
 def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
     """Assert what each training of the paper's recipe learns from: all but one thing is the paper's."""
     sizes = reproduce.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
