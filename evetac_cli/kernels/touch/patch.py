@@ -6,8 +6,9 @@ the patch small, and the cone keeps pressure where shear is. Pressure comes out 
 hard. By accelerated proximal gradient (FISTA, Beck and Teboulle 2009) with the projection on the cone in closed form,
 in units of the traction that moves an even layer twice as far as the dots have moved (rms).
 
-FRICTION, SMOOTHNESS and PRESSURE_COST are those of a study, chosen among some 25 settings on 40 simulated contacts
-(seeds 58000-58004); CUTS and that holes are filled were chosen on seeds 6000-6011, by IoU and field.
+FRICTION and SMOOTHNESS are those of a study, chosen among some 25 settings on 40 simulated contacts (seeds
+58000-58004). PRESSURE_COST (3 in the study), CUTS, and that holes are filled, were chosen on contacts of seeds
+6000-6014, by how well patches fit.
 """
 
 from typing import NamedTuple
@@ -21,8 +22,8 @@ from evetac_cli.kernels.touch.dot_motion import KINDS, PRESSURE
 
 FRICTION = 0.9  # most shear over pressure of a cell
 SMOOTHNESS = 1.0  # weight of squared differences of neighbours
-PRESSURE_COST = 3.0
-COLD, WARM = 150, 30  # iterations from nothing, and from the tractions before
+PRESSURE_COST = 1.5
+COLD, WARM = 150, 20  # iterations from nothing, and from the tractions before
 CUTS = (0.25, 0.35, 0.45)  # of the largest pressure: the patches that are thought possible
 _MOST_NEIGHBOURS = 8.0  # largest eigenvalue of the squared differences on a grid
 
