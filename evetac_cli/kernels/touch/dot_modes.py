@@ -5,7 +5,7 @@ A tracker of events adds up motion, so its error drifts, most of it alike for al
 two are the dots' mean along x and y and take the common error alone.
 
 Why modes: with many dots most patterns of their motion are ones that no traction makes. Of 256 dots, 126 modes keep
-what 512 numbers tell, at a quarter of the cost.
+what 512 numbers tell, but for less than what a dot is off by, at a quarter of the cost.
 """
 
 from typing import NamedTuple
