@@ -54,6 +54,7 @@ class Setting(NamedTuple):
     name: str
     layer: GelLayer
     missing: float = 0.0  # share of dots
+    print_depth_mm: float = 0.0  # where the dots are, whatever is told
 
 
 KNOWN = Setting("known sensor", GelLayer())
@@ -64,6 +65,8 @@ SETTINGS = (
     Setting("thickness told 20 % too low", GelLayer(height_mm=3.2)),
     Setting("thickness told 20 % too high", GelLayer(height_mm=4.8)),
     Setting("a tenth of the dots missing", GelLayer(), 0.1),
+    Setting("print 0.5 mm deep, not told", GelLayer(), print_depth_mm=0.5),
+    Setting("print 0.5 mm deep, told", GelLayer(print_depth_mm=0.5), print_depth_mm=0.5),
     Setting("parallax there and not told", GelLayer(lens_mm=math.inf)),
 )
 
@@ -214,16 +217,16 @@ def factors(rows: list[Row]) -> dict[str, float]:
 
 
 def cost_rows(sensor: Sensor, contact: Callable[[Floats], KnownContact]) -> list[Row]:
-    """Processor time per slice, and of a renewal, for 63 and for 252 dots that are touched."""
+    """Processor time of one core per slice, and of a renewal, for 63 and for 252 dots that are touched."""
     rows = []
-    for finer in (1, 4):
+    for finer, held in ((1, False), (1, True), (4, False), (4, True)):
         rest_mm = dots_of(sensor, finer)
-        touched = contact(rest_mm)
-        pressed, moved, _ = seen(touched, rest_mm, sensor.mm_per_px)
+        pressed, moved, _ = seen(contact(rest_mm), rest_mm, sensor.mm_per_px)
         state = touch_map.start(rest_mm, renews=False)
         touch_map.step(state, pressed)
         touch_map.renew(state)
-        touch_map.hold(state)
+        if held:
+            touch_map.hold(state)
         touch_map.step(state, moved)
         touch_map.renew(state)
         times: dict[str, list[float]] = {"slice": [], "renewal": []}
@@ -238,7 +241,7 @@ def cost_rows(sensor: Sensor, contact: Callable[[Floats], KnownContact]) -> list
         rows.append(
             {
                 "dots": len(rest_mm),
-                "cells": len(state.cell_mm),
+                "held": "yes" if held else "no",
                 "patch_cells": int(state.fit.patch.sum()) if state.fit is not None else 0,
                 "slice_us_median": 1e6 * float(np.median(times["slice"])),
                 "slice_us_p99": 1e6 * float(np.quantile(times["slice"], 0.99)),
@@ -297,6 +300,7 @@ COVERAGE_COLUMNS = {
 }
 COST_COLUMNS = {
     "dots": "{dots}",
+    "shear since held, too": "{held}",
     "cells in the patch": "{patch_cells}",
     "slice, median [us]": "{slice_us_median:.0f}",
     "slice, 99 % [us]": "{slice_us_p99:.0f}",
@@ -316,7 +320,11 @@ def main() -> None:
     sensor = named_sensor("evetac")[1]
     assert isinstance(sensor, Sensor)
     rest_mm = dots_of(sensor)
-    contacts = contacts_of(ContactMaker(rest_mm), seeds)
+    by_depth = {
+        depth_mm: contacts_of(ContactMaker(rest_mm, print_depth_mm=depth_mm), seeds)
+        for depth_mm in sorted({setting.print_depth_mm for setting in ([KNOWN] if chosen.calibrate else SETTINGS)})
+    }
+    contacts = by_depth[0.0]
     known = rows_of(KNOWN, contacts, rest_mm, sensor.mm_per_px)
     if chosen.calibrate:
         by_shape = {
@@ -326,12 +334,22 @@ def main() -> None:
         sys.stdout.write(json.dumps({**said, "normal by shape": by_shape, **summary("known", known)}, indent=1) + "\n")
         return
     rows = [summary(KNOWN.name, known)]
-    rows += [summary(setting.name, rows_of(setting, contacts, rest_mm, sensor.mm_per_px)) for setting in SETTINGS[1:]]
+    rows += [
+        summary(setting.name, rows_of(setting, by_depth[setting.print_depth_mm], rest_mm, sensor.mm_per_px))
+        for setting in SETTINGS[1:]
+    ]
     rows += [summary(shape, [row for row in known if row["shape"] == shape]) for shape in SHAPES]
     costs = cost_rows(sensor, lambda dots: ContactMaker(dots).make("ball", seeds[0]))
     tables = (
         result("touch-contacts", "Errors of touch maps on known contacts", ERROR_COLUMNS, rows, seeds, []),
-        result("touch-coverage", "Errors within one and 1.96 deviations", COVERAGE_COLUMNS, rows[:7], seeds, []),
+        result(
+            "touch-coverage",
+            "Errors within one and 1.96 deviations",
+            COVERAGE_COLUMNS,
+            rows[: len(SETTINGS)],
+            seeds,
+            [],
+        ),
         result("touch-map-cost", "What a slice and a patch cost", COST_COLUMNS, costs, [], []),
     )
     for table in tables:

@@ -120,12 +120,18 @@ def _largest(matrix: Floats) -> float:
 class ContactMaker:
     """Makes contacts on one layer, seen by dots at given places (dots, 2) in mm from the axis of the lens."""
 
-    def __init__(self, dot_mm: Floats, layer: ElasticLayer = ElasticLayer()) -> None:  # noqa: B008 - it is constant
-        """Solves the layer once, which takes a second."""
+    def __init__(
+        self,
+        dot_mm: Floats,
+        layer: ElasticLayer = ElasticLayer(),  # noqa: B008 - it is constant
+        print_depth_mm: float = 0.0,
+    ) -> None:
+        """Solves the layer once, which takes a second. print_depth_mm: of the dots below the surface."""
         answer = SurfaceAnswer(layer)
         line = FIRST_MM + CELL_MM * np.arange(COUNT)
         self.cell_mm = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-        self._at_dots = answer.at(dot_mm, FIRST_MM, COUNT).reshape(len(dot_mm), 3, 3, -1)
+        at_dots = SurfaceAnswer(layer, print_depth_mm) if print_depth_mm else answer
+        self._at_dots = at_dots.at(dot_mm, FIRST_MM, COUNT).reshape(len(dot_mm), 3, 3, -1)
         self._between = answer.between_cells(COUNT)
 
     def cell_answer(self, chosen: Flags) -> Floats:

@@ -33,16 +33,17 @@ class ElasticLayer(NamedTuple):
 
 
 class DepthAnswer(NamedTuple):
-    """Surface motion in mm per Pa at wave numbers (n,): see `kernels.gel_layer.Compliance` for what each is."""
+    """Motion in mm per Pa at wave numbers (n,): see `kernels.gel_layer.Compliance` for what each is."""
 
     across: Floats
     along: Floats
     aside: Floats
     down: Floats
+    dip: Floats
 
 
-def depth_answer(layer: ElasticLayer, wave_per_mm: Floats) -> DepthAnswer:
-    """The surface's answer to waves (n,), 0 included, by finite elements in depth."""
+def depth_answer(layer: ElasticLayer, wave_per_mm: Floats, depth_mm: float = 0.0) -> DepthAnswer:
+    """The answer to waves (n,), 0 included, at a depth below the surface, by finite elements in depth."""
     sizes = GROWTH ** np.arange(ELEMENTS)[::-1]
     ends = np.concatenate([[0.0], np.cumsum(sizes)]) * (layer.height_mm / sizes.sum())
     nodes = 2 * ELEMENTS + 1
@@ -78,34 +79,45 @@ def depth_answer(layer: ElasticLayer, wave_per_mm: Floats) -> DepthAnswer:
     moved = np.linalg.solve(stiffness[:, free[:, None], free], loads[free])
     alone = np.zeros((nodes - 1, 1))
     alone[-1] = 1.0
-    sideways = np.linalg.solve(across[:, 1:, 1:], alone)[:, -1, 0]
-    u, v = moved[:, nodes - 2], moved[:, -1]
+    sideways = np.linalg.solve(across[:, 1:, 1:], alone)[..., 0]
+    at_depth = _at_height(ends, layer.height_mm - depth_mm)
+    u, v = (np.einsum("a,naf->nf", at_depth, part) for part in (moved[:, : nodes - 1], moved[:, nodes - 1 :]))
     # In the energy u = U sin(kx) where pressure goes with cos(kx); in a wave exp(ikx) that is -i U.
-    modulus = layer.shear_modulus_pa
-    return DepthAnswer(
-        np.asarray(sideways / modulus, np.float64), u[:, 0] / modulus, -u[:, 1] / modulus, -v[:, 1] / modulus
-    )
+    parts = (sideways @ at_depth, u[:, 0], -u[:, 1], -v[:, 1], -v[:, 0])
+    return DepthAnswer(*(np.asarray(part / layer.shear_modulus_pa, np.float64) for part in parts))
+
+
+def _at_height(ends_mm: Floats, height_mm: float) -> Floats:
+    """How much each node but the lowest counts at a height between the ends of elements."""
+    element = min(int(np.searchsorted(ends_mm, height_mm, side="right")) - 1, len(ends_mm) - 2)
+    low, high = ends_mm[element : element + 2]
+    s = 2 * (height_mm - low) / (high - low) - 1
+    weights = np.zeros(2 * len(ends_mm) - 1)
+    weights[2 * element : 2 * element + 3] = s * (s - 1) / 2, 1 - s * s, s * (s + 1) / 2
+    return weights[1:]
 
 
 class SurfaceAnswer:
-    """What a traction on one cell of CELL_MM does to any point of the surface, in a box of waves."""
+    """What a traction on one cell of CELL_MM does to any point of the surface, or below it, in a box of waves."""
 
-    def __init__(self, layer: ElasticLayer, box_mm: float = BOX_MM, points: int = POINTS) -> None:
+    def __init__(
+        self, layer: ElasticLayer, depth_mm: float = 0.0, box_mm: float = BOX_MM, points: int = POINTS
+    ) -> None:
         """The box repeats itself: what is asked for has to lie well inside it. points: along a side."""
         self.layer, self.box_mm, self.points = layer, box_mm, points
         self._waves = 2 * math.pi * np.fft.fftfreq(points, box_mm / points)
         kx, ky = np.meshgrid(self._waves, self._waves)
         k = np.hypot(kx, ky)
         known = np.concatenate([[0.0], np.geomspace(self._waves[1] / 2, k.max(), WAVE_STEPS)])
-        exact = depth_answer(layer, known)
-        across, along, aside, down = (CubicSpline(known, part)(k) for part in exact)
+        exact = depth_answer(layer, known, depth_mm)
+        across, along, aside, down, dip = (CubicSpline(known, part)(k) for part in exact)
         k[0, 0] = 1.0
         x, y = kx / k, ky / k
         answer = np.empty((3, 3, *k.shape), np.complex128)  # x, y and into the layer; per shear x, y and pressure
         answer[0, 0], answer[1, 1] = across + (along - across) * x * x, across + (along - across) * y * y
         answer[0, 1] = answer[1, 0] = (along - across) * x * y
         answer[0, 2], answer[1, 2] = 1j * aside * x, 1j * aside * y
-        answer[2, 0], answer[2, 1] = -answer[0, 2], -answer[1, 2]
+        answer[2, 0], answer[2, 1] = 1j * dip * x, 1j * dip * y
         answer[2, 2] = down
         answer[..., points // 2, :] = answer[..., :, points // 2] = 0.0
         cell = np.sinc(kx * CELL_MM / (2 * math.pi)) * np.sinc(ky * CELL_MM / (2 * math.pi))
