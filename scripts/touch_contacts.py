@@ -10,11 +10,12 @@ normal force by shape, that such seeds give, and writes nothing. `make results` 
 """
 
 import argparse
+import itertools
 import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,7 +45,7 @@ NORMAL_BY_SHAPE = {
     **{"flat": 0.897, "ball": 0.958, "cylinder": 0.932, "edge": 0.966, "two points": 0.957},
     **{"off centre": 0.903, "twisted": 0.953, "partial slip": 0.953},
 }
-COST_SLICES = 2000
+COST_SLICES, COST_SEED = 2000, 6000
 FACTORS_TRIED = [round(0.3 * 1.02**step, 3) for step in range(150)]
 
 
@@ -216,12 +217,12 @@ def factors(rows: list[Row]) -> dict[str, float]:
     return found
 
 
-def cost_rows(sensor: Sensor, contact: Callable[[Floats], KnownContact]) -> list[Row]:
-    """Processor time of one core per slice, and of a renewal, for 63 and for 252 dots that are touched."""
+def cost_rows(sensor: Sensor) -> list[Row]:
+    """Processor time of one core per slice, and of a renewal, for 63 and 252 dots and two contacts."""
     rows = []
-    for finer, held in ((1, False), (1, True), (4, False), (4, True)):
+    for finer, shape, held in itertools.product((1, 4), ("ball", "flat"), (False, True)):
         rest_mm = dots_of(sensor, finer)
-        pressed, moved, _ = seen(contact(rest_mm), rest_mm, sensor.mm_per_px)
+        pressed, moved, _ = seen(ContactMaker(rest_mm).make(shape, COST_SEED), rest_mm, sensor.mm_per_px)
         state = touch_map.start(rest_mm, renews=False)
         touch_map.step(state, pressed)
         touch_map.renew(state)
@@ -241,6 +242,7 @@ def cost_rows(sensor: Sensor, contact: Callable[[Floats], KnownContact]) -> list
         rows.append(
             {
                 "dots": len(rest_mm),
+                "shape": shape,
                 "held": "yes" if held else "no",
                 "patch_cells": int(state.fit.patch.sum()) if state.fit is not None else 0,
                 "slice_us_median": 1e6 * float(np.median(times["slice"])),
@@ -300,6 +302,7 @@ COVERAGE_COLUMNS = {
 }
 COST_COLUMNS = {
     "dots": "{dots}",
+    "contact": "{shape}",
     "shear since held, too": "{held}",
     "cells in the patch": "{patch_cells}",
     "slice, median [us]": "{slice_us_median:.0f}",
@@ -339,7 +342,7 @@ def main() -> None:
         for setting in SETTINGS[1:]
     ]
     rows += [summary(shape, [row for row in known if row["shape"] == shape]) for shape in SHAPES]
-    costs = cost_rows(sensor, lambda dots: ContactMaker(dots).make("ball", seeds[0]))
+    costs = cost_rows(sensor)
     tables = (
         result("touch-contacts", "Errors of touch maps on known contacts", ERROR_COLUMNS, rows, seeds, []),
         result(

@@ -51,18 +51,18 @@ def posterior(
     weight = np.where(np.arange(kinds) == PRESSURE, PRESSURE_RATIO**2, 1.0)
     whiten = 1 / np.sqrt(variance_mm2)
     white = modes.motion[:, :kinds, chosen] * whiten[:, None, None]
-    shared = (white @ varies) * weight[:, None]  # covariance of data and tractions
-    white, shared = white.reshape(len(white), -1), shared.reshape(len(white), -1)
-    told_by = shared @ white.T
     # Single precision halves the time of what takes longest; sums that dots tell well need double, see below.
-    values, vectors = linalg.eigh(told_by.astype(np.float32), driver="evd", check_finite=False)
+    single = white.astype(np.float32)
+    shared = ((single @ varies.astype(np.float32)) * weight[:, None].astype(np.float32)).reshape(len(white), -1)
+    told_by = shared @ single.reshape(len(white), -1).T  # covariance of the data, but for their errors
+    values, vectors = linalg.eigh(told_by, driver="evd", check_finite=False)
     values = np.maximum(values.astype(np.float64), 0.0)
     turned = vectors.T @ (whiten * data_mm)
     spread = SIZES_PA[:, None] ** 2 * values + 1.0
     likelihood = -0.5 * (turned**2 / spread + np.log(spread)).sum(axis=1)
     best = int(np.argmax(likelihood))
     size, spread = SIZES_PA[best] ** 2, spread[best]
-    turned_shared = vectors.T @ shared.astype(np.float32)
+    turned_shared = vectors.T @ shared
     told = (size / spread).astype(np.float32)[:, None] * turned_shared
     gain = told.T @ (vectors.T * whiten.astype(np.float32))
     before = size * np.repeat(weight * varies[0, 0], count)
@@ -71,10 +71,10 @@ def posterior(
 
     picked = sums[:, :, chosen]
     flat = picked.reshape(len(sums), -1)
-    prior = ((picked @ varies) * weight[:, None]).reshape(len(sums), -1) @ flat.T
-    seen = shared @ flat.T
-    left = np.linalg.solve(size * told_by + np.eye(len(data_mm)), seen)
-    covariance = misfit * size * (prior - size * seen.T @ left)
+    weighed = ((picked @ varies) * weight[:, None]).reshape(len(sums), -1)
+    seen = white.reshape(len(white), -1) @ weighed.T
+    left = np.linalg.solve(size * told_by.astype(np.float64) + np.eye(len(data_mm)), seen)
+    covariance = misfit * size * (weighed @ flat.T - size * seen.T @ left)
     return PatchPosterior(
         gain.reshape(kinds, count, -1),
         variance.reshape(kinds, count),
