@@ -32,8 +32,8 @@ class PatchFit(NamedTuple):
     """What tells tractions from the modes of dots while a patch lasts; U cells may bear some.
 
     cells: (U,). patch: (rows, columns), the cells that at least half of the patches have. about_mm: (2,), where torque
-    and moments are about. gain: (kinds U + sums, modes): tractions in Pa, then the sums, per mm. traction_sd_pa:
-    (kinds, rows, columns). sum_sd: (sums,).
+    and moments are about; away_mm: (U, 2), of the cells from there. gain: (kinds U + sums, modes), tractions in Pa and
+    the sums, per mm. traction_sd_pa: (kinds, rows, columns). sum_sd: (sums,).
     """
 
     cells: Ints
@@ -41,6 +41,7 @@ class PatchFit(NamedTuple):
     area_mm2: float
     area_sd_mm2: float
     about_mm: Floats
+    away_mm: Singles
     gain: Singles
     traction_sd_pa: Floats
     sum_sd: Floats
@@ -84,6 +85,7 @@ def fit(
         float(patch.sum() * CELL_MM**2),
         float(np.sqrt(share @ (areas - share @ areas) ** 2)),
         about_mm,
+        (cell_mm[cells] - about_mm).astype(np.float32),
         np.concatenate([gain.reshape(-1, len(data_mm)), sums_gain]),
         traction_sd.reshape(kinds, *shape),
         np.sqrt(np.maximum(variance, 0.0)) * SUM_FACTORS[: len(variance)] * (SINCE_FACTOR if kinds < KINDS else 1.0),

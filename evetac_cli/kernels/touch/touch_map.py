@@ -231,8 +231,10 @@ def _reading(state: TouchState) -> TouchReading:
     sums = told[count:].astype(np.float64)
     sd = now.sum_sd if not error else np.hypot(now.sum_sd, error * sums)
     field_sd = now.traction_sd_pa if not error else np.hypot(now.traction_sd_pa, error * field)
-    pressed = max(float(sums[NORMAL]), float(now.sum_sd[NORMAL]))  # places of a force that is not told are no places
-    away = sums[MOMENT_X:] / pressed
+    # Of the pressure that is above 0, so that it lies in the patch even where dots hardly tell the normal force.
+    pushes = np.maximum(told[count - len(now.cells) : count], 1e-6)
+    away = pushes @ now.away_mm / pushes.sum()
+    pressed = max(float(sums[NORMAL]), float(now.sum_sd[NORMAL]))
     since = state.no_since
     if state.held_fit is not None and state.held_mm is not None:
         since = _since(state, state.held_fit, moved - state.held_mm[state.used])

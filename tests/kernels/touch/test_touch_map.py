@@ -79,6 +79,19 @@ def test_dots_that_do_not_move_tell_of_no_touch(ball: KnownContact) -> None:
         assert np.isnan(told.centre_mm).all() and math.isnan(told.normal_sd_n) and np.isnan(told.force_sd_n).all()
 
 
+def test_a_place_is_in_the_patch_though_nothing_tells_pressure() -> None:
+    """Assert that dots that shear without pressure, as no contact does, have a centre inside the cells of the patch."""
+    pulled = 0.4 * np.exp(-((DOTS - [2.0, -1.0]) ** 2).sum(axis=1) / (2 * 3.3**2))
+    state = touch_map.start(DOTS)
+    told = touch_map.step(state, DOTS + pulled[:, None] * [1, 0])
+    assert told.touches and told.patch.any()
+    row, column = np.nonzero(told.patch)
+    assert state.cells.x_mm[column.min()] <= told.centre_mm[0] <= state.cells.x_mm[column.max()]
+    assert state.cells.y_mm[row.min()] <= told.centre_mm[1] <= state.cells.y_mm[row.max()]
+    assert np.hypot(*(told.centre_mm - [2.0, -1.0])) < 4.0
+    assert told.centre_sd_mm.min() > 1.0
+
+
 def test_a_touch_neither_flickers_nor_stays(ball: KnownContact) -> None:
     """Assert that a touch begins at more motion than that at which it ends."""
     state = touch_map.start(DOTS)
