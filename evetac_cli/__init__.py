@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         Gel,
         Simulation,
         SlipDetector,
+        TouchMap,
         architectures,
         objects,
         open_features,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from evetac_cli.errors import EvetacError, InputError, UnavailableError
     from evetac_cli.events import Events, SliceBlock, Slicer
     from evetac_cli.kernels.sensitivity import Sensitivity
+    from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
     from evetac_cli.store.recordings.read import Recording, open_recording
     from evetac_cli.store.recordings.slip_windows import SlipWindows
@@ -55,6 +57,8 @@ __all__ = [
     "SlipDetector",
     "SlipWindows",
     "Touch",
+    "TouchMap",
+    "TouchReading",
     "TouchSensor",
     "UnavailableError",
     "architectures",
@@ -78,6 +82,7 @@ _MODULES = {
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
+    "TouchReading": "kernels.touch.touch_map",
     **dict.fromkeys(("Recording", "open_recording"), "store.recordings.read"),
     "SlipWindows": "store.recordings.slip_windows",
 }

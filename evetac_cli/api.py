@@ -13,12 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli import resources
+from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events
+from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.touch import touch_map
+from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.dot_motion import GelLayer
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
@@ -27,6 +31,9 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.record import SCENE_KINDS, simulated
 from evetac_cli.trials.trial import SimulatedTrial
+
+TRACKER_PX, DRIFT_PX = 0.05, 0.2  # sd of a tracked dot's own error, and of all dots' together, see DotNoise
+UNKNOWN_STIFFNESS = 0.4  # relative sd over gels: log-uniform from 70 to 300 kPa, as `randomized` has them
 
 
 def open_labels(path: str | Path) -> StageFile:
@@ -176,6 +183,11 @@ class DotTracker:
         return self._state.dot_xy_px
 
     @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Which dots are not to be trusted, (n,): a view that the next step changes."""
+        return self._state.lost
+
+    @property
     def events_per_dot(self) -> NDArray[np.int32]:
         """Events of the last slice near each dot, (n,): a view that the next step changes."""
         return self._state.events_per_dot
@@ -223,6 +235,54 @@ class SlipDetector:
     def step(self, events: Events) -> float:
         """Slip probability after one more slice, NaN until the history of the network is full."""
         return self._detector.step(events)
+
+
+class TouchMap:
+    """Where a gel is touched, how hard and in which direction, in mm, Pa and N, from dots slice by slice.
+
+    gel: a recording, a simulation or a `Gel`. mm_per_px: scale of the image, x_mm and y_mm are from its middle.
+    shear_modulus_pa, which forces are proportional to, is the gel's unless given; 145e3 where it is unknown, and then
+    forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below the surface. lens_mm: from
+    the lens to the dots. InputError where the gel's dots are unknown; ValueError for numbers that cannot be.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     tracker, touch = evetac.DotTracker(recording), evetac.TouchMap(recording, mm_per_px=0.0329)
+    ...     for events in recording:
+    ...         reading = touch.step(tracker.step(events), tracker.lost)
+    >>> reading.pressure_pa.shape == (len(touch.y_mm), len(touch.x_mm)) == reading.patch.shape
+    True
+    """
+
+    def __init__(
+        self,
+        gel: _HasGel,
+        *,
+        mm_per_px: float,
+        height_mm: float = 4.0,
+        shear_modulus_pa: float | None = None,
+        stiffness_error: float | None = None,
+        print_depth_mm: float = 0.0,
+        lens_mm: float = 25.0,
+    ) -> None:
+        check_range("mm_per_px", mm_per_px, 0.0, 10.0, "mm", above=True)
+        dot_xy_px, _ = _known_dots(gel, "stable")
+        modulus = gel.sensitivity.shear_modulus_pa if shear_modulus_pa is None else shear_modulus_pa
+        if stiffness_error is None:
+            stiffness_error = UNKNOWN_STIFFNESS if modulus is None else 0.0
+        layer = GelLayer(height_mm, modulus or GelLayer().shear_modulus_pa, 0.5, print_depth_mm, lens_mm)
+        self._scale, self._middle_px = mm_per_px, np.array(getattr(gel, "frame_px", FRAME_PX)) / 2
+        self.rest_xy_px = dot_xy_px.reshape(-1, 2)  # the dots at rest, (n, 2)
+        noise = DotNoise(TRACKER_PX * mm_per_px, DRIFT_PX * mm_per_px)
+        self._state = touch_map.start((self.rest_xy_px - self._middle_px) * mm_per_px, layer, noise, stiffness_error)
+        self.x_mm, self.y_mm = self._state.cells  # middles of the columns and rows of cells
+
+    def step(self, dot_xy_px: NDArray[np.float64], lost: NDArray[np.bool_] | None = None) -> touch_map.TouchReading:
+        """What one more slice tells: dots (n, 2) in px as of `DotTracker`, and which of them are lost."""
+        return touch_map.step(self._state, (dot_xy_px - self._middle_px) * self._scale, lost)
+
+    def hold(self) -> None:
+        """Count what is `since` in readings from now on: when a grip has closed and shear is to come."""
+        touch_map.hold(self._state)
 
 
 class Simulation:

@@ -34,25 +34,32 @@ SMOOTHING = 0.82
 
 
 class Compliance(NamedTuple):
-    """How a layer's surface moves at some wave numbers (n,), in m per Pa.
+    """How a layer moves at some wave numbers (n,), at its surface or below it, in m per Pa.
 
     across, along: in its plane, under shear across and along the wave. aside: in its plane along the wave, under
     pressure, as a factor on the pressure's slope over the wave number: negative, away from where it is high. down: into
-    the layer under pressure.
+    the layer under pressure. dip: into the layer under shear along the wave, as a factor on the shear's slope over the
+    wave number: at the surface -aside, by reciprocity.
     """
 
     across: Floats
     along: Floats
     aside: Floats
     down: Floats
+    dip: Floats
 
 
 def compliance(
-    wave_number_per_m: Floats, height_m: float, shear_modulus_pa: float = 1.0, poisson: float = 0.5
+    wave_number_per_m: Floats,
+    height_m: float,
+    shear_modulus_pa: float = 1.0,
+    poisson: float = 0.5,
+    depth_m: float = 0.0,
 ) -> Compliance:
     """The exact answer of a bonded layer to tractions on its surface: the closed form in Fourier space.
 
-    wave_number_per_m: (n,) above 0. poisson: up to 0.5, where the layer keeps its volume. The displacement is a sum of
+    wave_number_per_m: (n,) above 0. poisson: up to 0.5, where the layer keeps its volume. depth_m: below the surface,
+    where the motion is asked for, as of dots that are printed under a coat. The displacement is a sum of
     four functions of depth, in two of which the depth is a factor; that it is 0 at the back and the traction as given
     at the surface are four equations for each wave number.
     """
@@ -75,9 +82,11 @@ def compliance(
     given = np.zeros((len(wave), 4, 2))
     given[:, 2, 0], given[:, 3, 1] = 1.0, -1.0
     weights = np.linalg.solve(equations, given)
-    along, up = (np.einsum("ni,nij->nj", part, weights) for part in top)
+    depth = depth_m / height_m
+    along, up = (np.einsum("ni,nij->nj", part, weights) for part in displacement(depth))
     scale = height_m / shear_modulus_pa
-    return Compliance(scale * np.tanh(wave) / wave, scale * along[:, 0], scale * along[:, 1], -scale * up[:, 1])
+    across = np.exp(-wave * depth) * -np.expm1(-2 * wave * (1.0 - depth)) / (1.0 + fades**2) / wave
+    return Compliance(*(scale * part for part in (across, along[:, 0], along[:, 1], -up[:, 1], up[:, 0])))
 
 
 def sheet_stiffness(node_xy_m: Floats, height_m: float) -> sparse.csr_matrix:

@@ -57,8 +57,13 @@ def test_the_closed_form_solves_the_layer(wavelength_m: float, poisson: float) -
         found = compliance(np.array([k / HEIGHT_M]), HEIGHT_M, 1.0, poisson)
         if shear:
             assert found.along[0] == pytest.approx(along, rel=1e-6)
+            assert -found.dip[0] == pytest.approx(up, rel=1e-6)
         else:
             assert (found.aside[0], found.down[0]) == pytest.approx((along, up), rel=1e-6)
+        along, up = solution.sol(0.75)[:2] * HEIGHT_M
+        below = compliance(np.array([k / HEIGHT_M]), HEIGHT_M, 1.0, poisson, HEIGHT_M / 4)
+        parts = (below.along[0], -below.dip[0]) if shear else (below.aside[0], below.down[0])
+        assert parts == pytest.approx((along, up), rel=1e-5, abs=1e-5 * HEIGHT_M)
 
 
 def test_limits_of_the_closed_form() -> None:
@@ -69,6 +74,20 @@ def test_limits_of_the_closed_form() -> None:
     assert found.along == pytest.approx([HEIGHT_M / 145e3, 0.5 / (145e3 * short)], rel=1e-3)
     assert found.aside[0] == pytest.approx(-long * HEIGHT_M**2 / (2 * 145e3), rel=1e-3)
     assert found.down == pytest.approx([long**2 * HEIGHT_M**3 / (3 * 145e3), 0.5 / (145e3 * short)], rel=1e-3)
+
+
+def test_below_the_surface() -> None:
+    """Assert the motion below: none at the back, linear under an even shear, reciprocal at the surface alone."""
+    waves = np.array([2 * math.pi / 2.0, 2 * math.pi / 8e-3])
+    back = compliance(waves, HEIGHT_M, 145e3, depth_m=HEIGHT_M)
+    assert np.abs(np.stack(back)).max() < 1e-12 * HEIGHT_M / 145e3 * 1e3
+    deep, top = compliance(waves, HEIGHT_M, 145e3, depth_m=1e-3), compliance(waves, HEIGHT_M, 145e3)
+    assert deep.across[0] == pytest.approx(0.75 * HEIGHT_M / 145e3, rel=1e-3)
+    assert deep.across[1] == pytest.approx(
+        math.sinh(waves[1] * 3e-3) / math.cosh(waves[1] * HEIGHT_M) / waves[1] / 145e3, rel=1e-12
+    )
+    assert top.dip == pytest.approx(-top.aside, rel=1e-9)
+    assert abs(deep.dip[1] + deep.aside[1]) > 0.1 * abs(top.aside[1])
 
 
 def answer_along_a_line(wavelength_m: float, along: bool) -> float:

@@ -1,0 +1,105 @@
+"""Which cells of a gel are touched: the tractions within friction that explain the dots with the least pressure.
+
+Dots tell two of three unknowns per wave, so a patch has to be found first. Tractions minimise the misfit, plus how much
+neighbours differ, plus a cost on pressure, and no cell has more shear than friction gives its pressure: the cost makes
+the patch small, and the cone keeps pressure where shear is. Pressure comes out too low by this; it tells where, not how
+hard. By accelerated proximal gradient (FISTA, Beck and Teboulle 2009) with the projection on the cone in closed form,
+in units of the traction that moves an even layer twice as far as the dots have moved (rms).
+
+FRICTION and SMOOTHNESS are those of a study, chosen among some 25 settings on 40 simulated contacts (seeds
+58000-58004). PRESSURE_COST (3 in the study), CUTS, and that holes are filled, were chosen on contacts of seeds
+6000-6014, by how well patches fit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from evetac_cli.arrays import Flags, Floats, Singles
+from evetac_cli.kernels.touch.dot_modes import DotModes
+from evetac_cli.kernels.touch.dot_motion import KINDS, PRESSURE
+
+FRICTION = 0.9  # most shear over pressure of a cell
+SMOOTHNESS = 1.0  # weight of squared differences of neighbours
+PRESSURE_COST = 1.5
+COLD, WARM = 150, 20  # iterations from nothing, and from the tractions before
+CUTS = (0.25, 0.35, 0.45)  # of the largest pressure: the patches that are thought possible
+_MOST_NEIGHBOURS = 8.0  # largest eigenvalue of the squared differences on a grid
+
+
+class PatchFinder(NamedTuple):
+    """What finding patches needs of some dots: motion (modes, KINDS cells) in mm per Pa, and its squared norm."""
+
+    motion: Singles
+    squared_norm: float
+    shape: tuple[int, int]
+    unit_pa_per_mm: float  # see the module
+
+
+def finder(modes: DotModes, shape: tuple[int, int], even_mm_per_pa: float) -> PatchFinder:
+    """For the modes of some dots and a grid of a shape; even_mm_per_pa: motion of the layer under an even shear."""
+    flat = modes.motion.reshape(len(modes.motion), -1)
+    squared = float(np.linalg.eigvalsh(flat @ flat.T)[-1])
+    return PatchFinder(flat.astype(np.float32), squared, shape, 2.0 / even_mm_per_pa)
+
+
+def tractions(
+    known: PatchFinder, data_mm: Floats, variance_mm2: Floats, rms_mm: float, before_pa: Floats | None = None
+) -> Floats:
+    """Tractions (KINDS, rows, columns) in Pa within the cone, from the modes of dots (modes,); where, not how hard.
+
+    rms_mm: of the dots' motion, above 0. before_pa: what was found a little earlier, to start from: then fewer
+    iterations do.
+    """
+    unit_pa = known.unit_pa_per_mm * rms_mm
+    own_mm = float(np.sqrt(variance_mm2.min()))
+    scale = np.float32(unit_pa / own_mm)
+    weight = (variance_mm2.min() / variance_mm2).astype(np.float32)
+    data = (data_mm / own_mm).astype(np.float32)
+    step = np.float32(1.0 / (known.squared_norm * float(scale) ** 2 + _MOST_NEIGHBOURS * SMOOTHNESS))
+    field = np.zeros((KINDS, *known.shape), np.float32)
+    if before_pa is not None:
+        field[:] = before_pa / unit_pa
+    ahead, momentum = field, 1.0
+    for _ in range(COLD if before_pa is None else WARM):
+        misfit = ((known.motion @ ahead.ravel()) * scale - data) * weight
+        slope = ((misfit @ known.motion) * scale).reshape(field.shape)
+        slope += np.float32(SMOOTHNESS) * roughness(ahead)
+        slope[PRESSURE] += np.float32(PRESSURE_COST)
+        after = within_friction(ahead - step * slope)
+        grown = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2
+        ahead = after + np.float32((momentum - 1) / grown) * (after - field)
+        field, momentum = after, grown
+    return field.astype(np.float64) * unit_pa
+
+
+def roughness(field: Singles) -> Singles:
+    """Gradient of half the summed squared differences of neighbours, on a grid in the last two dimensions."""
+    result = np.zeros_like(field)
+    across = field[..., 1:] - field[..., :-1]
+    result[..., 1:] += across
+    result[..., :-1] -= across
+    down = field[..., 1:, :] - field[..., :-1, :]
+    result[..., 1:, :] += down
+    result[..., :-1, :] -= down
+    return result
+
+
+def within_friction(field: Singles) -> Singles:
+    """The nearest tractions (KINDS, ...) whose shear is at most FRICTION times their pressure."""
+    pressure = field[PRESSURE]
+    shear = np.hypot(field[0], field[1])
+    on_cone = np.maximum((FRICTION * shear + pressure) / (1 + FRICTION**2), 0.0)
+    kept = np.where(shear <= FRICTION * pressure, pressure, on_cone)
+    result = np.empty_like(field)
+    result[:PRESSURE] = field[:PRESSURE] * np.minimum(FRICTION * kept / np.maximum(shear, 1e-30), 1.0)
+    result[PRESSURE] = kept
+    return result
+
+
+def patch_of(found_pa: Floats, cut: float) -> Flags:
+    """The cells (rows, columns) whose pressure is above a share of the largest, and those that they enclose."""
+    pressure = found_pa[PRESSURE]
+    above = (pressure > cut * pressure.max(initial=0.0)) & (pressure > 0)
+    return np.asarray(ndimage.binary_fill_holes(above))
