@@ -239,8 +239,8 @@ TRUE_SLIP_SHARE = Table(
 
 PAPER_RECIPE = Table(
     "paper-recipe",
-    "The paper's recipe: networks trained on {training_recordings} trajectories of objects {training_objects}, for at"
-    " most {training_steps} steps",
+    "The paper's recipe: networks trained, and their thresholds chosen, on {training_recordings} trajectories of"
+    " objects {training_objects}, for at most {training_steps} steps",
     ("recipe-nothing-known", "recipe-nothing-unseen"),
     recipe_rows,
     (Column("objects", "{objects_words}"), *SLIP_COLUMNS),

@@ -276,10 +276,8 @@ def _why_unseen(off_px: Floats) -> str:
     """What a row adds of dots that have vanished and are not flagged, by how far off they are."""
     if not (off_px > P99_DOT.most).any():
         return ""
-    words = (
-        f"; {len(off_px)} dot{'s' * (len(off_px) != 1)} that vanished, up to {off_px.max():.1f} px off, not flagged:"
-    )
-    return f"{words} it shows only amid eight neighbours that all go on by a pixel, and about alike"
+    words = f"; {len(off_px)} dot{'s' * (len(off_px) != 1)} that vanished, up to {off_px.max():.1f} px off, not flagged"
+    return f"{words}: this is noticed only where all eight neighbours move by a pixel, and about alike"
 
 
 def nonsense() -> list[tuple[str, Callable[[], object]]]:

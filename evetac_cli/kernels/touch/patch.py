@@ -14,7 +14,6 @@ FRICTION and SMOOTHNESS are those of a study, chosen among some 25 settings on 4
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.kernels.touch.dot_modes import DotModes
@@ -100,6 +99,8 @@ def within_friction(field: Singles) -> Singles:
 
 def patch_of(found_pa: Floats, cut: float) -> Flags:
     """The cells (rows, columns) whose pressure is above a share of the largest, and those that they enclose."""
+    from scipy import ndimage  # here, as it takes 0.2 s to load, and whoever only opens files loads this module
+
     pressure = found_pa[PRESSURE]
     above = (pressure > cut * pressure.max(initial=0.0)) & (pressure > 0)
     return np.asarray(ndimage.binary_fill_holes(above))

@@ -140,6 +140,7 @@ def start(
     check_range("common_mm", noise.common_mm, 0.0, 10.0, "mm")
     check_range("model_share", noise.model_share, 0.0, 1.0)
     check_range("stiffness_error", stiffness_error, 0.0, 2.0)
+    patch.patch_of(np.zeros((KINDS, 1, 1)), 0.0)  # what it loads is then there at the first touch
     return TouchState(rest, layer, noise, stiffness_error, renews)
 
 
