@@ -54,7 +54,7 @@ class Ending:
     """How a recording of an attacked stream ended."""
 
     slices: int
-    host_ms: float  # from the camera's start to its last slice
+    host_ms: float  # from just before the camera is opened to its last slice
     events: int  # in the slices
     seen: int  # by the camera's sensor until then
     said: int | str  # how many were lost, as the driver says
@@ -91,8 +91,8 @@ def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource =
     words = random_event_words(events_s, 2.0 * seconds, np.random.default_rng(0))
     device = VirtualDvxplorer(PreparedWords(words, time=time), faults=(attacked.fault,))
     slices = events = 0
+    began_s = time.now_s()  # before the camera's start: this program may be kept from running just after it
     with closing(DvxplorerCamera(backend=device)) as camera:
-        began_s = time.now_s()
         while slices < round(SLICES_PER_S * seconds) and (part := camera.read()) is not None:
             slices += 1
             events += part.size
