@@ -126,13 +126,13 @@ def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
         return [float(one) for one in np.ravel(np.abs(error) / np.maximum(sd, 1e-12))]
 
     z = {
-        "force": over(told.force_n - net, told.force_sd_n),
+        "force": over(told.shear_n - net, told.shear_sd_n),
         "torsion": over(np.array(told.torsion_n_mm - torsion), np.array(told.torsion_sd_n_mm)),
         "normal": over(np.array(told.normal_n - normal), np.array(told.normal_sd_n)),
         "centre": over(told.centre_mm - contact.centre_mm, told.centre_sd_mm),
         "shear": over((told.shear_pa - shear)[:, cells], told.shear_sd_pa[:, cells]),
         "pressure": over((told.pressure_pa - pressure)[cells], told.pressure_sd_pa[cells]),
-        "since": over(told.force_since_n - since_n, told.force_since_sd_n),
+        "since": over(told.shear_since_n - since_n, told.shear_since_sd_n),
         "shear_since": over((told.shear_since_pa - since)[:, cells], told.shear_since_sd_pa[:, cells]),
     }
     return {
@@ -141,9 +141,9 @@ def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
         "field": _share(told.shear_pa - shear, shear),
         "field_since": _share(told.shear_since_pa - since, since),
         "pressure": _share(told.pressure_pa - pressure, pressure),
-        "net": _share(told.force_n - net, net),
-        "net_since": _share(told.force_since_n - since_n, since_n),
-        "force_mae_n": float(np.abs(told.force_n - net).mean()),
+        "net": _share(told.shear_n - net, net),
+        "net_since": _share(told.shear_since_n - since_n, since_n),
+        "force_mae_n": float(np.abs(told.shear_n - net).mean()),
         "torsion_n_mm": abs(told.torsion_n_mm - torsion),
         "place_mm": float(np.hypot(*(told.centre_mm - contact.centre_mm))),
         "iou": float((touched & cells).sum() / (touched | cells).sum()),

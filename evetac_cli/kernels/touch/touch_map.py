@@ -64,16 +64,16 @@ class TouchReading(NamedTuple):
     shear_sd_pa: Floats
     pressure_pa: Floats  # (rows, columns)
     pressure_sd_pa: Floats
-    force_n: Floats  # (2,), net shear
-    force_sd_n: Floats
+    shear_n: Floats  # (2,), net shear
+    shear_sd_n: Floats
     normal_n: float
     normal_sd_n: float
     torsion_n_mm: float  # about centre_mm, from x towards y
     torsion_sd_n_mm: float
     shear_since_pa: Floats  # (2, rows, columns), since `hold`: needs no pressure, as long as it stays
     shear_since_sd_pa: Floats
-    force_since_n: Floats  # (2,)
-    force_since_sd_n: Floats
+    shear_since_n: Floats  # (2,)
+    shear_since_sd_n: Floats
 
 
 class TouchState:

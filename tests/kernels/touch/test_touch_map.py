@@ -37,17 +37,17 @@ def test_a_ball_is_told(ball: KnownContact) -> None:
     """Assert the errors that the study of such contacts has: force 5 %, place 0.3 mm, patch, normal force 10 %."""
     told = touch_map.step(touch_map.start(DOTS), places(ball))
     assert told.known and told.touches
-    assert np.hypot(*(told.force_n - ball.net_shear_n)) < 0.05 * np.hypot(*ball.net_shear_n)
+    assert np.hypot(*(told.shear_n - ball.net_shear_n)) < 0.05 * np.hypot(*ball.net_shear_n)
     assert np.hypot(*(told.centre_mm - ball.centre_mm)) < 0.3
     assert told.normal_n == pytest.approx(ball.normal_n, rel=0.1)
     assert abs(told.torsion_n_mm - ball.torsion_n_mm(told.centre_mm)) < 0.1
     assert told.area_mm2 == told.patch.sum() == pytest.approx(math.pi * 4.5**2, rel=0.2)
-    assert told.shear_pa.sum(axis=(1, 2)) * 1e-6 == pytest.approx(told.force_n, abs=1e-4)
+    assert told.shear_pa.sum(axis=(1, 2)) * 1e-6 == pytest.approx(told.shear_n, abs=1e-4)
     assert told.pressure_pa.sum() * 1e-6 == pytest.approx(told.normal_n, rel=1e-4)
-    deviations = (told.force_sd_n, told.centre_sd_mm, told.normal_sd_n, told.torsion_sd_n_mm)
+    deviations = (told.shear_sd_n, told.centre_sd_mm, told.normal_sd_n, told.torsion_sd_n_mm)
     assert all(np.all(np.asarray(each) > 0) and np.all(np.isfinite(each)) for each in deviations)
     assert (told.shear_sd_pa[:, told.patch] > 0).all() and (told.pressure_sd_pa[told.patch] > 0).all()
-    assert np.isnan(told.force_since_n).all() and np.isnan(told.shear_since_pa).all()
+    assert np.isnan(told.shear_since_n).all() and np.isnan(told.shear_since_pa).all()
 
 
 def test_shear_since_it_was_held(ball: KnownContact) -> None:
@@ -57,13 +57,13 @@ def test_shear_since_it_was_held(ball: KnownContact) -> None:
     touch_map.renew(state)
     touch_map.hold(state)
     touch_map.renew(state)
-    assert np.abs(touch_map.step(state, places(ball, 0.0)).force_since_n).max() < 1e-6
+    assert np.abs(touch_map.step(state, places(ball, 0.0)).shear_since_n).max() < 1e-6
     touch_map.step(state, places(ball))
     touch_map.renew(state)
     whole, half = (touch_map.step(state, places(ball, part)) for part in (1.0, 0.5))
     true_n = ball.net_since_pressed_n
-    assert np.hypot(*(whole.force_since_n - true_n)) < 0.05 * np.hypot(*true_n)
-    assert half.force_since_n == pytest.approx(whole.force_since_n / 2, rel=1e-3, abs=1e-4)
+    assert np.hypot(*(whole.shear_since_n - true_n)) < 0.05 * np.hypot(*true_n)
+    assert half.shear_since_n == pytest.approx(whole.shear_since_n / 2, rel=1e-3, abs=1e-4)
 
 
 def test_dots_that_do_not_move_tell_of_no_touch(ball: KnownContact) -> None:
@@ -74,9 +74,9 @@ def test_dots_that_do_not_move_tell_of_no_touch(ball: KnownContact) -> None:
     for dots in (DOTS, DOTS + rng.normal(size=DOTS.shape) * 0.05 * 0.0329, DOTS + [0.05, -0.02]):
         told = touch_map.step(state, dots)
         assert told.known and not told.touches and not told.patch.any()
-        assert told.normal_n == told.torsion_n_mm == told.area_mm2 == 0 and not told.force_n.any()
+        assert told.normal_n == told.torsion_n_mm == told.area_mm2 == 0 and not told.shear_n.any()
         assert not told.pressure_pa.any() and not told.shear_pa.any()
-        assert np.isnan(told.centre_mm).all() and math.isnan(told.normal_sd_n) and np.isnan(told.force_sd_n).all()
+        assert np.isnan(told.centre_mm).all() and math.isnan(told.normal_sd_n) and np.isnan(told.shear_sd_n).all()
 
 
 def test_a_place_is_in_the_patch_though_nothing_tells_pressure() -> None:
@@ -114,7 +114,7 @@ def test_dots_that_are_lost_or_not_finite_are_left_out(bad: float, ball: KnownCo
     wrong[gone], absurd[gone] = bad, 1e6
     by_value = touch_map.step(touch_map.start(DOTS), wrong)
     assert same(by_value, touch_map.step(touch_map.start(DOTS), absurd, gone))
-    assert np.hypot(*(by_value.force_n - ball.net_shear_n)) < 0.08 * np.hypot(*ball.net_shear_n)
+    assert np.hypot(*(by_value.shear_n - ball.net_shear_n)) < 0.08 * np.hypot(*ball.net_shear_n)
     missing = np.where(gone[:, None], np.nan, DOTS)
     assert same(by_value, touch_map.step(touch_map.start(missing), wrong))
 
@@ -130,7 +130,7 @@ def test_a_dot_that_is_lost_between_renewals_keeps_its_motion(ball: KnownContact
         assert same(touch_map.step(state, wrong, gone), before)
     after = touch_map.step(state, wrong, gone)
     assert not same(after, before) and state.used.sum() == len(DOTS) - 1
-    assert after.force_n == pytest.approx(before.force_n, abs=0.05 * np.hypot(*before.force_n))
+    assert after.shear_n == pytest.approx(before.shear_n, abs=0.05 * np.hypot(*before.shear_n))
 
 
 def test_fewer_than_four_dots_tell_nothing(ball: KnownContact) -> None:
@@ -140,15 +140,15 @@ def test_fewer_than_four_dots_tell_nothing(ball: KnownContact) -> None:
     for left in (0, LEAST_DOTS - 1):
         told = touch_map.step(state, places(ball), np.arange(len(DOTS)) >= left)
         assert not told.known and not told.touches and not told.patch.any()
-        assert np.isnan(told.force_n).all() and math.isnan(told.normal_n) and np.isnan(told.pressure_pa).all()
+        assert np.isnan(told.shear_n).all() and math.isnan(told.normal_n) and np.isnan(told.pressure_pa).all()
         assert np.isnan(told.area_mm2) and np.isnan(told.centre_mm).all()
     few = touch_map.step(state, places(ball), ~np.isin(np.arange(len(DOTS)), [20, 24, 38, 42]))
-    assert few.known and np.isfinite(few.force_n).all()
+    assert few.known and np.isfinite(few.shear_n).all()
     again = touch_map.step(state, places(ball))
     assert again.known
     for _ in range(3 * RENEWAL_SLICES):
         again = touch_map.step(state, places(ball))
-    assert again.force_n == pytest.approx(whole.force_n, abs=0.03 * np.hypot(*whole.force_n))
+    assert again.shear_n == pytest.approx(whole.shear_n, abs=0.03 * np.hypot(*whole.shear_n))
 
 
 def test_the_same_dots_make_the_same_readings(ball: KnownContact) -> None:
@@ -184,11 +184,11 @@ def test_stiffness_scales_forces_alone(ball: KnownContact) -> None:
     """Assert that twice the stiffness is twice the force in the same place, and that not knowing it adds its share."""
     soft = touch_map.step(touch_map.start(DOTS), places(ball))
     stiff = touch_map.step(touch_map.start(DOTS, GelLayer(shear_modulus_pa=290e3)), places(ball))
-    assert stiff.force_n == pytest.approx(2 * soft.force_n, rel=0.03)
+    assert stiff.shear_n == pytest.approx(2 * soft.shear_n, rel=0.03)
     assert stiff.centre_mm == pytest.approx(soft.centre_mm, abs=0.05)
     unsure = touch_map.step(touch_map.start(DOTS, stiffness_error=0.4), places(ball))
-    assert unsure.force_n == pytest.approx(soft.force_n)
-    assert unsure.force_sd_n == pytest.approx(np.hypot(soft.force_sd_n, 0.4 * soft.force_n), rel=1e-6)
+    assert unsure.shear_n == pytest.approx(soft.shear_n)
+    assert unsure.shear_sd_n == pytest.approx(np.hypot(soft.shear_sd_n, 0.4 * soft.shear_n), rel=1e-6)
     assert unsure.normal_sd_n == pytest.approx(math.hypot(soft.normal_sd_n, 0.4 * soft.normal_n), rel=1e-6)
     assert unsure.centre_sd_mm == pytest.approx(soft.centre_sd_mm)
 
