@@ -1,8 +1,8 @@
 """Touch maps, slice by slice: patch, shear and pressure on it, forces and torsion, from the tracked dots of a gel.
 
 `start`, then `step` with each slice's dots. A patch and its gain are found anew every RENEWAL_SLICES slices, which
-takes some milliseconds; in between a slice is a product with the gain. A program that must answer each millisecond
-starts with `renews=False` and calls `renew` where it has the time.
+takes some milliseconds and is done in parts, one per slice; in between a slice is a product with the gain. A program
+that must answer each millisecond starts with `renews=False` and calls `renew`, or `renew_part`, where it has the time.
 
 The layer is linear: it neither sinks in by millimetres nor creeps. Shear finer than two pitches of the dots is gone.
 """
@@ -76,6 +76,21 @@ class TouchReading(NamedTuple):
     shear_since_sd_n: Floats
 
 
+class DotsInUse(NamedTuple):
+    """Some of the dots (those that are `used`, of all), and what finding patches and fits needs of them."""
+
+    used: Flags
+    modes: DotModes
+    finder: patch.PatchFinder
+
+
+class Fitted(NamedTuple):
+    """A fit, and the dots that it is for."""
+
+    dots: DotsInUse
+    fit: PatchFit
+
+
 class TouchState:
     """What a touch map knows after the slices so far; `step` changes it, `copy.deepcopy` and pickle keep it.
 
@@ -102,17 +117,23 @@ class TouchState:
         self.slices = 0
         self.renewed_at = 0
         self.touches = False
-        self._use(self.there)
+        self.next_part = 0  # of a renewal, see `renew_part`
+        self.dots = self._in_use(self.there)
         self.found_pa: Floats | None = None
-        self.fit: PatchFit | None = None
-        self.held_fit: PatchFit | None = None
+        self.now: Fitted | None = None
+        self.held: Fitted | None = None
 
-    def _use(self, dots: Flags) -> None:
-        """Take the modes of some dots."""
-        self.used: Flags = dots.copy()
-        self.modes: DotModes = modes_of(self.motion[dots])
+    def _in_use(self, used: Flags) -> DotsInUse:
+        """What is needed of some of the dots."""
+        modes = modes_of(self.motion[used])
         below_mm = self.layer.height_mm - self.layer.print_depth_mm
-        self.finder = patch.finder(self.modes, self.cells.shape, below_mm / self.layer.shear_modulus_pa)
+        return DotsInUse(
+            used.copy(), modes, patch.finder(modes, self.cells.shape, below_mm / self.layer.shear_modulus_pa)
+        )
+
+    def use(self, used: Flags) -> None:
+        """Take these dots for patches and fits from now on."""
+        self.dots = self._in_use(used)
 
 
 def start(
@@ -167,42 +188,86 @@ def step(state: TouchState, dot_mm: Floats, lost: Flags | None = None) -> TouchR
     if not state.touches:
         _let_go(state)
         return _nothing(state, 0.0)
-    if state.renews and (state.fit is None or state.slices - state.renewed_at >= RENEWAL_SLICES):
+    if state.renews and state.now is None:
         renew(state)
-    return _reading(state) if state.fit is not None else _nothing(state, 0.0)
+    elif state.renews and (state.next_part or state.slices - state.renewed_at >= RENEWAL_SLICES):
+        renew_part(state)
+    return _reading(state, state.now) if state.now is not None else _nothing(state, 0.0)
 
 
 def hold(state: TouchState) -> None:
     """Count what is `since` from the dots as they are now, for instance when a grip has closed."""
     state.held_mm = state.moved_mm.copy()
-    state.held_fit = None
+    state.held = None
 
 
 def renew(state: TouchState) -> None:
     """Find the patch anew from the dots of the last slice, and its gain; nothing where nothing touches."""
-    if not state.touches:
-        return
-    if (state.trusted != state.used).any():
-        state._use(state.trusted)
-    moved = state.moved_mm[state.used]
-    data, variance = state.modes.of(moved), state.modes.variance_mm2(state.noise, moved)
-    rms_mm = float(np.sqrt(np.mean(moved**2)))
-    found = patch.tractions(state.finder, data, variance, rms_mm, state.found_pa)
+    state.next_part = 0
+    while not renew_part(state):
+        pass
+
+
+def renew_part(state: TouchState) -> bool:
+    """The next part of a renewal, some milliseconds each, and whether it was the last, or nothing touches.
+
+    In turn: the dots that are tracked now, where they are others; the patch; its fit; and that of what changed since
+    `hold`. Until a part is done, what was found before is used.
+    """
+    state.next_part = _PARTS[state.next_part](state) if state.touches else 0
+    return state.next_part == 0
+
+
+def _renew_dots(state: TouchState) -> int:
+    """Take the dots that are tracked now; the number of the part that is next."""
+    if (state.trusted == state.dots.used).all():
+        return _renew_patch(state)
+    state.use(state.trusted)
+    return _PARTS.index(_renew_patch)
+
+
+def _renew_patch(state: TouchState) -> int:
+    """Find the patch."""
+    dots = state.dots
+    moved = state.moved_mm[dots.used]
+    variance, rms_mm = dots.modes.variance_mm2(state.noise, moved), float(np.sqrt(np.mean(moved**2)))
+    found = patch.tractions(dots.finder, dots.modes.of(moved), variance, rms_mm, state.found_pa)
     if not found[PRESSURE].any():
         _let_go(state)
-        return
+        return 0
     state.found_pa = found
-    state.fit = fit(state.modes, state.cell_mm, found, data, variance)
-    if state.held_mm is not None:
-        change = moved - state.held_mm[state.used]
-        variance = state.modes.variance_mm2(state.noise, change)
-        state.held_fit = fit(state.modes, state.cell_mm, found, state.modes.of(change), variance, kinds=OF_SHEAR - 1)
+    return _PARTS.index(_renew_fit)
+
+
+def _renew_fit(state: TouchState) -> int:
+    """Fit to the patch."""
+    state.now = _fitted(state, state.moved_mm, KINDS)
     state.renewed_at = state.slices
+    return 0 if state.held_mm is None else _PARTS.index(_renew_held)
+
+
+def _renew_held(state: TouchState) -> int:
+    """Fit what changed since `hold`, shear alone, to the patch."""
+    if state.held_mm is not None:
+        state.held = _fitted(state, state.moved_mm - state.held_mm, OF_SHEAR - 1)
+    return 0
+
+
+_PARTS = (_renew_dots, _renew_patch, _renew_fit, _renew_held)
+
+
+def _fitted(state: TouchState, moved_mm: Floats, kinds: int) -> Fitted:
+    """The fit to the patch that was found, of dots (all of them) that moved so far."""
+    assert state.found_pa is not None
+    dots, moved = state.dots, moved_mm[state.dots.used]
+    variance = dots.modes.variance_mm2(state.noise, moved)
+    return Fitted(dots, fit(dots.modes, state.cell_mm, state.found_pa, dots.modes.of(moved), variance, kinds))
 
 
 def _let_go(state: TouchState) -> None:
     """Forget the patch: the next touch begins without one."""
-    state.fit = state.held_fit = state.found_pa = None
+    state.now = state.held = state.found_pa = None
+    state.next_part = 0
 
 
 def _apart_rms(moved_mm: Floats) -> float:
@@ -220,13 +285,11 @@ def _on_grid(state: TouchState, of: PatchFit, values: Singles) -> Floats:
     return whole.reshape(len(values), *state.cells.shape)
 
 
-def _reading(state: TouchState) -> TouchReading:
+def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
     """What the dots tell with the patch as it was last found."""
-    now = state.fit
-    assert now is not None
+    dots, now = fitted
     error = state.stiffness_error
-    moved = state.moved_mm[state.used]
-    told = now.gain @ state.modes.of(moved).astype(np.float32)
+    told = now.gain @ dots.modes.of(state.moved_mm[dots.used]).astype(np.float32)
     count = KINDS * len(now.cells)
     field = _on_grid(state, now, told[:count].reshape(KINDS, -1))
     sums = told[count:].astype(np.float64)
@@ -237,8 +300,8 @@ def _reading(state: TouchState) -> TouchReading:
     away = pushes @ now.away_mm / pushes.sum()
     pressed = max(float(sums[NORMAL]), float(now.sum_sd[NORMAL]))
     since = state.no_since
-    if state.held_fit is not None and state.held_mm is not None:
-        since = _since(state, state.held_fit, moved - state.held_mm[state.used])
+    if state.held is not None and state.held_mm is not None:
+        since = _since(state, state.held, state.moved_mm - state.held_mm)
     return TouchReading(
         True,
         True,
@@ -261,9 +324,10 @@ def _reading(state: TouchState) -> TouchReading:
     )
 
 
-def _since(state: TouchState, held: PatchFit, change_mm: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Shear on the grid and net, with deviations, that moved the dots since they were held."""
-    told = held.gain @ state.modes.of(change_mm).astype(np.float32)
+def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Shear on the grid and net, with deviations, that moved the dots (all of them) since they were held."""
+    dots, held = fitted
+    told = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
     count = PRESSURE * len(held.cells)
     field, net = _on_grid(state, held, told[:count].reshape(PRESSURE, -1)), told[count : count + 2].astype(np.float64)
     field_sd, net_sd = held.traction_sd_pa, held.sum_sd[:2]

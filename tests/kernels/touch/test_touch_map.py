@@ -120,16 +120,19 @@ def test_dots_that_are_lost_or_not_finite_are_left_out(bad: float, ball: KnownCo
 
 
 def test_a_dot_that_is_lost_between_renewals_keeps_its_motion(ball: KnownContact) -> None:
-    """Assert that a dot lost after a patch was found changes nothing until the next, which is found without it."""
+    """Assert that a dot lost after a patch was found changes nothing until the next, which is found without it.
+
+    That is three slices in the making: dots, patch, fit.
+    """
     state = touch_map.start(DOTS)
     before = touch_map.step(state, places(ball))
     gone = np.arange(len(DOTS)) == 30
     wrong = places(ball)
     wrong[30] = np.nan
-    for _ in range(RENEWAL_SLICES - 1):
+    for _ in range(RENEWAL_SLICES + 1):
         assert same(touch_map.step(state, wrong, gone), before)
     after = touch_map.step(state, wrong, gone)
-    assert not same(after, before) and state.used.sum() == len(DOTS) - 1
+    assert not same(after, before) and state.dots.used.sum() == len(DOTS) - 1
     assert after.shear_n == pytest.approx(before.shear_n, abs=0.05 * np.hypot(*before.shear_n))
 
 
@@ -230,3 +233,22 @@ def test_numbers_that_cannot_be_are_refused() -> None:
         touch_map.start(DOTS, stiffness_error=math.nan)
     with pytest.raises(ValueError, match="shape"):
         touch_map.step(touch_map.start(DOTS), DOTS[:-1])
+
+
+def test_a_renewal_in_parts_is_that_at_once(ball: KnownContact) -> None:
+    """Assert equal readings whether a patch is renewed at once or part by part, and the old one until it is done."""
+    at_once, in_parts = (touch_map.start(DOTS, renews=False) for _ in range(2))
+    gone = np.arange(len(DOTS)) == 12
+    for state in (at_once, in_parts):
+        touch_map.step(state, places(ball, 0.0))
+        touch_map.renew(state)
+        touch_map.hold(state)
+        touch_map.step(state, places(ball), gone)
+    touch_map.renew(at_once)
+    before, parts = touch_map.step(in_parts, places(ball), gone), 0
+    while not touch_map.renew_part(in_parts):
+        parts += 1
+        if parts < 3:
+            assert same(touch_map.step(in_parts, places(ball), gone), before)
+    assert parts == 3
+    assert same(touch_map.step(in_parts, places(ball), gone), touch_map.step(at_once, places(ball), gone))
