@@ -244,6 +244,8 @@ class TouchMap:
     shear_modulus_pa, which forces are proportional to, is the gel's unless given; 145e3 where it is unknown, and then
     forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below the surface. lens_mm: from
     the lens to the dots. InputError where the gel's dots are unknown; ValueError for numbers that cannot be.
+    On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts: the matrices are small, and threads that wait
+    for a core make a new patch take ten times as long.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     tracker, touch = evetac.DotTracker(recording), evetac.TouchMap(recording, mm_per_px=0.0329)

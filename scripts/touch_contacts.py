@@ -31,7 +31,7 @@ from evetac_cli.arrays import Flags, Floats  # noqa: E402
 from evetac_cli.evaluate.touch_contacts import SHAPES, ContactMaker, KnownContact, on_coarse_cells  # noqa: E402
 from evetac_cli.jobs import Row  # noqa: E402
 from evetac_cli.kernels.touch import touch_map  # noqa: E402
-from evetac_cli.kernels.touch.dot_motion import GelLayer  # noqa: E402
+from evetac_cli.kernels.touch.dot_motion import CELL_MM, GelLayer  # noqa: E402
 from evetac_cli.kernels.touch.patch_fit import SUM_FACTORS, TRACTION_FACTORS  # noqa: E402
 from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState  # noqa: E402
 from evetac_cli.sim.camera.gel_camera import dot_grid  # noqa: E402
@@ -43,7 +43,7 @@ OWN_PX, COMMON_PX = 0.05, 0.2  # the tracker's error, see kernels/touch/dot_mode
 TOUCHED = 0.05  # of the largest pressure: cells that truth counts to the patch
 WIDE = ("flat", "ball", "cylinder", "off centre", "twisted", "partial slip")  # at least 5 mm both ways
 SIGMAS = {"68": 1.0, "95": 1.96}
-ERRORS = ("force", "torsion", "normal", "centre", "shear", "pressure", "since", "shear_since")
+ERRORS = ("force", "torsion", "normal", "centre", "area", "shear", "pressure", "since", "shear_since")
 # Normal force that is told over the true one, by shape: medians of seeds 6000-6049 (--calibrate).
 NORMAL_BY_SHAPE = {
     **{"flat": 0.897, "ball": 0.958, "cylinder": 0.932, "edge": 0.966, "two points": 0.957},
@@ -121,6 +121,7 @@ def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
     truth = on_coarse_cells(contact, state.cells.x_mm, state.cells.y_mm)
     shear, pressure, since = truth[:2], truth[2], truth[:2] - truth[3:]
     touched = pressure > TOUCHED * pressure.max()
+    area_mm2 = float(touched.sum() * CELL_MM**2)
     net, normal = contact.net_shear_n, contact.normal_n
     torsion = contact.torsion_n_mm(told.centre_mm)
     since_n = contact.net_since_pressed_n
@@ -134,6 +135,7 @@ def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
         "torsion": over(np.array(told.torsion_n_mm - torsion), np.array(told.torsion_sd_n_mm)),
         "normal": over(np.array(told.normal_n - normal), np.array(told.normal_sd_n)),
         "centre": over(told.centre_mm - contact.centre_mm, told.centre_sd_mm),
+        "area": over(np.array(told.area_mm2 - area_mm2), np.array(told.area_sd_mm2)),
         "shear": over((told.shear_pa - shear)[:, cells], told.shear_sd_pa[:, cells]),
         "pressure": over((told.pressure_pa - pressure)[cells], told.pressure_sd_pa[cells]),
         "since": over(told.shear_since_n - since_n, told.shear_since_sd_n),
@@ -150,6 +152,7 @@ def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
         "force_mae_n": float(np.abs(told.shear_n - net).mean()),
         "torsion_n_mm": abs(told.torsion_n_mm - torsion),
         "place_mm": float(np.hypot(*(told.centre_mm - contact.centre_mm))),
+        "area": told.area_mm2 / area_mm2,
         "iou": float((touched & cells).sum() / (touched | cells).sum()),
         "normal": told.normal_n / normal,
         "normal_by_shape": told.normal_n / normal / NORMAL_BY_SHAPE[contact.shape],
@@ -304,7 +307,12 @@ COVERAGE_COLUMNS = {
         heading: f"{{{key}_68:.0%}}, {{{key}_95:.0%}}"
         for heading, key in (
             *(("net shear", "force"), ("torsion", "torsion"), ("normal force", "normal"), ("place", "centre")),
-            *(("cells, shear", "shear"), ("cells, pressure", "pressure"), ("net shear since held", "since")),
+            *(
+                ("area", "area"),
+                ("cells, shear", "shear"),
+                ("cells, pressure", "pressure"),
+                ("net shear since held", "since"),
+            ),
             ("cells, shear since held", "shear_since"),
         )
     },

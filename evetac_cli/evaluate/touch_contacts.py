@@ -141,14 +141,19 @@ class ContactMaker:
         between: Floats = self._between[:, :, apart[0], apart[1]]
         return between
 
-    def make(self, shape: str, seed: int) -> KnownContact:
-        """The contact of a shape and a seed: 1 to 10 N, friction 0.6 to 1; RuntimeError if that does not converge."""
+    def make(self, shape: str, seed: int, load_n: tuple[float, float] | None = None) -> KnownContact:
+        """The contact of a shape and a seed: 1 to 10 N, friction 0.6 to 1; RuntimeError if that does not converge.
+
+        load_n: normal force and shear, instead of those drawn; of the shear as much as friction bears by 0.95 of it.
+        """
         rng = np.random.default_rng([seed, SHAPES.index(shape)])
         profile = pressure_profile(shape, self.cell_mm, rng)
         normal_n = np.exp(rng.uniform(np.log(LEAST_N), np.log(MOST_N)))
         friction, loaded, way = rng.uniform(*FRICTION), rng.uniform(*LOADED), rng.uniform(0.0, 2 * np.pi)
         if shape == "partial slip":
             loaded = rng.uniform(*NEARLY_SLIPPING)
+        if load_n is not None:
+            normal_n, loaded = load_n[0], min(load_n[1] / (friction * load_n[0]), NEARLY_SLIPPING[1])
         chosen = profile > 0
         cells, pressure = self.cell_mm[chosen], profile[chosen]
         pressure *= normal_n / (pressure.sum() * N_PER_PA)

@@ -24,6 +24,7 @@ TEMPER = 0.1  # of the log likelihoods of patches, chosen on seeds 6000-6011 wit
 # 6000-6049, 400 of eight shapes (scripts/touch_contacts.py --calibrate); those of sums are for FORCE_X and so on.
 SUM_FACTORS = np.array([1.07, 1.07, 1.23, 2.18, 1.06, 1.06])
 TRACTION_FACTORS = np.array([0.82, 0.82, 1.62])
+AREA_FACTOR = 1.86  # on how much patches differ in it; against cells above 5 % of the largest pressure
 SINCE_FACTOR = 1.06  # on those of forces, for fits without pressure
 N_PER_PA = CELL_MM**2 * 1e-6
 
@@ -83,7 +84,7 @@ def fit(
         cells,
         patch.reshape(shape),
         float(patch.sum() * CELL_MM**2),
-        float(np.sqrt(share @ (areas - share @ areas) ** 2)),
+        AREA_FACTOR * float(np.sqrt(share @ (areas - share @ areas) ** 2)),
         about_mm,
         (cell_mm[cells] - about_mm).astype(np.float32),
         np.concatenate([gain.reshape(-1, len(data_mm)), sums_gain]),
