@@ -55,6 +55,7 @@ MADE_BY = {
     "model": "train",
     "force-model": "train-force",
     "forces": "predict-force",
+    "touch": "predict-touch",
     "report": "evaluate",
 }
 MAKE_MODEL = "evetac train makes a model for this grid, from features of such recordings"

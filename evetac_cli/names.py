@@ -38,9 +38,10 @@ EXPORTS = {
     "raw": "Prophesee's RAW, EVT3",
     "raw-evt2": "the same, EVT2",
     "dat": "Prophesee's DAT",
-    "mcap": "ROS 2 messages, with dots, forces, labels, gripper, control and other streams",
+    "mcap": "ROS 2 messages, with dots, touch, labels, gripper, control and other streams",
     "calibration": "the dot grid as JSON, or with -o NAME.pkl as the official software's pickle",
     "parquet": "a table a recording, or with -o FOLDER one data set of all",
+    "touch-map": "a table of the touch maps, a row a cell, as Parquet",
     "csv": "the same as text",
     "lerobot": "a LeRobotDataset v3.0 in the folder -o",
 }

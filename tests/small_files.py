@@ -183,12 +183,6 @@ def force_model(path: Path, of: Header) -> Header:
     return write_stage(path, Recipe("force-model", 1, {}, parents=(of,)), arrays)
 
 
-def forces(path: Path, of: tuple[Header, ...]) -> Header:
-    """Forces of 0."""
-    zero = np.zeros((SLICES, 2), np.float32)
-    return write_stage(path, Recipe("forces", 1, {}, parents=of), {"regression_n": zero, "network_n": zero})
-
-
 def touch(path: Path, of: Header) -> Header:
     """Touch of 1 N of shear and 2 N of pressure in all slices, and two maps of 4 x 5 cells."""
 
@@ -237,14 +231,14 @@ def _every_kind(lost_slices: bool) -> dict[str, bytes]:
 def _make_every_kind(folder: Path, lost_slices: bool) -> dict[str, Path]:
     paths = {
         kind: folder / f"a.{kind}.h5"
-        for kind in ("recording", "tracks", "labels", "features", "model", "force-model", "forces", "report")
+        for kind in ("recording", "tracks", "labels", "features", "model", "force-model", "touch", "report")
     }
     of_recording = recording(paths["recording"], lost_slices=lost_slices)
     of_tracks = tracks(paths["tracks"], of_recording)
     of_labels = labels(paths["labels"], of_recording)
     features(paths["features"], (of_recording, of_tracks, of_labels))
-    of_force_model = force_model(paths["force-model"], of_tracks)
-    forces(paths["forces"], (of_tracks, of_force_model))
+    force_model(paths["force-model"], of_tracks)
+    touch(paths["touch"], of_tracks)
     report(paths["report"])
     shutil.copy(resources.MODEL, paths["model"])
     return paths
