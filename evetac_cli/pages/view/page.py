@@ -18,7 +18,7 @@ from evetac_cli.pages.shared import INK, NEUTRAL, UNKNOWN, shown_colour
 from evetac_cli.pages.view.gripper import outcome_badges
 from evetac_cli.pages.view.trial_files import OpenTrial, inner
 from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
-from evetac_cli.resources import PACKAGE
+from evetac_cli.resources import DATA, PACKAGE
 
 LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they are few
 AXIS_PX = 24  # times below it
@@ -44,6 +44,7 @@ def render_page(trial: OpenTrial, view: ViewData) -> bytes:
         "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(view)),
         "FILES": _files(trial),
         "DATA": shared.for_script(_data(view)),
+        "DRAWING": "" if view.touch is None else (DATA / "touch_map.js").read_text(encoding="utf-8"),
         "LIBRARY": library,
         "SCRIPT": script,
     }

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEVELS, SHEAR_LEVELS = 255, 127  # of pressure, and of shear either way, in a TouchView
-VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # as page.html has it
+VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # as in touch_map.js
 
 
 @dataclass(frozen=True)
