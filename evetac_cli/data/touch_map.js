@@ -19,7 +19,7 @@ function drawTouchMap(board, map) {
   const brush = board.getContext("2d"), style = getComputedStyle(document.documentElement);
   const [ink, quiet, rule] = ["--ink", "--quiet", "--rule"].map((name) => style.getPropertyValue(name).trim());
   const columns = map.x.length, rows = map.y.length, pitch = map.x[1] - map.x[0];
-  const left = 62, top = 12, right = 150, below = 56, zoom = Math.min(640 / columns, 470 / rows);
+  const left = 62, top = 12, right = 172, below = 56, zoom = Math.min(640 / columns, 470 / rows);
   const wide = zoom * columns, high = zoom * rows, broad = Math.round(left + wide + right), tall = Math.round(top + high + below);
   if (board.width !== broad || board.height !== tall) { board.width = broad; board.height = tall; }
   const x = (mm) => left + ((mm - map.x[0]) / pitch + 0.5) * zoom, y = (mm) => top + ((mm - map.y[0]) / pitch + 0.5) * zoom;
@@ -53,7 +53,8 @@ function drawTouchMap(board, map) {
   // The scale of colours, and an arrow ---------------------------------------------------------------------------------
   const bar = left + wide + 26, foot = top + high - 76;
   for (let at = top; at < foot; at++) { brush.fillStyle = colourOf((foot - at) / (foot - top)); brush.fillRect(bar, at, 20, 1.5); }
-  brush.beginPath(); line(bar, top, bar + 10, top - 10); brush.lineTo(bar + 20, top); brush.fill();  // what is higher has the last colour
+  brush.fillStyle = colourOf(1); brush.beginPath();  // what is higher has the last colour
+  line(bar, top, bar + 10, top - 10); brush.lineTo(bar + 20, top); brush.fill();
   brush.fillStyle = brush.strokeStyle = quiet; brush.lineWidth = 2; brush.textAlign = "left";
   const each = tidy(map.most_kpa, 5);
   for (let at = 0; at * each <= map.most_kpa * (1 + 1e-9); at++) {

@@ -288,9 +288,15 @@ CHANGES = [
     force_model("curve/chosen", (), 99, "curve/learned_n"),
     force_model("curve/chosen", (), -1, "curve/learned_n"),
     force_model("curve/held_out_n", 0, -1.0, "0 or more"),
-    # forces
-    Change("forces", "network_n", (0, 0), NAN, "finite"),
-    Change("forces", "regression_n", (0, 1), INF, "finite"),
+    # touch
+    Change("touch", "touches", 3, 2, "0, 1"),
+    Change("touch", "normal_n", 0, INF, "finite"),
+    Change("touch", "area_mm2", 0, -1.0, "0 or more"),
+    Change("touch", "sticking_share", 0, 1.5, "0 to 1"),
+    Change("touch", "slip_direction_rad", 0, 4.0, "-3.1416 to 3.1416"),
+    Change("touch", "map/slice", 0, -1, "0 or more"),
+    Change("touch", "map/x_mm", 0, NAN, "finite"),
+    Change("touch", "map/pressure_pa", (0, 0, 0), INF, "finite"),
     # report
     Change("report", "rows", (), "no JSON", "a JSON list of flat objects"),
     Change("report", "rows", (), '{"a": 1}', "a JSON list of flat objects"),

@@ -14,7 +14,7 @@
 
   // What there is to see, by the fields of a sample ----------------------------------------------------------------
   const number = (value, digits) => value === null || value === undefined ? "–"
-    : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+    : (Math.abs(value) < 0.5 / 10 ** digits ? 0 : value).toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
   const CHARTS = [
     { title: "Slip probability", fields: ["probability"], names: ["probability"], unit: "", digits: 2, low: 0, high: 1, level: "threshold" },
     { title: "Gripper position", fields: ["position_ticks", "goal_ticks"], names: ["position", "goal"], unit: "ticks", digits: 0 },
