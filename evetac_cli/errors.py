@@ -54,7 +54,6 @@ MADE_BY = {
     "features": "featurize",
     "model": "train",
     "force-model": "train-force",
-    "forces": "predict-force",
     "touch": "predict-touch",
     "report": "evaluate",
 }

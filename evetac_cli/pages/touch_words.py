@@ -9,9 +9,8 @@ MODULUS = "shear_modulus_pa"
 
 def stiffness(header: Mapping[str, Any]) -> str:
     """ADAPTED, KNOWN or UNKNOWN, by the header of a touch file, which may hold anything."""
-    methods = (_inner(ancestor, "parameters", "method") for ancestor in header["history"].values())
-    if any(isinstance(method, str) and method.endswith("adapted") for method in methods):
-        return ADAPTED
+    if any(_inner(ancestor, "kind") == "force-model" for ancestor in header["history"].values()):
+        return ADAPTED  # the only model that touch is made with
     return UNKNOWN if _inner(header, "parameters", "known", MODULUS) is None else KNOWN
 
 

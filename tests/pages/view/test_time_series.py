@@ -180,17 +180,17 @@ DRAWN = {  # panel -> name of each line, and the dataset that it is of
 
 
 @pytest.mark.parametrize(
-    ("method", "known", "words"),
+    ("chosen", "words"),
     [
-        ("", {}, "stiffness of this gel is not known"),
-        ("", {"known": {"mm_per_px": 0.03}}, "stiffness of this gel is not known"),
-        ("", {"known": {"shear_modulus_pa": 5e4}}, "stiffness of this gel is taken as known"),
-        ("gel, adapted", {}, "adapted to this sensor"),
+        ({}, "stiffness of this gel is not known"),
+        ({"known": {"mm_per_px": 0.03}}, "stiffness of this gel is not known"),
+        ({"known": {"shear_modulus_pa": 5e4}}, "stiffness of this gel is taken as known"),
+        ({"adapted": True}, "adapted to this sensor"),
     ],
 )
 @pytest.mark.parametrize("bins", [3000, 20])
 def test_touch_has_its_deviation(
-    trial: Path, method: str, known: dict[str, Any], words: str, bins: int, monkeypatch: pytest.MonkeyPatch
+    trial: Path, chosen: dict[str, Any], words: str, bins: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assert that all that is estimated has the standard deviation of the slices that are drawn, that no band goes
     below 0 but torsion's, and that words say how well the gel is known.
@@ -200,7 +200,7 @@ def test_touch_has_its_deviation(
     unknown = {name: values.copy() for name, values in TOUCH.items()}
     for values in unknown.values():
         values[100:110] = np.nan  # too few dots are tracked
-    write_touch(trial, unknown, method, **known)
+    write_touch(trial, unknown, **chosen)
     data = shown(trial, images=1)
     assert words in panel_of(data, "Force on the gel, estimated").says
     for title, names in DRAWN.items():

@@ -152,13 +152,13 @@ def write_labels(
     return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
 
 
-def write_touch(trial: Path, changes: dict[str, Any] | None = None, method: str = "", **chosen: Any) -> Path:
-    """Touch beside a trial, made from its tracks, and from a model of this method if there is one."""
+def write_touch(trial: Path, changes: dict[str, Any] | None = None, *, adapted: bool = False, **chosen: Any) -> Path:
+    """Touch beside a trial, made from its tracks, and from an adapted scale if there is one."""
     with open_trial([trial]) as opened:
         assert opened.tracks is not None
         parents: tuple[Header, ...] = (opened.tracks.header,)
-    if method:
-        parents += (Recipe("model", 1, {"method": method}).header(),)
+    if adapted:
+        parents += (Recipe("force-model", 1, {"method": "touch"}).header(),)
     path = trial.with_name(trial.name.replace("recording", "touch"))
     arrays = {**small_files.touch_arrays(SLICES), **(changes or {})}
     write_stage(path, Recipe("touch", 1, chosen, parents=parents), arrays)
