@@ -74,18 +74,16 @@ def open_features(path: str | Path) -> StageFile:
     return StageFile(Path(path), "features")
 
 
-def open_forces(path: str | Path) -> StageFile:
-    """Open a forces file: `shear_n` (slices, 2), `normal_n` (slices,), their `_sd_n`, and `contact`, all by slice.
-
-    By a model of the paper's method: shear force in N, (slices, 2), by `regression_n` and by `network_n`.
+def open_touch(path: str | Path) -> StageFile:
+    """Open a touch file: `shear_n` (slices, 2), `normal_n`, `centre_mm` and more, their `_sd_`, by slice; and `map/`.
 
     InputError if it is anything else.
 
-    >>> with evetac.open_forces("a.forces.h5") as forces:
-    ...     forces.read("network_n").shape[1]
-    2
+    >>> with evetac.open_touch("a.touch.h5") as touch:
+    ...     touch.read("shear_n").shape[1], touch.read("map/pressure_pa").ndim
+    (2, 3)
     """
-    return StageFile(Path(path), "forces")
+    return StageFile(Path(path), "touch")
 
 
 def open_model(path: str | Path) -> StageFile:
@@ -101,15 +99,15 @@ def open_model(path: str | Path) -> StageFile:
 
 
 def open_force_model(path: str | Path) -> StageFile:
-    """Open a force model: `regression/slope_n_px`, `regression/offset_n`, the network's weights and scales; or `gel/`.
+    """Open a force model: `regression/`, the network's weights and scales; or `adapted/`, the scale of touch maps.
 
-    `shipped` is the package's. InputError if it is anything else.
+    InputError if it is anything else.
 
     >>> with evetac.open_force_model("dots.force-model.h5") as model:
     ...     model.read("regression/offset_n").shape
     (2,)
     """
-    return StageFile(resources.model_file(path, "force-model", "path"), "force-model")
+    return StageFile(Path(path), "force-model")
 
 
 def open_report(path: str | Path) -> StageFile:
