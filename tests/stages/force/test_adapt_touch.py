@@ -81,18 +81,21 @@ def test_adaptation_finds_the_gel(own: list[Path], tmp_path: Path) -> None:
         run_valid(evaluate_force, [path], EvaluateForce(model=str(model)), tmp_path / "refused.h5")
 
 
-def test_errors_by_what_is_known(own: list[Path], tmp_path: Path) -> None:
+def test_errors_by_what_is_known(tmp_path: Path) -> None:
     """Assert a row for each state of knowledge, less error the more is known, and what cannot be judged refused."""
-    path = write_contact(tmp_path, 20, contact("ball", 6002))
+    path, *_ = (
+        write_contact(tmp_path, number, contact("ball", seed), stiffer=2.0)
+        for number, seed in ((20, 6002), (8, 6000), (9, 6001))
+    )
     identified = tmp_path / "identified"
     identified.mkdir()
-    Path(own_sensor(tmp_path)).rename(identified / "evetac.sensor.toml")
-    chosen = EvaluateForce(adapt_on=str(own[0].with_name("trial0.tracks.h5")), identified=str(identified))
+    Path(own_sensor(tmp_path, stiffer=2.0)).rename(identified / "evetac.sensor.toml")
+    chosen = EvaluateForce(adapt_on=str(tmp_path / "trial[89].tracks.h5"), identified=str(identified))
     report, outcome = run_valid(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     rows = {row["stiffness"]: row for row in outcome.rows}
     assert list(rows) == ["unknown", "known", "identified", "adapted", "known, adapted", "identified, adapted"]
-    assert rows["identified"]["mae_n"] < 0.05
-    assert rows["adapted"]["mae_n"] < min(0.06, rows["unknown"]["mae_n"])
+    assert rows["identified"]["mae_n"] < 0.1
+    assert rows["adapted"]["mae_n"] < 0.75 * rows["unknown"]["mae_n"]
     assert rows["adapted"]["contact_right"] == rows["adapted"]["usable"] == 1.0
     assert rows["identified, adapted"]["normal_mae_n"] < rows["unknown"]["normal_mae_n"]
     assert outcome.summary["identified_sensors"] == 1

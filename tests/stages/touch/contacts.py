@@ -1,5 +1,6 @@
 """Recordings of contacts whose tractions are known, pressed and then moved, and the tracks of their dots; no camera."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -45,9 +46,19 @@ def dots_of(of: KnownContact, slices: int = SLICES) -> NDArray[np.float64]:
 
 
 def write_contact(
-    folder: Path, number: int, of: KnownContact | None, *, name: str = "evetac", truth: bool = True, smaller: int = 1
+    folder: Path,
+    number: int,
+    of: KnownContact | None,
+    *,
+    name: str = "evetac",
+    truth: bool = True,
+    smaller: int = 1,
+    stiffer: float = 1.0,
 ) -> Path:
-    """A recording without events of a contact, or of none, with its truth and the tracks of its dots; their path."""
+    """A recording without events of a contact, or of none, with its truth and the tracks of its dots; their path.
+
+    stiffer: the gel, which moves alike under so many times the force.
+    """
     time = np.arange(SLICES)
     if of is None:
         dots_mm, normal_n, shear_n = np.tile(rest_mm(), (SLICES, 1, 1)), np.zeros(SLICES), np.zeros((SLICES, 2))
@@ -56,9 +67,20 @@ def write_contact(
         pressed_n = of.net_shear_n - of.net_since_pressed_n
         shear_n = (time >= TOUCHED)[:, None] * pressed_n + (time >= SHEARED)[:, None] * of.net_since_pressed_n
     dots_px: Any = (dots_mm / MM_PER_PX + [320, 240]) / smaller
-    made = Recipe("recording", 1, first_plan("press").parameters(), seed=number, simulated_source=truth)
+    sensor = replace(SENSOR, shear_modulus_pa=MODULUS_PA * stiffer)
+    plan = replace(first_plan("press"), sensor=sensor)
+    made = Recipe("recording", 1, plan.parameters(), seed=number, simulated_source=truth)
     frame_px = (640 // smaller, 480 // smaller)
-    return write_trial(folder, made, GRID_PX / smaller, dots_px.astype(np.float32), normal_n, shear_n, name, frame_px)
+    return write_trial(
+        folder,
+        made,
+        GRID_PX / smaller,
+        dots_px.astype(np.float32),
+        stiffer * normal_n,
+        stiffer * shear_n,
+        name,
+        frame_px,
+    )
 
 
 def own_sensor(folder: Path, *, stiffer: float = 1.0, smaller: int = 1) -> str:
