@@ -81,6 +81,7 @@ def test_adaptation_finds_the_gel(own: list[Path], tmp_path: Path) -> None:
         run_valid(evaluate_force, [path], EvaluateForce(model=str(model)), tmp_path / "refused.h5")
 
 
+@pytest.mark.slow
 def test_errors_by_what_is_known(tmp_path: Path) -> None:
     """Assert a row for each state of knowledge, less error the more is known, and what cannot be judged refused."""
     path, *_ = (
