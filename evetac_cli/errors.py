@@ -54,7 +54,7 @@ MADE_BY = {
     "features": "featurize",
     "model": "train",
     "force-model": "train-force",
-    "forces": "predict-force",
+    "touch": "predict-touch",
     "report": "evaluate",
 }
 MAKE_MODEL = "evetac train makes a model for this grid, from features of such recordings"

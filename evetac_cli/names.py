@@ -38,9 +38,10 @@ EXPORTS = {
     "raw": "Prophesee's RAW, EVT3",
     "raw-evt2": "the same, EVT2",
     "dat": "Prophesee's DAT",
-    "mcap": "ROS 2 messages, with dots, forces, labels, gripper, control and other streams",
+    "mcap": "ROS 2 messages, with dots, touch, labels, gripper, control and other streams",
     "calibration": "the dot grid as JSON, or with -o NAME.pkl as the official software's pickle",
     "parquet": "a table a recording, or with -o FOLDER one data set of all",
+    "touch-map": "a table of the touch maps, a row a cell, as Parquet",
     "csv": "the same as text",
     "lerobot": "a LeRobotDataset v3.0 in the folder -o",
 }
@@ -113,16 +114,10 @@ class Capability(StrEnum):
     HARDWARE = "a real device, before which a person puts the object"
 
 
-class TrainingOption(StrEnum):
-    """Ways to a force model that options of train-force belong to."""
+class TouchOption(StrEnum):
+    """What options of predict-touch and train-force belong to."""
 
     PAPER = "a training by the paper's method (--method paper)"
-    GEL = "a training for any sensor (--method gel)"
-    ADAPTATION = "an adaptation (--adapt)"
-    SENSOR = "an adaptation to a sensor of which something is known (--adapt with --sensor)"
-
-
-class PredictionOption(StrEnum):
-    """What options of predict-force belong to."""
-
+    TOUCH = "an adaptation of touch maps (--method touch)"
     SENSOR = "a sensor of which something is known (--sensor)"
+    OF_NO_MODEL = "a touch map without a model (no --model)"

@@ -183,33 +183,31 @@ def force_model(path: Path, of: Header) -> Header:
     return write_stage(path, Recipe("force-model", 1, {}, parents=(of,)), arrays)
 
 
-def forces(path: Path, of: tuple[Header, ...]) -> Header:
-    """Forces of 0."""
-    zero = np.zeros((SLICES, 2), np.float32)
-    return write_stage(path, Recipe("forces", 1, {}, parents=of), {"regression_n": zero, "network_n": zero})
-
-
-def touch(path: Path, of: Header) -> Header:
+def touch_arrays(slices: int = SLICES) -> dict[str, Any]:
     """Touch of 1 N of shear and 2 N of pressure in all slices, and two maps of 4 x 5 cells."""
 
     def everywhere(value: float, *shape: int) -> Any:
         return np.full(shape, value, np.float32)
 
-    flags, maps = np.ones(SLICES, np.uint8), (2, 4, 5)
-    arrays = {
-        **{"known": flags, "touches": flags, "reference_slice": np.zeros(SLICES, np.int64)},
-        **{name: everywhere(1.0, SLICES, 2) for name in ("shear_n", "shear_since_n", "centre_mm")},
-        **{name: everywhere(0.1, SLICES, 2) for name in ("shear_sd_n", "shear_since_sd_n", "centre_sd_mm")},
-        **{"normal_n": everywhere(2.0, SLICES), "area_mm2": everywhere(20.0, SLICES)},
-        **{"torsion_n_mm": everywhere(0.5, SLICES), "sticking_share": everywhere(0.75, SLICES)},
-        **{name: everywhere(0.2, SLICES) for name in ("normal_sd_n", "torsion_sd_n_mm", "area_sd_mm2")},
-        **{"sticking_share_sd": everywhere(0.1, SLICES), "slip_direction_rad": everywhere(0.0, SLICES)},
-        **{"map/slice": np.array([0, SLICES - 1]), "map/x_mm": np.arange(5.0), "map/y_mm": np.arange(4.0)},
+    flags, maps = np.ones(slices, np.uint8), (2, 4, 5)
+    return {
+        **{"known": flags, "touches": flags, "reference_slice": np.zeros(slices, np.int64)},
+        **{name: everywhere(1.0, slices, 2) for name in ("shear_n", "shear_since_n", "centre_mm")},
+        **{name: everywhere(0.1, slices, 2) for name in ("shear_sd_n", "shear_since_sd_n", "centre_sd_mm")},
+        **{"normal_n": everywhere(2.0, slices), "area_mm2": everywhere(20.0, slices)},
+        **{"torsion_n_mm": everywhere(0.5, slices), "sticking_share": everywhere(0.75, slices)},
+        **{name: everywhere(0.2, slices) for name in ("normal_sd_n", "torsion_sd_n_mm", "area_sd_mm2")},
+        **{"sticking_share_sd": everywhere(0.1, slices), "slip_direction_rad": everywhere(0.0, slices)},
+        **{"map/slice": np.array([0, slices - 1]), "map/x_mm": np.arange(5.0), "map/y_mm": np.arange(4.0)},
         **{"map/patch": np.ones(maps, np.uint8), "map/shear_pa": everywhere(5e4, 2, 2, 4, 5)},
         **{"map/shear_sd_pa": everywhere(1e3, 2, 2, 4, 5), "map/pressure_pa": everywhere(1e5, *maps)},
         "map/pressure_sd_pa": everywhere(2e3, *maps),
     }
-    return write_stage(path, Recipe("touch", 1, {}, parents=(of,)), arrays)
+
+
+def touch(path: Path, of: Header) -> Header:
+    """Touch as of `touch_arrays`."""
+    return write_stage(path, Recipe("touch", 1, {}, parents=(of,)), touch_arrays())
 
 
 def report(path: Path) -> Header:
@@ -237,14 +235,14 @@ def _every_kind(lost_slices: bool) -> dict[str, bytes]:
 def _make_every_kind(folder: Path, lost_slices: bool) -> dict[str, Path]:
     paths = {
         kind: folder / f"a.{kind}.h5"
-        for kind in ("recording", "tracks", "labels", "features", "model", "force-model", "forces", "report")
+        for kind in ("recording", "tracks", "labels", "features", "model", "force-model", "touch", "report")
     }
     of_recording = recording(paths["recording"], lost_slices=lost_slices)
     of_tracks = tracks(paths["tracks"], of_recording)
     of_labels = labels(paths["labels"], of_recording)
     features(paths["features"], (of_recording, of_tracks, of_labels))
-    of_force_model = force_model(paths["force-model"], of_tracks)
-    forces(paths["forces"], (of_tracks, of_force_model))
+    force_model(paths["force-model"], of_tracks)
+    touch(paths["touch"], of_tracks)
     report(paths["report"])
     shutil.copy(resources.MODEL, paths["model"])
     return paths

@@ -13,8 +13,8 @@ LEROBOT = "LeRobot"  # the panel of --help of what only this format takes
 class Export:
     """Write recordings, and what was computed from them, in a format that other programs read.
 
-    Formats of events hold the events alone; mcap has dots, forces, labels, gripper and control too. Tables have a row
-    a slice, with all that tracks, labels, features and forces beside the recording say of it. A data set for LeRobot
+    Formats of events hold the events alone; mcap has dots, touch, labels, gripper and control too. Tables have a row
+    a slice, with all that tracks, labels, features and touch beside the recording say of it. A data set for LeRobot
     has a frame for several slices.
     """
 

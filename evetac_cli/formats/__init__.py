@@ -23,9 +23,10 @@ exports.py writes them:
     text            write/write_text          a line `t_us x y p` for every event
     raw, raw-evt2   write/write_prophesee     Prophesee's RAW, EVT3 or EVT2
     dat             write/write_prophesee     Prophesee's DAT
-    mcap            write/write_mcap          ROS 2 messages, with dots, forces, gripper and control; `convert` (mcap)
+    mcap            write/write_mcap          ROS 2 messages, with dots, touch, gripper and control; `convert` (mcap)
     calibration     write/write_calibration   the dot grid: JSON, or the pickle that the official software reads
     parquet, csv    write/write_table         a trial, a row a slice; Parquet of many trials; extra `convert` (pyarrow)
+    touch-map       write/touch_map_table     touch maps, a row a cell: Parquet; extra `convert` (pyarrow)
     lerobot         write/lerobot             many trials as LeRobotDataset v3.0; extra `convert` (pyarrow, av)
 
 One format is one module, however short, so that a reader finds it here by its name. What several share: the events of

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from evetac_cli import plugins
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write import (
+    touch_map_table,
     write_aedat4,
     write_calibration,
     write_dsec,
@@ -58,6 +59,7 @@ FORMATS = {
     "mcap": ExportFormat((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
     "calibration": ExportFormat((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
     "parquet": ExportFormat((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
+    "touch-map": ExportFormat((".touch-map.parquet", ".parquet"), touch_map_table.write, **TABLE),
     "csv": ExportFormat((".csv",), write_table.write_csv, **TABLE),
     "lerobot": ExportFormat((".parquet", ".json", ".mp4", ".md"), None, **TABLE, write_folder=write_lerobot.write),
 }

@@ -19,7 +19,7 @@ from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 
-OF_TRACKS = ("features", "forces")  # kinds that are made from tracks
+OF_TRACKS = ("features", "touch")  # kinds that are made from tracks
 LEROBOT = ("fps", "per_frame", "test_objects", "task", "tactile_key")  # parameters of this format alone
 
 

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.arrays import Floats
 from evetac_cli.console import format_value, print_table, print_text
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.inspect import info_slip
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
+from evetac_cli.pages import touch_words
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid, streams
@@ -282,9 +284,8 @@ def _model(file: StageFile) -> dict[str, Any]:
 
 
 def _force_model(file: StageFile) -> dict[str, Any]:
-    if file.has("gel"):
-        adapted = file.has("adapted")
-        modulus = float(file.read("adapted/shear")[:, 0].mean()) * 1e6 if adapted else None
+    if file.has("adapted"):
+        modulus = float(file.read("adapted/shear")[:, 0].mean()) * 1e6
         return {
             "sensor": file.read("sensor"),
             "sensor_name": file.read("sensor_name"),
@@ -302,17 +303,54 @@ def _force_model(file: StageFile) -> dict[str, Any]:
     }
 
 
-def _forces(file: StageFile) -> dict[str, Any]:
-    if file.has("shear_n"):
-        shear_n = np.linalg.norm(file.read("shear_n"), axis=1)
-        return {
-            "slices": len(shear_n),
-            "force_n_most": float(np.nanmax(shear_n, initial=0.0)),
-            "normal_n_most": float(np.nanmax(file.read("normal_n"), initial=0.0)),
-            "contact_s": float(file.read("contact").sum() / SLICES_PER_S),
-        }
-    force = np.abs(file.read("network_n"))
-    return {"slices": len(force), "force_n_most": float(force.max(initial=0.0))}
+def _touch(file: StageFile) -> dict[str, Any]:
+    """Contacts, the largest forces and the least sticking share with their deviations, the maps, and the stiffness."""
+    touches, known = file.read("touches"), file.read("known")
+    begun = np.flatnonzero(np.diff(touches, prepend=np.uint8(0)) == 1)
+    shear_sd_n = file.read("shear_sd_n").max(axis=1)  # of the axis that is less sure, as predict-touch prints it
+    most = {
+        "shear_n": (np.linalg.norm(file.read("shear_n"), axis=1), shear_sd_n),
+        "normal_n": (file.read("normal_n"), file.read("normal_sd_n")),
+        "torsion_n_mm": (np.abs(file.read("torsion_n_mm")), file.read("torsion_sd_n_mm")),
+        "area_mm2": (file.read("area_mm2"), file.read("area_sd_mm2")),
+    }
+    return {
+        "slices": len(known),
+        "slices_unknown": int(np.sum(known == 0)),
+        "contacts": len(begun),
+        "contact_s": float(touches.sum() / SLICES_PER_S),
+        "first_contact_ms": int(begun[0]) if len(begun) else None,
+        **{
+            f"{name}_most{which}": value
+            for name, (values, sd) in most.items()
+            for which, value in _extreme(np.where(touches, values, np.nan), sd)
+        },
+        **{
+            f"sticking_share_least{which}": value
+            for which, value in _extreme(file.read("sticking_share"), file.read("sticking_share_sd"), lowest=True)
+        },
+        "maps": _touch_maps(file),
+        "stiffness": touch_words.stiffness_in_figures(file.header),
+    }
+
+
+def _extreme(values: Floats, sd: Floats, *, lowest: bool = False) -> Iterator[tuple[str, float | None]]:
+    """The highest or lowest value and its deviation; None where no slice has one."""
+    known = np.flatnonzero(np.isfinite(values))
+    at = None if not len(known) else known[(np.argmin if lowest else np.argmax)(values[known])]
+    yield "", None if at is None else float(values[at])
+    yield "_sd", None if at is None or not np.isfinite(sd[at]) else float(sd[at])
+
+
+def _touch_maps(file: StageFile) -> str:
+    """How many maps there are, and of which cells."""
+    if not file.has("map/slice"):
+        return "none"
+    x_mm, y_mm, count = file.read("map/x_mm"), file.read("map/y_mm"), file.length("map/slice")
+    pitch_mm = f" of {np.median(np.diff(x_mm)):.3g} mm" if len(x_mm) > 1 else ""
+    every_ms = np.median(np.diff(file.read("map/slice"))) if count > 1 else np.nan
+    often = f", every {every_ms:g} ms" if np.isfinite(every_ms) else ""
+    return f"{count} of {len(x_mm)} x {len(y_mm)} cells{pitch_mm}{often}"
 
 
 def _report(file: StageFile) -> dict[str, Any]:
@@ -329,6 +367,6 @@ _FIGURES = {
     "features": _features,
     "model": _model,
     "force-model": _force_model,
-    "forces": _forces,
+    "touch": _touch,
     "report": _report,
 }

@@ -46,7 +46,7 @@ PREPARE = (
     "evetac track data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
     "evetac label data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
     "evetac featurize data/slip-obj08-s0-000.recording.h5 data/slip-obj08-s0-001.recording.h5",
-    "evetac predict-force data/slip-obj08-s0-000.tracks.h5",
+    "evetac predict-touch data/slip-obj08-s0-000.tracks.h5",
 )
 SHOTS = (
     Shot("info", "evetac info data/slip-obj08-s0-000.recording.h5"),

@@ -121,7 +121,7 @@ def test_vectors_are_those_of_the_trial(out: Path, sources: list[Path]) -> None:
     means = probability[: 4 * FRAMES].reshape(FRAMES, 4).mean(axis=1)
     np.testing.assert_allclose(touch[:, names.index("control_probability")], means, rtol=1e-5)
     assert sum(name.startswith("events_per_dot_") for name in names) == DOTS
-    assert {"force_network_x_n", "force_regression_y_n"} <= set(names)
+    assert {"touch_shear_y_n", "touch_normal_n", "touch_sticking_share", "touch_touches"} <= set(names)
     assert not [name for name in names if name.startswith("truth")]  # what only a simulator knows is no observation
 
 
@@ -288,12 +288,12 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:
-    """Assert that forces of one trial alone are left out of all, and that is said."""
+    """Assert that touch of one trial alone is left out of all, and that is said."""
     sources = [write_grasp(tmp_path / "in", "a"), write_grasp(tmp_path / "in", "b", kinds="tracks labels features")]
     row = written(tmp_path / "out", sources)
-    assert "not in all trials: force_network_x_n" in row["left_out"]
+    assert "not in all trials: touch_touches" in row["left_out"]
     info, _, _ = read(tmp_path / "out")
-    assert not [name for name in info["features"]["observation.tactile"]["names"] if name.startswith("force")]
+    assert not [name for name in info["features"]["observation.tactile"]["names"] if name.startswith("touch")]
 
 
 @pytest.mark.slow

@@ -51,7 +51,12 @@ COLUMNS: dict[str, tuple[str, str, Any]] = {
     "displacement_05_px": ("features", "displacement_px", 5),
     "displacement_05_x_px": ("features", "displacement_xy_px", (5, 0)),
     "events_outside": ("features", "events_outside", ()),
-    "force_network_x_n": ("forces", "network_n", 0),
+    "touch_shear_x_n": ("touch", "shear_n", 0),
+    "touch_shear_sd_y_n": ("touch", "shear_sd_n", 1),
+    "touch_normal_n": ("touch", "normal_n", ()),
+    "touch_torsion_n_mm": ("touch", "torsion_n_mm", ()),
+    "touch_centre_x_mm": ("touch", "centre_mm", 0),
+    "touch_sticking_share": ("touch", "sticking_share", ()),
 }
 
 
@@ -362,7 +367,7 @@ def test_features_of_other_tracks_are_left_out(tmp_path: Path) -> None:
     row = export(path, "parquet", tmp_path / "a.parquet", opened=trial_files)
     assert "a.features.h5 was made from other tracks" in row["left_out"]
     names = pq.read_schema(tmp_path / "a.parquet").names
-    assert "displacement_05_px" not in names and "force_network_x_n" not in names and "dot_05_x_px" in names
+    assert "displacement_05_px" not in names and "touch_shear_x_n" not in names and "dot_05_x_px" in names
 
 
 def test_an_empty_recording_is_an_empty_table(tmp_path: Path) -> None:
@@ -438,3 +443,44 @@ def test_progress_counts_slices(source: Path, tmp_path: Path) -> None:
 
     export_folder([source], "parquet", tmp_path / "out", {}, opened=trial_files, progress=listen)
     assert heard[0] == (0, SLICES, "slices") and heard[-1] == (SLICES, SLICES, "slices")
+
+
+def test_touch_maps_are_a_table_of_cells(source: Path, tmp_path: Path) -> None:
+    """Assert that pandas makes the stored pictures of the maps again, and duckdb finds the same; with their units."""
+    target = tmp_path / "a.touch-map.parquet"
+    row = export(source, "touch-map", target, opened=trial_files)
+    assert row["simulated"] and row["left_out"] is None
+    frame = pd.read_parquet(target)
+    with h5py.File(source.with_name("a.touch.h5")) as h5:
+        stored_maps = {name: h5[f"map/{name}"][()] for name in h5["map"] if name.endswith("_pa") or name == "patch"}
+        slices, x_mm, y_mm = (h5[f"map/{name}"][()] for name in ("slice", "x_mm", "y_mm"))
+    assert len(frame) == len(slices) * len(x_mm) * len(y_mm)
+    assert (frame["trial"] == "a").all() and (frame["object"] == 8).all() and frame["simulated"].all()
+    for number, at in enumerate(slices):
+        one = frame[frame["t_ms"] == at]
+        for name, direction in (("pressure_pa", None), ("pressure_sd_pa", None), ("patch", None), ("shear_pa", 1)):
+            column = name if direction is None else name.replace("_pa", "_y_pa")
+            picture = one.pivot(index="y_mm", columns="x_mm", values=column)
+            expected = stored_maps[name][number] if direction is None else stored_maps[name][number, direction]
+            np.testing.assert_array_equal(picture.to_numpy(), expected)
+            assert (picture.index == y_mm).all() and (picture.columns == x_mm).all()
+    (most,) = duckdb.sql(f"SELECT max(pressure_pa) FROM '{target}' WHERE patch = 1").fetchall()
+    assert most[0] == stored_maps["pressure_pa"].max()
+    written_schema = pq.read_schema(target)
+    units = {"t_ms": "ms", "x_mm": "mm", "shear_sd_x_pa": "Pa", "patch": "1"}
+    assert {name: written_schema.field(name).metadata[b"units"].decode() for name in units} == units
+    assert write_table.is_simulated(target)
+
+
+def test_touch_maps_need_a_touch_file(tmp_path: Path) -> None:
+    """Assert that without a touch file, or without maps in it, words say so and what to do, and nothing is left."""
+    for kinds in ("tracks", "tracks touch"):
+        path = write_grasp(tmp_path / kinds, "a", kinds=kinds)
+        if "touch" in kinds:
+            with h5py.File(path.with_name("a.touch.h5"), "r+") as h5:
+                small_files.remove_dimensions(h5)
+                del h5["map"]
+        before = sorted(path.parent.iterdir())
+        with pytest.raises(InputError, match="no touch maps") as caught:
+            export(path, "touch-map", path.with_name("a.touch-map.parquet"), opened=trial_files)
+        assert "predict-touch" in str(caught.value) and sorted(path.parent.iterdir()) == before

@@ -19,7 +19,7 @@ def write_grasp(
     name: str,
     number: int | None = 8,
     seed: int = 1,
-    kinds: str = "tracks labels features forces",
+    kinds: str = "tracks labels features touch",
     name_of_sensor: str = "evetac",
     **more: Any,
 ) -> Path:
@@ -46,19 +46,20 @@ def write_grasp(
         "scene": {"name": "lift", "summary": "an object is lifted"},
     }
     of = write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=True), arrays)
-    beside = {kind: folder / f"{name}.{kind}.h5" for kind in ("tracks", "labels", "features", "forces")}
+    beside = {kind: folder / f"{name}.{kind}.h5" for kind in ("tracks", "labels", "features", "touch")}
     of_tracks = small_files.tracks(beside["tracks"], of)
     of_labels = small_files.labels(beside["labels"], of)
     small_files.features(beside["features"], (of, of_tracks, of_labels))
-    small_files.forces(beside["forces"], (of_tracks, small_files.force_model(folder / "a.force-model.h5", of_tracks)))
-    (folder / "a.force-model.h5").unlink()
+    small_files.touch(beside["touch"], of_tracks)
     with h5py.File(beside["tracks"], "r+") as h5:
         h5["dot_xy_px"][...] += rng.random((SLICES, DOTS, 2), np.float32)
         h5["events_per_dot"][...] = rng.integers(0, 9, (SLICES, DOTS))
     with h5py.File(beside["features"], "r+") as h5:
         h5["displacement_xy_px"][...] = rng.normal(size=(SLICES, DOTS, 2))
-    with h5py.File(beside["forces"], "r+") as h5:
-        h5["network_n"][...] = rng.normal(size=(SLICES, 2))
+    with h5py.File(beside["touch"], "r+") as h5:
+        h5["shear_n"][...] = rng.normal(size=(SLICES, 2))
+        h5["normal_n"][...] = np.where(np.arange(SLICES) < 3, np.nan, rng.random(SLICES))
+        h5["map/pressure_pa"][...] = 1e4 * rng.random(h5["map/pressure_pa"].shape)
     for kind, file_path in beside.items():
         if kind not in kinds.split():
             file_path.unlink()

@@ -128,6 +128,51 @@ def test_an_onset_that_is_not_there_is_empty(tmp_path: Path) -> None:
         assert row["onset_ms"] == (None if onset < 0 else onset)
 
 
+def test_touch_at_a_glance(tmp_path: Path) -> None:
+    """Assert contacts, extremes of touched slices with their deviations, maps and stiffness."""
+    tracks = small_files.tracks(tmp_path / "a.tracks.h5", small_files.recording(tmp_path / "a.recording.h5"))
+    arrays = small_files.touch_arrays()
+    touches = np.zeros(small_files.SLICES, np.uint8)
+    touches[3:9] = touches[12:] = 1
+    arrays["touches"] = touches
+    arrays["normal_n"][[1, 5]] = 9.0, 4.0  # the first without a touch
+    arrays["normal_sd_n"][5] = 0.5
+    arrays["shear_n"][13] = 3.0, -4.0
+    arrays["shear_sd_n"][13] = 0.3, 0.2
+    arrays["torsion_n_mm"][7] = -6.0
+    arrays["sticking_share"][:3] = np.nan
+    arrays["sticking_share"][20], arrays["sticking_share_sd"][20] = 0.25, 0.125
+    known = {"known": {"shear_modulus_pa": 9e4}, "stiffness_error": 0.1}
+    path = tmp_path / "a.touch.h5"
+    for parameters, stiffness in ((known, "known, 90 kPa within 10 %"), ({}, "not known")):
+        write_stage(path, Recipe("touch", 1, parameters, parents=(tracks,)), arrays)
+        (row,) = info.run([path]).rows
+        assert row["stiffness"] == stiffness
+    assert (row["contacts"], row["contact_s"], row["first_contact_ms"]) == (2, 0.018, 3)
+    assert (row["normal_n_most"], row["normal_n_most_sd"]) == (4.0, 0.5)
+    assert (row["shear_n_most"], row["shear_n_most_sd"]) == (5.0, pytest.approx(0.3))
+    assert row["torsion_n_mm_most"] == 6.0
+    assert (row["sticking_share_least"], row["sticking_share_least_sd"]) == (0.25, 0.125)
+    assert row["maps"] == "2 of 5 x 4 cells of 1 mm, every 23 ms"
+
+
+def test_touch_without_one(tmp_path: Path) -> None:
+    """Assert that a touch file in which nothing touches and nothing is known has no extremes, and no complaint."""
+    tracks = small_files.tracks(tmp_path / "a.tracks.h5", small_files.recording(tmp_path / "a.recording.h5"))
+    arrays = small_files.touch_arrays()
+    for name, values in arrays.items():
+        if values.dtype == np.float32:
+            values[...] = np.nan
+        elif name in ("known", "touches"):
+            values[...] = 0
+    maps = {name: values for name, values in arrays.items() if not name.startswith("map/")}
+    path = tmp_path / "a.touch.h5"
+    write_stage(path, Recipe("touch", 1, {}, parents=(tracks,)), maps)
+    (row,) = info.run([path]).rows
+    assert (row["contacts"], row["slices_unknown"], row["maps"]) == (0, small_files.SLICES, "none")
+    assert {row[f"{name}_most"] for name in ("shear_n", "normal_n", "torsion_n_mm", "area_mm2")} == {None}
+
+
 def changed(source: Path, target: Path, change: Callable[[Any, dict[str, Any]], Any]) -> Path:
     """A copy of a file with its datasets and header changed by hand."""
     shutil.copy(source, target)

@@ -17,7 +17,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.label import Label
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
@@ -30,7 +30,7 @@ from evetac_cli.evaluate import vibration as evaluate_vibration
 from evetac_cli.inspect import validate
 from evetac_cli.pages import view
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
-from evetac_cli.stages.force import predict_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, put_header
 from evetac_cli.store.layout.provenance import recompute_id
 from tests import small_files
@@ -288,9 +288,15 @@ CHANGES = [
     force_model("curve/chosen", (), 99, "curve/learned_n"),
     force_model("curve/chosen", (), -1, "curve/learned_n"),
     force_model("curve/held_out_n", 0, -1.0, "0 or more"),
-    # forces
-    Change("forces", "network_n", (0, 0), NAN, "finite"),
-    Change("forces", "regression_n", (0, 1), INF, "finite"),
+    # touch
+    Change("touch", "touches", 3, 2, "0, 1"),
+    Change("touch", "normal_n", 0, INF, "finite"),
+    Change("touch", "area_mm2", 0, -1.0, "0 or more"),
+    Change("touch", "sticking_share", 0, 1.5, "0 to 1"),
+    Change("touch", "slip_direction_rad", 0, 4.0, "-3.1416 to 3.1416"),
+    Change("touch", "map/slice", 0, -1, "0 or more"),
+    Change("touch", "map/x_mm", 0, NAN, "finite"),
+    Change("touch", "map/pressure_pa", (0, 0, 0), INF, "finite"),
     # report
     Change("report", "rows", (), "no JSON", "a JSON list of flat objects"),
     Change("report", "rows", (), '{"a": 1}', "a JSON list of flat objects"),
@@ -378,10 +384,7 @@ STAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "features",
         lambda path: outcome_of(evaluate_slip, EvaluateSlip(model=path.with_name("a.model.h5")), path),
     ),
-    "predict-force": (
-        "tracks",
-        lambda path: outcome_of(predict_force, PredictForce(model=path.with_name("a.force-model.h5")), path),
-    ),
+    "predict-touch": ("tracks", lambda path: outcome_of(predict_touch, PredictTouch(), path)),
 }
 
 REFUSED_BY = [
@@ -412,8 +415,7 @@ REFUSED_BY = [
     ("evaluate slip", model("horizon_ms", (), 2**40, "horizon_ms")),
     ("evaluate slip", features("label", 0, 7, "label")),
     ("evaluate slip", features("onset_slice", (), 2**40, "onset_slice")),
-    ("predict-force", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
-    ("predict-force", force_model("network/scale_px", (), 0.0, "network/scale_px")),
+    ("predict-touch", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
 ]  # fmt: skip
 
 

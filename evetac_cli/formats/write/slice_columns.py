@@ -2,8 +2,9 @@
 
 Every dataset that has a row for each slice is read as columns of plain numbers, one for each dot and for each of x and
 y. Their names are the path of the dataset, the dot, x or y, and the unit at the end: `displacement_17_x_px`. Columns of
-forces begin with `force_`. Rows that have a clock of their own (gripper, control, other streams of the trial) stand in
-every slice as the last of them before its end, and their time stands beside them. Images of a stream are left out.
+touch begin with `touch_`; its maps, of which there are fewer than slices, are a table of their own
+(touch_map_table.py). Rows that have a clock of their own (gripper, control, other streams of the trial) stand in every
+slice as the last of them before its end, and their time stands beside them. Images of a stream are left out.
 
 Why no lists of dots: pandas keeps a list as an object with which nothing can be computed, and CSV has none. Plain
 columns are picked by a pattern in pandas, polars and duckdb alike, and Parquet reads only those that are asked for.
@@ -29,8 +30,8 @@ from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import as_utf8, parse_json
 
 Masked = np.ma.MaskedArray[Any, Any]
-KINDS = ("recording", "tracks", "labels", "forces", "features")  # of two columns of one name, the first stands
-PREFIX = {"forces": "force_"}
+KINDS = ("recording", "tracks", "labels", "touch", "features")  # of two columns of one name, the first stands
+PREFIX = {"touch": "touch_"}
 COPIED = ("visible_slip_share",)  # by features from the truth, where it has its own column
 
 

@@ -3,7 +3,12 @@
     /evetac/events            event_camera_msgs/EventPacket, encoding `mono`: one a slice, the empty ones too
     /evetac/note              std_msgs/String: the note (formats/note.py), on a topic because tools for bags keep topics
     /evetac/dots              sensor_msgs/PointCloud2 of the tracks: x, y, dx, dy in px, events, lost; z is 0
-    /evetac/force             geometry_msgs/WrenchStamped of estimated forces, in N: x right, y down, z into the gel
+    /evetac/force             geometry_msgs/WrenchStamped of the estimated touch, in N and N m, about the centre of
+                              pressure: x right, y down, z into the gel, and the torsion; force/sd their deviations
+    /evetac/touch/centre      geometry_msgs/PointStamped: the centre of pressure, in m from the middle of the frame
+    /evetac/touch/map         sensor_msgs/PointCloud2 of each touch map, a point a cell in m: patch, and pressure and
+                              shear_x, shear_y with their deviations in Pa
+    /evetac/touch/sticking_share    std_msgs/Float32: the share of the contact that sticks
     /evetac/label             std_msgs/Int8 of the labels: 1 slip, 0 none, -1 not examined
     /evetac/gripper           sensor_msgs/JointState: position in rad; effort is the measured current in mA
     /evetac/gripper/goal      sensor_msgs/JointState: the goal position of a grasp, in rad
@@ -13,10 +18,11 @@
                                                force too
 
 All messages but EventPacket are in every installation of ROS 2, so that RViz, Foxglove and PlotJuggler draw them; a
-cloud of points is the one among them that has named numbers for each of many dots. Tracks, forces and labels are those
-beside the recording that belong to it. Times are those of the source's clock. A packet of events says when its slice
-begins and is logged when it ends; what is computed from a slice has the time at which it ends. The frame of a simulated
-recording's messages is `evetac_simulated`.
+cloud of points is the one among them that has named numbers for each of many dots or cells. No wrench among them has a
+covariance, so deviations are a wrench of their own. Tracks, touch and labels are those beside the recording that belong
+to it. Times are those of the source's clock. A packet of events says when its slice begins and is logged when it ends;
+what is computed from a slice has the time at which it ends. The frame of a simulated recording's messages is
+`evetac_simulated`; what is in m on the gel, and not in px, is in `evetac_gel` or `evetac_gel_simulated`.
 
 The library mcap writes the file. rosbags makes messages and definitions: it copies arrays at once, where
 mcap-ros2-support packs them byte by byte; its own writer makes folders and not files.
@@ -60,6 +66,8 @@ MOST_ROWS_PX = 2**15  # `mono` has 15 bits for y
 TICK_RAD = math.radians(0.088)  # of the RH-P12-RN(A), by its manual
 JOINT = "rh_p12_rn"
 DOT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "dx", "dy")] + [("events", "<i4"), ("lost", "u1")])
+CELL_PA = ("pressure", "pressure_sd", "shear_x", "shear_y", "shear_sd_x", "shear_sd_y")
+CELL = np.dtype([(name, "<f4") for name in ("x", "y", "z", *CELL_PA)] + [("patch", "u1")])
 TRUE_DOT = np.dtype([(name, "<f4") for name in ("x", "y", "z")])
 POINT_FIELDS = {"|u1": 2, "<i4": 5, "<f4": 7}  # of sensor_msgs/PointField
 NUMBERS = {  # a message of std_msgs for each row
@@ -73,6 +81,7 @@ NUMBERS = {  # a message of std_msgs for each row
     "truth/slip_share": "Float32",
     "truth/visible_slip_share": "Float32",
 }
+M_PER_MM = 1e-3
 # What of a recording is in the file, beside its events.
 HOLDS = (
     "sensor/dot_xy_px",
@@ -177,10 +186,11 @@ class _TopicMessages:
     def __call__(self, kind: str, **values: Any) -> Any:
         return self._types[kind](**values)
 
-    def _header(self, t_us: int) -> Any:
+    def _header(self, t_us: int, *, gel: bool = False) -> Any:
         seconds, us = divmod(self._offset_us + t_us, 10**6)
         stamp = self("builtin_interfaces/msg/Time", sec=seconds, nanosec=us * US_NS)
-        return self("std_msgs/msg/Header", stamp=stamp, frame_id=self._frame_id)
+        frame_id = self._frame_id.replace("evetac", "evetac_gel", 1) if gel else self._frame_id
+        return self("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
     def packets(self, recording: Recording, progress: Progress) -> Messages:
         """A packet of events for every slice, also for one without any: the clock is the slice."""
@@ -276,13 +286,22 @@ class _TopicMessages:
                 )
 
     def of_files(self, files: TrialFiles) -> Iterator[tuple[str, str, Messages]]:
-        """Topics of tracks, forces and labels, as far as there are any."""
-        tracks, forces, labels = (files.by_kind.get(kind) for kind in ("tracks", "forces", "labels"))
+        """Topics of tracks, touch and labels, as far as there are any."""
+        tracks, touch, labels = (files.by_kind.get(kind) for kind in ("tracks", "touch", "labels"))
         if tracks is not None:
             yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
-        if forces is not None and (forces.has("shear_n") or forces.has("network_n")):
-            shear = "shear_n" if forces.has("shear_n") else "network_n"  # of the paper's network
-            yield "/evetac/force", "geometry_msgs/msg/WrenchStamped", self._wrenches(forces, shear, "normal_n")
+        if touch is not None:
+            wrench = "geometry_msgs/msg/WrenchStamped"
+            yield "/evetac/force", wrench, self._wrenches(touch, "shear_n", "normal_n", "torsion_n_mm")
+            yield "/evetac/force/sd", wrench, self._wrenches(touch, "shear_sd_n", "normal_sd_n", "torsion_sd_n_mm")
+            yield "/evetac/touch/centre", "geometry_msgs/msg/PointStamped", self._centres(touch)
+            yield (
+                "/evetac/touch/sticking_share",
+                "std_msgs/msg/Float32",
+                self._numbers(touch, "sticking_share", "Float32"),
+            )
+            if touch.has("map/slice"):
+                yield "/evetac/touch/map", "sensor_msgs/msg/PointCloud2", self._maps(touch)
         if labels is not None:
             yield "/evetac/label", "std_msgs/msg/Int8", self._numbers(labels, "label", "Int8")
 
@@ -305,13 +324,39 @@ class _TopicMessages:
         for t_us, value in rows:
             yield t_us, self(f"std_msgs/msg/{kind}", data=value.item())
 
-    def _wrenches(self, file: StageFile, shear: str, normal: str) -> Messages:
-        """A force a slice; its z is not a number where nothing tells the normal force."""
-        none = self("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        for t_us, (x, y), *z in _by_slice(file, shear, *([normal] if file.has(normal) else [])):
-            force = self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z[0]) if z else math.nan)
-            wrench = self("geometry_msgs/msg/Wrench", force=force, torque=none)
+    def _wrenches(self, file: StageFile, shear: str, normal: str, torsion: str = "") -> Messages:
+        """A force a slice, and its torque, which is in N mm in the file."""
+        for t_us, (x, y), z, *torque in _by_slice(file, shear, normal, *([torsion] if torsion else [])):
+            turn = float(torque[0]) * M_PER_MM if torque else 0.0
+            wrench = self(
+                "geometry_msgs/msg/Wrench",
+                force=self("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z)),
+                torque=self("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=turn),
+            )
             yield t_us, self("geometry_msgs/msg/WrenchStamped", header=self._header(t_us), wrench=wrench)
+
+    def _centres(self, touch: StageFile) -> Messages:
+        """The centre of pressure in every slice in which something touches."""
+        for t_us, (x, y) in _by_slice(touch, "centre_mm"):
+            if np.isfinite(x + y):
+                point = self("geometry_msgs/msg/Point", x=float(x) * M_PER_MM, y=float(y) * M_PER_MM, z=0.0)
+                yield t_us, self("geometry_msgs/msg/PointStamped", header=self._header(t_us, gel=True), point=point)
+
+    def _maps(self, touch: StageFile) -> Messages:
+        """A cloud for each map, in the rows and columns of its cells."""
+        x_mm, y_mm = touch.read("map/x_mm"), touch.read("map/y_mm")
+        cells, fields = np.zeros((len(y_mm), len(x_mm)), CELL), self._fields(CELL)
+        cells["x"], cells["y"] = x_mm * M_PER_MM, y_mm[:, None] * M_PER_MM
+        names = ("slice", "patch", "pressure_pa", "pressure_sd_pa", "shear_pa", "shear_sd_pa")
+        for row in range(touch.length("map/slice")):
+            at, patch, pressure, pressure_sd, shear, shear_sd = (
+                touch.read(f"map/{name}", row, row + 1)[0] for name in names
+            )
+            cells["patch"], cells["pressure"], cells["pressure_sd"] = patch, pressure, pressure_sd
+            cells["shear_x"], cells["shear_y"] = shear
+            cells["shear_sd_x"], cells["shear_sd_y"] = shear_sd
+            t_us = (int(at) + 1) * SLICE_US
+            yield t_us, self._cloud(t_us, cells, fields, gel=True)
 
     def _dots(self, tracks: StageFile) -> Messages:
         rest = tracks.read("sensor/dot_xy_px")
@@ -338,10 +383,10 @@ class _TopicMessages:
             for name, (of, offset, *_) in (point.fields or {}).items()
         ]
 
-    def _cloud(self, t_us: int, dots: NDArray[Any], fields: list[Any]) -> Any:
+    def _cloud(self, t_us: int, dots: NDArray[Any], fields: list[Any], *, gel: bool = False) -> Any:
         return self(
             "sensor_msgs/msg/PointCloud2",
-            header=self._header(t_us),
+            header=self._header(t_us, gel=gel),
             height=dots.shape[0],
             width=dots.shape[1],
             fields=fields,

@@ -117,7 +117,7 @@ _OFFERS: dict[str, Callable[[Study], list[Lack]]] = {
     "labels": _offer("labels", "labels", lambda trial: trial.has_truth),
     "tracking": _offer("tracking", "tracks", lambda trial: "recording" in trial.files),
     "grasp": _offer("grasp", "recording", lambda trial: trial.grasp is not None),
-    "force": _offer("force", "forces", lambda trial: trial.has_truth and "tracks" in trial.files, "--model", SHIPPED),
+    "force": _offer("force", "touch", lambda trial: trial.has_truth and "tracks" in trial.files),
     "vibration": _offer("vibration", "recording", lambda trial: (trial.row.scene or "").startswith("vibration")),
     "data-rate": _offer(
         "data-rate", "recording", lambda trial: trial.row.scene == "data-rate" or not trial.row.simulated

@@ -23,7 +23,7 @@ from evetac_cli.store.index import IndexRow, foreign_note, open_index, recording
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
 
-OF_TRIAL = ("recording", "labels", "tracks", "features", "forces")
+OF_TRIAL = ("recording", "labels", "tracks", "features", "touch")
 SHOWN_MS = 5  # of events in a thumbnail
 THUMBNAIL_PX = 160
 THUMBNAIL_BYTES = 8_000_000  # of PNG in a page; a third more as text

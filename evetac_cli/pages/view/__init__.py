@@ -11,7 +11,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.pages import shared
-from evetac_cli.pages.view import gripper, rerun_file, streams
+from evetac_cli.pages.view import gripper, rerun_file, streams, touch
 from evetac_cli.pages.view.event_images import (
     choose_frame_times,
     draw_pictures,
@@ -84,7 +84,8 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
     span = _span(trial, params)
     empty = span[0] == span[1]
     probability = model_output(trial, span)
-    panels = [] if empty else series_panels(trial, span, probability)
+    of_touch = [] if empty or trial.touch is None else touch.touch_panels(trial.touch, span)
+    panels = [] if empty else series_panels(trial, span, probability, of_touch)
     notes = _label_notes(trial) + trial.notes
     others = [] if empty else streams.stream_panels(trial, span, notes)
     view = ViewData(
@@ -117,6 +118,7 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
         draw_pictures(view, trial, progress)
         place_dots(view, trial)
         streams.draw_cameras(view, trial)
+        touch.place_touch(view, trial)
         view.side = gripper.side_view(trial, np.minimum(view.frame_times + view.shown_ms, span[1]) - 1)
         view.opens_at = telling_frame(view)
     return view

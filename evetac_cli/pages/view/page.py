@@ -17,8 +17,8 @@ from evetac_cli.pages import shared
 from evetac_cli.pages.shared import INK, NEUTRAL, UNKNOWN, shown_colour
 from evetac_cli.pages.view.gripper import outcome_badges
 from evetac_cli.pages.view.trial_files import OpenTrial, inner
-from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
-from evetac_cli.resources import PACKAGE
+from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
+from evetac_cli.resources import DATA, PACKAGE
 
 LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they are few
 AXIS_PX = 24  # times below it
@@ -35,6 +35,8 @@ def render_page(trial: OpenTrial, view: ViewData) -> bytes:
         "HEADING": _heading(trial, title, view.simulated),
         "VIEWER": "" if len(view.frame_times) else "hidden",
         "SIDE": "" if view.side is not None else "hidden",
+        "TOUCH": "" if view.touch is not None else "hidden",
+        "MADE": "<span class='badge simulated'>simulated</span>" if view.simulated else "",
         "CAMERAS": _cameras(view),
         "EMPTY": _empty(view),
         "ONSETS": _onsets(view),
@@ -42,6 +44,7 @@ def render_page(trial: OpenTrial, view: ViewData) -> bytes:
         "NOTES": "".join(f"<li>{html.escape(note)}</li>" for note in _notes(view)),
         "FILES": _files(trial),
         "DATA": shared.for_script(_data(view)),
+        "DRAWING": "" if view.touch is None else (DATA / "touch_map.js").read_text(encoding="utf-8"),
         "LIBRARY": library,
         "SCRIPT": script,
     }
@@ -88,6 +91,23 @@ def _data(view: ViewData) -> dict[str, Any]:
             "sunk": _base64(view.side.sunk_mm),
             "force": _base64(view.side.force_n),
         },
+        "touch": None if view.touch is None else _touch(view.touch),
+    }
+
+
+def _touch(touch: TouchView) -> dict[str, Any]:
+    """Touch maps as the page's script draws them."""
+    return {
+        "x": touch.x_mm.tolist(),
+        "y": touch.y_mm.tolist(),
+        "most_kpa": touch.most_pa * 1e-3,
+        "most_shear_kpa": touch.most_shear_pa * 1e-3,
+        "pressure": _base64(touch.pressure),
+        "shear": _base64(touch.shear),
+        "patch": _base64(touch.patch),
+        "highest_kpa": _base64(touch.highest * 1e-3),
+        "shown": touch.shown.tolist(),
+        **{name: _base64(values) for name, values in touch.slices.items()},
     }
 
 

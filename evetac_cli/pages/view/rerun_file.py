@@ -4,6 +4,8 @@
     gel/dots              points of each slice, class 1 where the tracker lost the dot
     gel/displacement      arrows to them from where the dots rest
     gel/true_dots         points of each slice, known exactly in a simulation
+    touch/pressure        each touch map as colours, 0 to the end of the scale that `about` names, a pixel a cell
+    touch/shear, centre   arrows of shear in its cells, and the centre of pressure
     images/events         the event images of the page; cameras/NAME those of other cameras
     series/NN_PANEL/LINE  the series of the page: events, gripper, forces, displacement, flow, slip probability;
                           beside an estimated one, itself minus and plus its standard deviation
@@ -34,7 +36,7 @@ from evetac_cli.pages.shared import (
     shown_colour,
 )
 from evetac_cli.pages.view.trial_files import OpenTrial
-from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
+from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.recordings.read import BLOCK_SLICES, Recording
@@ -48,6 +50,7 @@ EVENT_COLOURS = {"darker": BLUE, "brighter": ORANGE}
 DOT_COLOURS = {"dot": "#ffb52e", "lost": PINK}
 TRUE_COLOURS = {"true place (simulated)": GREEN}
 DOT_RADIUS_PX, TRUE_RADIUS_PX = 3.0, 5.0
+ARROWS = "#ffffff"
 PALE = 128  # of 255: what a standard deviation bounds
 BEHIND = 29.0  # true places, of points that rerun draws at 30
 
@@ -83,6 +86,8 @@ def _write(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> 
     if trial.tracks is not None:
         notes += file.dots("dots", trial.tracks, "dot_xy_px", view.span, view.rest_xy_px)
     file.images(view)
+    if view.touch is not None:
+        file.touch(view, view.touch)
     file.series(view)
     for lane in view.lanes:
         file.states(f"slip/{_name(lane.name)}", [lane], start / SLICES_PER_S, ["slip"])
@@ -179,6 +184,23 @@ class _File:
             self.static(path, self._rr.EncodedImage.from_fields(media_type=media_type))
             self._columns(path, at_ms * SLICE_US, self._rr.EncodedImage.columns(blob=images))
 
+    def touch(self, view: ViewData, touch: TouchView) -> None:
+        """Touch maps where another one is shown, in pixels of a cell each, and the centre of pressure of each image."""
+        rr, changes = self._rr, np.flatnonzero(np.diff(touch.shown, prepend=-1))
+        rows, t_us = touch.shown[changes], view.frame_times[changes] * SLICE_US
+        self._images("touch/pressure", "image/png", view.frame_times[changes], [touch.png(row) for row in rows])
+        patch = touch.patch[rows] == 1
+        shear = np.moveaxis(touch.shear_share[rows], 1, -1)[patch].astype(np.float32)
+        middles = np.stack(np.nonzero(patch)[:0:-1], axis=1).astype(np.float32) + 0.5  # x, y
+        arrows = rr.Arrows2D.columns(vectors=shear, origins=middles - shear / 2)
+        self.static("touch/shear", rr.Arrows2D.from_fields(colors=[_rgb(ARROWS)], radii=[0.04]))
+        self._columns("touch/shear", t_us, arrows.partition(patch.sum(axis=(1, 2))))
+        centre = (touch.slices["centre_mm"] - [touch.x_mm[0], touch.y_mm[0]]) / (touch.x_mm[1] - touch.x_mm[0]) + 0.5
+        known = np.isfinite(centre).all(axis=1)
+        self.static("touch/centre", rr.Points2D.from_fields(colors=[_rgb(ORANGE)], radii=[0.25]))
+        places = rr.Points2D.columns(positions=centre[known].astype(np.float32))
+        self._columns("touch/centre", view.frame_times * SLICE_US, places.partition(known.astype(np.int64)))
+
     def series(self, view: ViewData) -> None:
         """The lines of all panels, one standard deviation below and above them as far as known, and levels across."""
         for number, panel in enumerate(view.panels):
@@ -222,6 +244,8 @@ def _blueprint(rrb: Any, trial: OpenTrial, view: ViewData) -> Any:
         pictures.append(rrb.Spatial2DView(origin="gel", name="Events and dots", visual_bounds=bounds))
     if view.pictures:
         pictures.append(rrb.Spatial2DView(origin="images", name=f"Events of {view.shown_ms} ms"))
+    if view.touch is not None:
+        pictures.append(rrb.Spatial2DView(origin="touch", name="Touch map"))
     charts = []
     pictures += [rrb.Spatial2DView(origin=f"cameras/{_name(one.name)}", name=one.name) for one in view.cameras]
     for number, panel in enumerate(view.panels):
@@ -259,6 +283,7 @@ def _about(title: str, trial: OpenTrial, view: ViewData, notes: list[str]) -> st
                 *(["Event images: white is brighter, black darker, grey no event."] if view.pictures else []),
                 "Series: every value, or the least and the greatest of each of 3,000 stretches of time.",
                 *(f"{panel.title}: {panel.says}" for panel in view.panels if panel.says),
+                *([] if view.touch is None else [view.touch.words]),
                 *notes,
                 *view.notes,
             )

@@ -4,7 +4,7 @@ Series are cut into bins, about one per pixel column, of which the least and the
 read block by block: an hour of tracks is gigabytes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -22,9 +22,8 @@ from evetac_cli.pages.shared import (
     PINK,
     UNKNOWN,
 )
-from evetac_cli.pages.view.trial_files import OpenTrial, inner
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, Series
-from evetac_cli.stages.force.gel_model import MODULI
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, true_onset
 
@@ -136,8 +135,13 @@ def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> li
     ]
 
 
-def series_panels(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
-    """Series of the slices of the span, from all files of the trial; `probability` is that of model_output."""
+def series_panels(
+    trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None, of_touch: Sequence[Panel] = ()
+) -> list[Panel]:
+    """Series of the slices of the span, from all files of the trial.
+
+    probability: of model_output. of_touch: panels of a touch file, which stand below what is true of the same.
+    """
     start, stop = span
     panels = []
     recording, tracks, labels = trial.recording, trial.tracks, trial.labels
@@ -166,8 +170,7 @@ def series_panels(trial: OpenTrial, span: tuple[int, int], probability: NDArray[
 
             lines = decimated({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
             panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
-    if trial.forces is not None and (trial.forces.has("shear_n") or trial.forces.has("network_n")):
-        panels.append(_forces(trial.forces, span))
+    panels += of_touch
     if tracks is not None:
         rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
 
@@ -194,46 +197,6 @@ def series_panels(trial: OpenTrial, span: tuple[int, int], probability: NDArray[
         levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
         panels.append(Panel("Slip probability, detector while grasping", "", lines, levels))
     return [panel for panel in panels if panel.lines]
-
-
-def _forces(forces: StageFile, span: tuple[int, int]) -> Panel:
-    """Forces that a model estimates from the dots, with their deviation; the paper's network knows no normal force."""
-    start, both = span[0], forces.has("shear_n") and forces.has("normal_n")
-    shear = "shear_n" if forces.has("shear_n") else "network_n"
-
-    def sizes(first: int, last: int) -> NDArray[Any]:
-        columns = [np.hypot(*forces.read(shear, start + first, start + last).T)]
-        columns += [forces.read("normal_n", start + first, start + last)] if both else []
-        return np.stack(columns, axis=1)
-
-    def shear_sd(first: int, last: int) -> NDArray[Any]:  # of the axis that is less sure, as predict-force prints it
-        return np.asarray(forces.read("shear_sd_n", start + first, start + last).max(axis=1, keepdims=True))
-
-    deviations: dict[str, Read] = {"shear": shear_sd} if forces.has("shear_sd_n") else {}
-    if forces.has("normal_sd_n"):
-        deviations["normal"] = rows_of(forces, "normal_sd_n", start)
-    names = {"shear": ORANGE, "normal": INK} if both else {"shear": ORANGE}
-    lines = decimated(names, start, _length(forces, shear, span), sizes, deviations)
-    return Panel("Forces on the gel, estimated", "N", lines, says=_how_sure(forces))
-
-
-def _how_sure(forces: StageFile) -> str:
-    """What the deviation of estimated forces is, and how well the gel's stiffness, their scale, is known."""
-    if not forces.has("shear_sd_n"):
-        return "The paper's method estimates no standard deviation: how certain these forces are is not known."
-    band = "Band: one standard deviation either way. "
-    models = [one for one in forces.header["history"].values() if one["kind"] == "force-model"]
-    if any(inner(one, "parameters", "method") == "gel, adapted" for one in models):
-        return band + "The model was adapted to this sensor with known forces."
-    known = inner(forces.header, "parameters", "known") or {}
-    unknown = [name for name, modulus in MODULI.items() if modulus not in known]
-    if not unknown:
-        return band + "The stiffness of this gel is taken as known."
-    which = "" if len(unknown) == len(MODULI) else f"{unknown[0]} "
-    return (
-        f"{band}The {which}stiffness of this gel is not known, and a typical one assumed: a curve may be off by one"
-        " constant factor. predict-force --sensor takes a known stiffness."
-    )
 
 
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:

@@ -12,7 +12,7 @@ from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import recording_of
 from evetac_cli.store.recordings.read import Recording
 
-KINDS = ("recording", "tracks", "labels", "features", "forces")
+KINDS = ("recording", "tracks", "labels", "features", "touch")
 MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a file was made from is searched
 
 
@@ -25,14 +25,14 @@ class OpenTrial:
     tracks: StageFile | None = None
     labels: StageFile | None = None
     features: StageFile | None = None
-    forces: StageFile | None = None
+    touch: StageFile | None = None
     model: StageFile | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def files(self) -> list[StageFile]:
         """The files that exist."""
-        files = (self.recording, self.tracks, self.labels, self.features, self.forces, self.model)
+        files = (self.recording, self.tracks, self.labels, self.features, self.touch, self.model)
         return [file for file in files if file is not None]
 
     @property
@@ -40,11 +40,13 @@ class OpenTrial:
         """Length of the trial in ms: that of the recording, else of what was computed from it."""
         if self.recording is not None:
             return len(self.recording)
-        rows = ((self.tracks, "dot_xy_px"), (self.labels, "label"), (self.features, "events_total"))
-        lengths = [file.length(path) for file, path in rows if file is not None]
-        if self.forces is not None:
-            lengths += [self.forces.length(path) for path in self.forces.contents()]
-        return max(lengths, default=0)
+        rows = (
+            (self.tracks, "dot_xy_px"),
+            (self.labels, "label"),
+            (self.features, "events_total"),
+            (self.touch, "known"),
+        )
+        return max((file.length(path) for file, path in rows if file is not None), default=0)
 
     @property
     def recording_parameters(self) -> Any:

@@ -1,9 +1,13 @@
 """The data that view draws of a trial: series, stretches of slip, event images, dots."""
 
+import io
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+LEVELS, SHEAR_LEVELS = 255, 127  # of pressure, and of shear either way, in a TouchView
+VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # as in touch_map.js
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,53 @@ class CameraImages:
     shown: list[int]
 
 
+@dataclass(frozen=True)
+class TouchView:
+    """Touch maps of a trial, and what the slice at the end of each event image tells.
+
+    Pressure is 0 to 255 for 0 to most_pa, shear 0 to 254 for either way of most_shear_pa about 127; what lies beyond is
+    at the end. highest: pressure and its deviation, shear and its deviation where they are highest, in Pa.
+    """
+
+    x_mm: NDArray[np.float64]  # (columns,) middles of cells from the middle of the frame
+    y_mm: NDArray[np.float64]  # (rows,)
+    most_pa: float
+    most_shear_pa: float
+    pressure: NDArray[np.uint8]  # (maps, rows, columns)
+    shear: NDArray[np.uint8]  # (maps, 2, rows, columns)
+    patch: NDArray[np.uint8]  # (maps, rows, columns)
+    highest: NDArray[np.float32]  # (maps, 4)
+    shown: NDArray[np.int64]  # (frames,) which map each event image is shown with; -1: none yet
+    slices: dict[str, NDArray[np.float32]]  # (frames, ...) centre_mm, centre_sd_mm, sticking_share, slip_direction_rad
+
+    @property
+    def shear_share(self) -> NDArray[np.float64]:
+        """Shear over most_shear_pa, (maps, 2, rows, columns)."""
+        return (self.shear - float(SHEAR_LEVELS)) / SHEAR_LEVELS
+
+    @property
+    def words(self) -> str:
+        """What colours and arrows mean, in words."""
+        return (
+            f"Touch map: a pixel is a cell, from dark for no pressure to yellow for {self.most_pa / 1e3:.3g} kPa and"
+            f" more; an arrow as long as a cell is {self.most_shear_pa / 1e3:.3g} kPa of shear."
+        )
+
+    def png(self, row: int) -> bytes:
+        """A map's pressure as a PNG, a pixel a cell, black where nothing touches."""
+        from PIL import Image
+
+        shares = np.linspace(0.0, 1.0, LEVELS)
+        stops = np.linspace(0.0, 1.0, len(VIRIDIS))
+        colours = np.stack([np.interp(shares, stops, channel) for channel in np.array(VIRIDIS).T], axis=1)
+        shown = np.maximum(self.pressure[row], 1) * self.patch[row]  # 0 is kept for what is not touched
+        image = Image.fromarray(shown.astype(np.uint8))
+        image.putpalette(bytes([0, 0, 0, *np.rint(colours).astype(np.uint8).ravel().tolist()]))
+        written = io.BytesIO()
+        image.save(written, "PNG")
+        return written.getvalue()
+
+
 @dataclass
 class ViewData:
     """All that a page or an animation draws; frames are the times at which there is an event image."""
@@ -98,3 +149,4 @@ class ViewData:
     side: SideView | None  # simulated
     opens_at: int = 0  # frame that tells most
     cameras: list[CameraImages] = field(default_factory=list)
+    touch: TouchView | None = None

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import SchemaError
 from evetac_cli.resources import schemas
 
-KINDS = ("recording", "labels", "tracks", "features", "model", "force-model", "forces", "touch", "report")
+KINDS = ("recording", "labels", "tracks", "features", "model", "force-model", "touch", "report")
 MAJOR = 1
 OLDEST_MINOR = 2  # files of version 1.1 and before have other names of datasets and parameters
 

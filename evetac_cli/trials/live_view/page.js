@@ -14,13 +14,14 @@
 
   // What there is to see, by the fields of a sample ----------------------------------------------------------------
   const number = (value, digits) => value === null || value === undefined ? "–"
-    : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+    : (Math.abs(value) < 0.5 / 10 ** digits ? 0 : value).toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
   const CHARTS = [
     { title: "Slip probability", fields: ["probability"], names: ["probability"], unit: "", digits: 2, low: 0, high: 1, level: "threshold" },
     { title: "Gripper position", fields: ["position_ticks", "goal_ticks"], names: ["position", "goal"], unit: "ticks", digits: 0 },
     { title: "Gripper current", fields: ["current_ma", "goal_ma"], names: ["current", "goal"], unit: "mA", digits: 0 },
     { title: "Force on the gel, estimated", fields: ["normal_n", "shear_n"], sds: ["normal_sd_n", "shear_sd_n"], names: ["normal", "shear"],
       unit: "N", digits: 2, low: 0 },
+    { title: "Torsion, estimated", fields: ["torsion_n_mm"], sds: ["torsion_sd_n_mm"], names: ["torsion"], unit: "N mm", digits: 2 },
     { title: "Events", fields: ["events_per_s"], names: ["rate"], unit: "1/s", digits: 0, low: 0 },
     { title: "Slices are late by", fields: ["late_ms", "late_most_ms"], names: ["median", "most"], unit: "ms", digits: 2, low: 0 },
   ];
@@ -48,8 +49,9 @@
                 ["current", `${number(now.current_ma, 0)} mA`, now.goal_ma === null ? "" : `goal ${number(now.goal_ma, 0)}`]);
     if (now.missed) rows.push(["commands missed", number(now.missed, 0), "", true]);
     if (now.normal_n !== undefined && now.normal_n !== null)
-      rows.push(["normal force", `${number(now.normal_n, 2)} N`, `± ${number(now.normal_sd_n, 2)}, estimated`],
-                ["shear force", `${number(now.shear_n, 2)} N`, `± ${number(now.shear_sd_n, 2)}, estimated`]);
+      rows.push(...[["normal force", "normal", "n", "N"], ["shear force", "shear", "n", "N"], ["torsion", "torsion", "n_mm", "N mm"]].map(
+        ([name, field, unit, said]) => [name, `${number(now[`${field}_${unit}`], 2)} ${said}`,
+                                        `${now[`${field}_sd_${unit}`] === null ? "no touch" : `± ${number(now[`${field}_sd_${unit}`], 2)}`}, estimated`]));
     by("tiles").replaceChildren(...rows.map(([name, value, small, alarm]) => {
       const tile = make("div", undefined, alarm ? "alarm" : "");
       const shown = make("dd", value);
@@ -139,11 +141,35 @@
         });
         ink.stroke();
         ink.lineWidth = 1;
-        const sd = chart.sds ? ` \u00b1 ${number(shown[shown.length - 1][chart.sds[which]], chart.digits)}` : "";
+        const sd = chart.sds && is(shown[shown.length - 1][chart.sds[which]]) ? ` \u00b1 ${number(shown[shown.length - 1][chart.sds[which]], chart.digits)}` : "";
         names.push(make("i", "", which ? "second" : "first"), ` ${chart.names[which]} ${number(series[series.length - 1], chart.digits)}${sd} ${chart.unit}`);
       });
       chart.legend.replaceChildren(...names);
     }
+  }
+
+  // The touch map: its scales end at the highest that was seen -------------------------------------------------------------
+  const ends = { most_kpa: 5, most_shear_kpa: 2 };
+  function drawTouch() {
+    const map = latest.touch;
+    by("touch-card").hidden = !map;
+    if (!map) return;
+    const size = map.columns * map.rows, drawn = { ...ends, x: [], y: [], empty: map.known ? "no touch" : "too few dots are tracked", patch: new Uint8Array(size) };
+    for (let column = 0; column < map.columns; column++) drawn.x.push(map.x_mm + column * map.cell_mm);
+    for (let row = 0; row < map.rows; row++) drawn.y.push(map.y_mm + row * map.cell_mm);
+    for (const name of ["pressure", "shear_x", "shear_y"]) drawn[name] = new Float32Array(size);
+    for (const [, pressure, x, y] of map.cells) {
+      ends.most_kpa = drawn.most_kpa = Math.max(ends.most_kpa, pressure);
+      ends.most_shear_kpa = drawn.most_shear_kpa = Math.max(ends.most_shear_kpa, Math.hypot(x, y));
+    }
+    for (const [at, pressure, x, y] of map.cells) {
+      drawn.patch[at] = 1;
+      drawn.pressure[at] = pressure / ends.most_kpa;
+      drawn.shear_x[at] = x / ends.most_shear_kpa; drawn.shear_y[at] = y / ends.most_shear_kpa;
+    }
+    drawn.centre = map.centre_mm || []; drawn.centre_sd = map.centre_sd_mm || [];
+    drawTouchMap(by("touch"), drawn);
+    by("touch-legend").textContent = map.area_mm2 ? `${number(map.area_mm2, 0)} mm² of contact` : "";
   }
 
   // The picture: brighter events in the lower four bits of a pixel's byte, darker ones in the upper four ------------------
@@ -206,6 +232,7 @@
     if (performance.now() < figuresAt) return;  // figures need not change as often as pictures
     figuresAt = performance.now() + FIGURES_MS;
     tiles();
+    drawTouch();
     lines();
   }
 

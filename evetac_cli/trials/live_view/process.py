@@ -80,6 +80,7 @@ class ViewState:
         return {
             "sample": sample,
             "dots": follower.dots(),
+            "touch": follower.touch_map(),
             "window_px": follower.window_px,
             "lost": self.lost.events,
             "lost_why": self.lost.why,

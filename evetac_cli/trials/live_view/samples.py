@@ -2,33 +2,27 @@
 
 A sample is made for every picture, some 20 a second, whether or not anybody looks. Dots and slip are found by the
 kernels of `track` and `grasp` on the slices that were seen; where the loop has a slip probability of its own, that one
-is shown. The force comes from the model of `predict-force`, which was trained on simulated contacts.
+is shown. What touches the gel comes from the touch maps of `predict-touch` (touch.py).
 
 Why so: the view runs behind all that records. Where it cannot keep up it goes on at the newest slice, counts what it
 left out, and its dots catch up as after a silence of the camera.
 """
 
-import functools
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import resources
-from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.force.dot_field import lattice_field
 from evetac_cli.kernels.tracking import presets, tracker
-from evetac_cli.stages.force import gel_model
 from evetac_cli.store.calibration import MAKE_GRID
-from evetac_cli.store.files import StageFile
 from evetac_cli.trials.live_view.shared_view import SeenSlices, SharedView
+from evetac_cli.trials.live_view.touch import LiveTouch
 
 PERIOD_S = 0.05  # from one picture to the next
 KEPT = 600  # samples, for a page that is opened later: 30 s
@@ -54,16 +48,6 @@ class ViewDetector(Protocol):
 OpenDetector = Callable[[Mapping[str, Any]], ViewDetector]  # for datasets `sensor/...`
 
 
-class Force(NamedTuple):
-    """Forces on the gel in N, and their standard deviations."""
-
-    shear_x_n: float
-    shear_y_n: float
-    shear_sd_n: float
-    normal_n: float
-    normal_sd_n: float
-
-
 class Follower:
     """Follows the slices of a recording as they come."""
 
@@ -73,7 +57,7 @@ class Follower:
         self._latest: deque[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = deque()  # of the slices shown
         self._detector: ViewDetector | None = None
         self._tracking: tracker.TrackerState | None = None
-        self._force: _ForceModel | None = None
+        self._touch: LiveTouch | None = None
         self.left_out = 0  # slices that came too fast
         self.samples: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self.frame_px = (640, 480)
@@ -88,7 +72,7 @@ class Follower:
         if "sensor/window_px" in sensor:
             self.window_px = [int(edge) for edge in sensor["sensor/window_px"]]
         if not {"sensor/dot_xy_px", "sensor/dot_radius_px"} <= sensor.keys():
-            self.notes = [f"no dots, slip or force: the dot grid is not known; {MAKE_GRID}"]
+            self.notes = [f"no dots, slip or touch: the dot grid is not known; {MAKE_GRID}"]
             return
         try:
             self._detector = open_detector(sensor)
@@ -98,10 +82,10 @@ class Follower:
             self.notes = [f"no slip: {str(error).splitlines()[0]}"]
             constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
-        if self.frame_px == FRAME_PX:
-            self._force = _ForceModel(sensor, self._tracking)
-        else:  # how large its pixels are on the gel is not known
-            self.notes.append("no force: the frame is not {} x {} px".format(*FRAME_PX))
+        try:
+            self._touch = LiveTouch(sensor, self._tracking)
+        except ValueError as error:
+            self.notes.append(f"no touch: {error}")
         self._next = max(0, self._shared.slices - SHOWN_MS)  # more came while this was loaded
 
     def sample(self) -> dict[str, Any]:
@@ -125,7 +109,7 @@ class Follower:
             "late_most_ms": float(late_us.max()) * 1e-3 if len(late_us) else None,
             "probability": probability,
             **({} if gripper is None else gripper._asdict()),
-            **({} if self._force is None else self._force.now()),
+            **({} if self._touch is None else self._touch.now()),
         }
         sample = {name: _plain(value) for name, value in sample.items()}
         self.samples.append(sample)
@@ -153,6 +137,10 @@ class Follower:
         now, rest, lost = self._tracking.dot_xy_px, self._tracking.rest_xy_px, self._tracking.lost
         rows = np.column_stack([now, now - rest, lost])[~np.isnan(rest[:, 0])]
         return [[round(value, 2) for value in row] for row in rows.tolist()]
+
+    def touch_map(self) -> dict[str, Any] | None:
+        """The touch map of the latest sample, as it goes to a page; None where there is none."""
+        return None if self._touch is None else self._touch.map()
 
     def latest(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Columns x, y, p of the events of the latest SHOWN_MS slices."""
@@ -195,36 +183,6 @@ def load(open_detector: OpenDetector) -> None:
     shared.add_slice(Events(t, x, y, p))
     follower.sample()
     follower.image()
-
-
-@functools.cache
-def _force_model() -> gel_model.GelModel:
-    with StageFile(resources.FORCE_MODEL, "force-model") as file:
-        return gel_model.read_gel_model(file)
-
-
-class _ForceModel:
-    """The force on the gel from where the dots are, a sample at a time."""
-
-    def __init__(self, sensor: Mapping[str, Any], tracking: tracker.TrackerState) -> None:
-        self._model = _force_model()
-        modulus = sensor.get("sensor/shear_modulus_pa")
-        known = gel_model.KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
-        self._gel = gel_model.gel_of(self._model, known, PredictForce().stiffness_error)
-        self._tracking = tracking
-        self._rest_mm = (tracking.rest_xy_px - np.asarray(sensor["sensor/frame_px"]) / 2) * self._gel.mm_per_px
-        self._over_modulus: deque[NDArray[np.float64]] = deque(maxlen=KEPT)  # creep depends on what was before
-
-    def now(self) -> dict[str, float]:
-        """The force now; nothing where too few dots are tracked."""
-        moved_mm = (self._tracking.dot_xy_px - self._tracking.rest_xy_px) * self._gel.mm_per_px
-        field_mm = lattice_field(moved_mm[None], self._rest_mm, ~self._tracking.lost[None])
-        self._over_modulus.append(gel_forces.over_modulus(self._model.network, field_mm)[0])
-        over = np.array(self._over_modulus)
-        shear = gel_forces.shear_terms(over[:, :2], self._gel.creep_time_s, PERIOD_S)[-1:]
-        forces = gel_forces.predict(self._gel.scale, self._gel.errors, shear, gel_forces.normal_terms(over[-1:, 2]))
-        (x_n, y_n), sd_n = forces.shear_n[0], float(forces.shear_sd_n[0].max())
-        return Force(float(x_n), float(y_n), sd_n, float(forces.normal_n[0]), float(forces.normal_sd_n[0]))._asdict()
 
 
 def _plain(value: Any) -> Any:

@@ -1,7 +1,8 @@
 """Serves the page of a live view on this computer, and sends pictures to whoever asks for the next one.
 
 A client gets a picture only when it has drawn the one before and asks: so a slow browser, or a tab that nobody looks
-at, gets fewer, and nothing piles up. The page is `page.html` with `page.js` and `page.css`; it loads nothing else.
+at, gets fewer, and nothing piles up. The page is `page.html` with `page.js` and `page.css`, and what draws touch maps
+on the page of `view` too; it loads nothing else.
 
 What keeps others out, since one message from here takes a gripper's torque away:
 - it listens on 127.0.0.1 alone, at a port that the system chooses;
@@ -26,6 +27,8 @@ from urllib.parse import urlsplit
 
 from tornado import httpserver, netutil, web, websocket
 
+from evetac_cli.resources import DATA
+
 HERE = Path(__file__).parent
 ADDRESS = "127.0.0.1"
 OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")  # by any port: ssh -L may listen at another one
@@ -36,10 +39,11 @@ MOST_WAITING = 256  # connections that have not; twice of what tornado takes on 
 BACKLOG = 1024  # connections that the system holds until they are taken on
 LAST_S = 0.3  # for the last words to arrive
 NEXT, LET_GO = "next", "let go"  # all that a client can say
-CONTENT = {
-    "": ("page.html", "text/html"),
-    "page.js": ("page.js", "text/javascript"),
-    "page.css": ("page.css", "text/css"),
+CONTENT: dict[str, tuple[Path, str]] = {
+    "": (HERE / "page.html", "text/html"),
+    "page.js": (HERE / "page.js", "text/javascript"),
+    "page.css": (HERE / "page.css", "text/css"),
+    "touch_map.js": (DATA / "touch_map.js", "text/javascript"),
 }
 HEADERS = {
     "Cache-Control": "no-store",
@@ -165,14 +169,14 @@ class _Guarded(web.RequestHandler):
 
 
 class _Page(_Guarded):
-    """The page and its two files."""
+    """The page and its files."""
 
     def get(self, token: str, name: str) -> None:
         if name not in CONTENT:
             raise web.HTTPError(404)
         file, kind = CONTENT[name]
         self.set_header("Content-Type", f"{kind}; charset=utf-8")
-        self.finish((HERE / file).read_bytes())
+        self.finish(file.read_bytes())
 
 
 class _Pictures(_Guarded, websocket.WebSocketHandler):

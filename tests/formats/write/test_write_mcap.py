@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -192,19 +193,44 @@ def test_the_packet_is_the_published_one() -> None:
     assert store.generate_msgdef(write_mcap.PACKET)[1] == read_rosbag.PACKET
 
 
-def test_forces_beside_it_are_taken_along(tmp_path: Path) -> None:
-    """Assert that estimated forces are in the file, and that the paper's network leaves the normal force open."""
+def test_touch_beside_it_is_taken_along(tmp_path: Path) -> None:
+    """Assert that a reader of mcap finds wrench, deviations, centre, sticking share and maps in SI units, on time."""
+    decoder = pytest.importorskip("mcap_ros2.decoder")
     from mcap.reader import make_reader
-    from rosbags.typesys import Stores, get_typestore
 
-    exported(small_files.every_kind(tmp_path)["recording"])
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    files = small_files.every_kind(tmp_path)
+    shear = np.stack([np.linspace(-1, 1, small_files.SLICES), np.full(small_files.SLICES, 0.5)], axis=1)
+    with h5py.File(files["touch"], "r+") as h5:
+        h5["shear_n"][...] = shear
+        h5["centre_mm"][0] = np.nan
+        h5["map/pressure_pa"][...] = np.arange(40).reshape(2, 4, 5)
+        h5["map/shear_pa"][1, 1, 3, 4] = -7
+    exported(files["recording"])
+    read: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     with (tmp_path / "a.mcap").open("rb") as file:
-        messages = list(make_reader(file).iter_messages("/evetac/force"))
-    assert len(messages) == small_files.SLICES
-    for _, _, message in messages:
-        force = store.deserialize_cdr(message.data, "geometry_msgs/msg/WrenchStamped").wrench.force  # type: ignore[attr-defined]
-        assert (force.x, force.y) == (0.0, 0.0) and np.isnan(force.z)
+        for _, channel, message, decoded in make_reader(
+            file, decoder_factories=[decoder.DecoderFactory()]
+        ).iter_decoded_messages():
+            read[channel.topic].append((message.log_time // 10**6, decoded))
+    forces = [m.wrench for _, m in read["/evetac/force"]]
+    assert [at for at, _ in read["/evetac/force"]] == list(range(1, small_files.SLICES + 1))
+    np.testing.assert_allclose([[one.force.x, one.force.y] for one in forces], shear, rtol=1e-6)
+    assert {(one.force.z, round(one.torque.z, 9)) for one in forces} == {(2.0, 0.5e-3)}
+    sd = read["/evetac/force/sd"][5][1].wrench
+    assert [sd.force.x, sd.force.y, sd.force.z, sd.torque.z] == pytest.approx([0.1, 0.1, 0.2, 0.2e-3])
+    assert [at for at, _ in read["/evetac/touch/centre"]] == list(range(2, small_files.SLICES + 1))  # not where NaN
+    _, centre = read["/evetac/touch/centre"][0]
+    assert (centre.point.x, centre.point.y, centre.header.frame_id) == (0.001, 0.001, "evetac_gel_simulated")
+    assert {m.data for _, m in read["/evetac/touch/sticking_share"]} == {0.75}
+    maps = read["/evetac/touch/map"]
+    assert [at for at, _ in maps] == [1, small_files.SLICES]
+    cells = points(maps[1][1])
+    assert (maps[1][1].height, maps[1][1].width) == cells.shape == (4, 5)
+    np.testing.assert_array_equal(cells["pressure"], np.arange(20, 40).reshape(4, 5))
+    np.testing.assert_allclose(cells["x"][0], np.arange(5) * 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(cells["y"][:, 0], np.arange(4) * 1e-3, rtol=1e-6)
+    assert (cells["shear_y"][3, 4], cells["shear_x"][3, 4], cells["shear_sd_y"][3, 4]) == (-7, 5e4, 1e3)
+    assert (cells["patch"] == 1).all()
 
 
 def test_other_streams_of_the_trial(tmp_path: Path) -> None:
@@ -235,18 +261,14 @@ def test_other_streams_of_the_trial(tmp_path: Path) -> None:
 
 
 def test_files_of_another_recording_are_left_out(tmp_path: Path) -> None:
-    """Assert that tracks and forces beside it that were made from another recording are not taken for its own.
-
-    The forces are told by a model that learned from this very recording.
-    """
+    """Assert that tracks and touch beside it that were made from another recording are not taken for its own."""
     path = tmp_path / "a.recording.h5"
-    own = write_recording(path)
+    write_recording(path)
     other = write_recording(tmp_path / "b.recording.h5", seed=2)
     tracks = write_tracks(tmp_path / "a.tracks.h5", other, moving())
-    model = small_files.force_model(tmp_path / "m.force-model.h5", write_tracks(tmp_path / "c.h5", own, moving()))
-    small_files.forces(tmp_path / "a.forces.h5", (tracks, model))
+    small_files.touch(tmp_path / "a.touch.h5", tracks)
     left_out = exported(path)["left_out"]
-    for name in ("a.tracks.h5", "a.forces.h5"):
+    for name in ("a.tracks.h5", "a.touch.h5"):
         assert f"Left out: {name} was made from another recording." in left_out
     content = path.with_name("a.mcap").read_bytes()
     assert b"/evetac/truth/dots" in content and b"/evetac/dots" not in content and b"/evetac/force" not in content

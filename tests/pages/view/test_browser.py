@@ -15,9 +15,9 @@ from tests.pages.view.trials import (
     ONSET,
     SLICES,
     moving,
-    write_forces,
     write_labels,
     write_recording,
+    write_touch,
     write_tracks,
 )
 
@@ -27,6 +27,10 @@ PIXELS = "document.getElementById('image').toDataURL()"
 COLOURS = """(() => { const c = document.getElementById('image');
   const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer);
   return new Set(d).size; })()"""
+
+YELLOW_PIXELS = """(() => { const c = document.getElementById('touch');
+  const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer);
+  return d.filter((pixel) => pixel === 0xff25e7fd).length; })()"""
 
 
 @pytest.mark.slow
@@ -93,7 +97,7 @@ def test_a_page_fits_its_window(browser: Browser, trial: Path) -> None:
     force = np.full((SLICES, 2), 1.5, np.float32)
     force[60:80] = np.nan
     normal = {"normal_n": force[:, 0], "normal_sd_n": force[:, 0] / 2}
-    write_forces(trial, {"shear_n": force, "shear_sd_n": force / 3, **normal})
+    write_touch(trial, {"shear_n": force, "shear_sd_n": force / 3, **normal})
     view.run([trial], View(), None)
     readouts = "[...document.querySelectorAll('output[data-series]')].map((out) => out.textContent).join(' | ')"
     for width, columns in ((420, 1), (1280, 1), (1920, 2)):
@@ -113,6 +117,9 @@ def test_a_page_fits_its_window(browser: Browser, trial: Path) -> None:
             assert 0.6 < left / right < 1.6
         assert browser.run("Bokeh.documents[0].roots().every((f) => f.below[0].visible)")
         assert "1.5 \u00b1 0.75" in browser.run(readouts)
+        assert browser.run("document.getElementById('most-pressure').textContent") == "100 \u00b1 2 kPa"
+        assert browser.run("document.getElementById('sticks').textContent") == "75 %"
+        assert browser.run(YELLOW_PIXELS) > 1000
         browser.key("End")
         browser.until(f"{readouts}.includes('over 10')")
         assert "12,428" not in browser.run(readouts)

@@ -1,5 +1,6 @@
 """view --rrd: rerun's own reader finds every part of a trial, on one timeline, and what was thinned is said."""
 
+import io
 import json
 import shlex
 import sys
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
@@ -23,9 +25,9 @@ from tests.pages.view.trials import (
     SENSOR,
     SLICES,
     moving,
-    write_forces,
     write_labels,
     write_recording,
+    write_touch,
     write_tracks,
 )
 from tests.test_readme import PAGES, shown_commands
@@ -119,16 +121,39 @@ def test_estimates_have_their_deviation(trial: Path) -> None:
         "normal_n": rng.uniform(0, 2, SLICES).astype(np.float32),
         "normal_sd_n": rng.uniform(0.1, 1.0, SLICES).astype(np.float32),
     }
-    write_forces(trial, arrays)
+    write_touch(trial, arrays)
     path = rrd_of(trial)
     rows = rows_of(path)
     value, low, high = (
-        np.array([row["Scalars:scalars"][0] for _, row in rows[f"/series/05_forces_on_the_gel_estimated/{name}"]])
+        np.array([row["Scalars:scalars"][0] for _, row in rows[f"/series/05_force_on_the_gel_estimated/{name}"]])
         for name in ("normal", "normal_minus_sd", "normal_plus_sd")
     )
     np.testing.assert_allclose(high - value, arrays["normal_sd_n"], rtol=1e-5)
     np.testing.assert_allclose(low, np.maximum(value - arrays["normal_sd_n"], 0), atol=1e-6)
     assert "one standard deviation" in static_text(path) and "white is brighter" in static_text(path)
+
+
+def test_touch_maps_are_pictures_and_arrows(trial: Path) -> None:
+    """Assert that each map is where it is first shown: a picture of its cells, arrows in them, the centre above."""
+    shear, patch = np.zeros((2, 2, 4, 5), np.float32), np.zeros((2, 4, 5), np.uint8)
+    patch[1, 2, 3] = patch[1, 2, 4] = 1
+    shear[1, 0, 2, 3] = shear[1, 1, 2, 4] = 1e4
+    pressure = np.where(patch, 4e4, 0).astype(np.float32)
+    write_touch(trial, {"map/shear_pa": shear, "map/pressure_pa": pressure, "map/patch": patch})
+    path = rrd_of(trial)
+    rows = rows_of(path)
+    (first_us, _), (second_us, picture) = rows["/touch/pressure"]
+    assert first_us == 0 and second_us == (SLICES - 5) * 1000  # the first image that ends with the map's slice
+    with Image.open(io.BytesIO(bytes(picture["EncodedImage:blob"][0]))) as image:
+        colours = np.array(image.convert("RGB"))
+    assert colours.shape == (4, 5, 3)
+    assert colours[2, 3].tolist() == colours[2, 4].tolist() == [253, 231, 37] and colours[0, 0].tolist() == [0, 0, 0]
+    (_, none), (_, arrows) = rows["/touch/shear"]
+    assert none["Arrows2D:vectors"] == []
+    np.testing.assert_allclose(arrows["Arrows2D:vectors"], [[1, 0], [0, 1]], atol=1e-6)
+    np.testing.assert_allclose(arrows["Arrows2D:origins"], [[3.0, 2.5], [4.5, 2.0]], atol=1e-6)
+    assert {tuple(row["Points2D:positions"][0]) for _, row in rows["/touch/centre"]} == {(1.5, 1.5)}
+    assert "40 kPa" in static_text(path) and "10 kPa of shear" in static_text(path)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import Panel, ViewData
 from evetac_cli.store.layout import schema
 from evetac_cli.store.recordings.read import open_recording
-from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_forces, write_labels, write_tracks
+from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_labels, write_touch, write_tracks
 
 
 @settings(deadline=None, max_examples=25)
@@ -157,65 +157,91 @@ def test_flow_without_an_onset(trial: Path) -> None:
     assert "not examined" not in panel.says
 
 
-KNOWN = {"shear_modulus_pa": 5e4, "normal_modulus_pa": 2e5}
-FORCES = {
+TOUCH = {
     "shear_n": np.stack((np.full(SLICES, 3.0), np.linspace(0.0, 4.0, SLICES)), axis=1).astype(np.float32),
     "shear_sd_n": np.stack((np.full(SLICES, 0.2), np.linspace(0.1, 0.5, SLICES)), axis=1).astype(np.float32),
+    "shear_since_n": np.stack((np.linspace(0.0, 2.0, SLICES), np.full(SLICES, 1.0)), axis=1).astype(np.float32),
+    "shear_since_sd_n": np.stack((np.linspace(0.1, 0.3, SLICES), np.full(SLICES, 0.2)), axis=1).astype(np.float32),
     "normal_n": np.linspace(0.0, 5.0, SLICES).astype(np.float32),
     "normal_sd_n": np.linspace(0.3, 2.5, SLICES).astype(np.float32),
+    "torsion_n_mm": np.linspace(-3.0, 5.0, SLICES).astype(np.float32),
+    "torsion_sd_n_mm": np.linspace(0.3, 2.5, SLICES).astype(np.float32),
+    "area_mm2": np.linspace(0.0, 50.0, SLICES).astype(np.float32),
+    "area_sd_mm2": np.linspace(0.3, 2.5, SLICES).astype(np.float32),
+    "sticking_share": np.linspace(1.0, 0.1, SLICES).astype(np.float32),
+    "sticking_share_sd": np.linspace(0.01, 0.1, SLICES).astype(np.float32),
+}
+DRAWN = {  # panel -> name of each line, and the dataset that it is of
+    "Force on the gel": {"normal": "normal_n", "shear": "shear_n", "shear since rest": "shear_since_n"},
+    "Torsion": {"torsion": "torsion_n_mm"},
+    "Area of contact": {"area": "area_mm2"},
+    "Share of the contact that sticks": {"sticks": "sticking_share"},
 }
 
 
 @pytest.mark.parametrize(
-    ("model", "known", "words"),
+    ("chosen", "words"),
     [
-        ("gel", {}, "stiffness of this gel is not known"),
-        ("gel", {"known": KNOWN}, "stiffness of this gel is taken as known"),
-        ("gel", {"known": {"shear_modulus_pa": 5e4}}, "normal stiffness of this gel is not known"),
-        ("gel, adapted", {}, "adapted to this sensor"),
+        ({}, "stiffness of this gel is not known"),
+        ({"known": {"mm_per_px": 0.03}}, "stiffness of this gel is not known"),
+        ({"known": {"shear_modulus_pa": 5e4}}, "stiffness of this gel is taken as known"),
+        ({"adapted": True}, "adapted to this sensor"),
     ],
 )
 @pytest.mark.parametrize("bins", [3000, 20])
-def test_forces_have_their_deviation(
-    trial: Path, model: str, known: dict[str, Any], words: str, bins: int, monkeypatch: pytest.MonkeyPatch
+def test_touch_has_its_deviation(
+    trial: Path, chosen: dict[str, Any], words: str, bins: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Assert that estimated forces have the standard deviation of the slices that are drawn, that no band goes below 0,
-    and that words say how well the gel is known.
+    """Assert that all that is estimated has the standard deviation of the slices that are drawn, that no band goes
+    below 0 but torsion's, and that words say how well the gel is known.
     """
     monkeypatch.setattr(time_series, "BINS", bins)
     monkeypatch.setattr(time_series, "BLOCK_ROWS", 64)
-    unknown = {name: values.copy() for name, values in FORCES.items()}
+    unknown = {name: values.copy() for name, values in TOUCH.items()}
     for values in unknown.values():
         values[100:110] = np.nan  # too few dots are tracked
-    write_forces(trial, unknown, model, **known)
-    panel = panel_of(shown(trial, images=1), "Forces on the gel, estimated")
-    assert words in panel.says
-    shear, normal = panel.lines
-    for line, value, sd in (
-        (shear, np.hypot(*unknown["shear_n"].T), unknown["shear_sd_n"].max(axis=1)),
-        (normal, unknown["normal_n"], unknown["normal_sd_n"]),
-    ):
-        at = np.rint(line.t_s * 1000).astype(int)
-        assert line.sd is not None and len(at) <= 2 * bins
-        np.testing.assert_allclose(line.value, value[at], rtol=1e-6)
-        np.testing.assert_allclose(line.sd, sd[at], rtol=1e-6)
-        low, high = line.band
-        np.testing.assert_allclose(high, (value + sd)[at], rtol=1e-6)
-        np.testing.assert_allclose(low, np.maximum(value - sd, 0)[at], rtol=1e-6)
+    write_touch(trial, unknown, **chosen)
+    data = shown(trial, images=1)
+    assert words in panel_of(data, "Force on the gel, estimated").says
+    for title, names in DRAWN.items():
+        lines = {line.name: line for line in panel_of(data, f"{title}, estimated").lines}
+        assert list(lines) == list(names)
+        for name, dataset in names.items():
+            line, value, sd = lines[name], unknown[dataset], unknown[_sd_of(dataset)]
+            if value.ndim == 2:
+                value, sd = np.hypot(*value.T), sd.max(axis=1)
+            at = np.rint(line.t_s * 1000).astype(int)
+            assert line.sd is not None and len(at) <= 2 * bins
+            np.testing.assert_allclose(line.value, value[at], rtol=1e-6)
+            np.testing.assert_allclose(line.sd, sd[at], rtol=1e-6)
+            low, high = line.band
+            np.testing.assert_allclose(high, (value + sd)[at], rtol=1e-6)
+            least = -np.inf if name == "torsion" else 0
+            np.testing.assert_allclose(low, np.maximum(value - sd, least)[at], rtol=1e-5, atol=1e-7)
+
+
+def _sd_of(dataset: str) -> str:
+    """The dataset of a dataset's deviation, whose unit, if any, stays at the end."""
+    for unit in ("_n_mm", "_mm2", "_n"):
+        if dataset.endswith(unit):
+            return f"{dataset.removesuffix(unit)}_sd{unit}"
+    return f"{dataset}_sd"
 
 
 def test_every_deviation_in_a_file_is_drawn(trial: Path) -> None:
     """Assert that no dataset of a trial that is a standard deviation is left out of what view draws."""
-    kinds = ("recording", "tracks", "labels", "features", "forces")
+    kinds = ("recording", "tracks", "labels", "features", "touch")
     of_files = {f"{kind} {row.path}" for kind in kinds for row in schema.load(kind).datasets if "_sd" in row.path}
-    assert of_files == {f"forces {name}" for name in FORCES if "_sd" in name}, "draw the new one too"
-    write_forces(trial, FORCES)
+    of_lines = {f"touch {_sd_of(dataset)}" for names in DRAWN.values() for dataset in names.values()}
+    of_maps = {f"touch {name}" for name in ("centre_sd_mm", "map/shear_sd_pa", "map/pressure_sd_pa")}
+    assert of_files == of_lines | of_maps, "draw the new one too"
+    write_touch(trial)
     data = shown(trial, images=1)
     drawn = [line.name for panel in data.panels for line in panel.lines if line.sd is not None]
-    assert drawn == ["shear", "normal"]
-    write_forces(trial, {"network_n": FORCES["shear_n"], "regression_n": FORCES["shear_n"]}, "paper")
-    panel = panel_of(shown(trial, images=1), "Forces on the gel, estimated")
-    assert panel.lines[0].sd is None and "no standard deviation" in panel.says
+    assert drawn == [name for names in DRAWN.values() for name in names]
+    assert data.touch is not None
+    np.testing.assert_allclose(data.touch.highest[:, [1, 3]], [[2e3, 1e3]], rtol=1e-6)
+    np.testing.assert_allclose(data.touch.slices["centre_sd_mm"], 0.1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("away_px", [5.0, 40.0, 600.0])

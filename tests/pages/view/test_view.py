@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from PIL import Image
@@ -16,10 +17,8 @@ from PIL import Image
 from evetac_cli.commands.view import View
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.pages import shared, view
-from evetac_cli.pages.view import event_images, time_series
+from evetac_cli.pages.view import event_images, time_series, touch
 from evetac_cli.pages.view.trial_files import open_trial
-from evetac_cli.store.files import write_stage
-from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.streams import Stream
 from tests import small_files
@@ -34,6 +33,7 @@ from tests.pages.view.trials import (
     shown,
     write_labels,
     write_recording,
+    write_touch,
     write_tracks,
 )
 
@@ -67,24 +67,98 @@ def test_everything_of_a_trial(trial: Path) -> None:
     np.testing.assert_allclose(data.dot_xy_px, moving()[4:].astype(np.float32))
 
 
-def test_estimated_forces(trial: Path) -> None:
-    """Assert that forces beside the trial are shown, as far as the model tells them, and those of another are not."""
-    with open_trial([trial]) as opened:
-        assert opened.tracks is not None
-        of_tracks = opened.tracks.header
-    shear = np.full((SLICES, 2), 3.0, np.float32)
-    more = {"normal_n": np.linspace(0, 5, SLICES).astype(np.float32), "shear_n": shear}
-    path = trial.with_name("a.forces.h5")
-    for arrays, names in ((more, ["shear", "normal"]), ({"network_n": shear, "regression_n": shear}, ["shear"])):
-        write_stage(path, Recipe("forces", 1, {}, parents=(of_tracks,)), arrays)
-        (panel,) = [panel for panel in shown(trial).panels if panel.title == "Forces on the gel, estimated"]
-        assert [line.name for line in panel.lines] == names
-        np.testing.assert_allclose(panel.lines[0].value, 3 * np.sqrt(2), rtol=1e-6)
+def test_touch_of_the_trial_is_shown(trial: Path) -> None:
+    """Assert that touch beside the trial is shown, alone too, and that of another trial is not."""
+    path = write_touch(trial)
+    (panel,) = [panel for panel in shown(trial).panels if panel.title == "Force on the gel, estimated"]
+    assert [line.name for line in panel.lines] == ["normal", "shear", "shear since rest"]
+    np.testing.assert_allclose(panel.lines[1].value, np.sqrt(2), rtol=1e-6)
     assert shown(path).slices == SLICES
     other = write_recording(trial.with_name("b.recording.h5"), seed=2)
     tracks = write_tracks(trial.with_name("b.tracks.h5"), other, moving())
-    write_stage(path, Recipe("forces", 1, {}, parents=(tracks,)), more)
-    assert "Left out: a.forces.h5 was made from another recording." in shown(trial).notes
+    small_files.touch(path, tracks)
+    data = shown(trial)
+    assert "Left out: a.touch.h5 was made from another recording." in data.notes
+    assert data.touch is None and not [panel for panel in data.panels if "estimated" in panel.title]
+
+
+def test_each_image_has_the_map_before_its_end(trial: Path) -> None:
+    """Assert which map an image is shown with, its values within a step of the scale, and what its slice tells."""
+    rng = np.random.default_rng(1)
+    pressure = rng.uniform(0, 5e4, (3, 4, 5)).astype(np.float32)
+    shear = rng.normal(0, 1e4, (3, 2, 4, 5)).astype(np.float32)
+    patch = np.ones((3, 4, 5), np.uint8)
+    patch[0, 0] = 0
+    pressure[0, 0], shear[0, :, 0] = 0, 0
+    centre = np.stack([np.arange(SLICES), np.zeros(SLICES)], axis=1).astype(np.float32)
+    changes = {"map/slice": np.array([50, 120, 121]), "map/pressure_pa": pressure, "map/shear_pa": shear}
+    sds = {"map/shear_sd_pa": np.abs(shear) + 1, "map/pressure_sd_pa": pressure / 2, "map/patch": patch}
+    write_touch(trial, {**changes, **sds, "centre_mm": centre})
+    data = shown(trial)
+    maps = data.touch
+    assert maps is not None
+    ends = data.frame_times + data.shown_ms - 1
+    np.testing.assert_array_equal(maps.shown, np.searchsorted([50, 120, 121], ends, side="right") - 1)
+    assert maps.shown[0] == -1 and maps.shown[-1] == 2
+    np.testing.assert_array_equal(maps.slices["centre_mm"][:, 0], ends)
+    expected = np.minimum(pressure, maps.most_pa)
+    np.testing.assert_allclose(maps.pressure / 255 * maps.most_pa, expected, atol=maps.most_pa / 509)
+    within = np.clip(shear, -maps.most_shear_pa, maps.most_shear_pa)
+    np.testing.assert_allclose(maps.shear_share * maps.most_shear_pa, within, atol=maps.most_shear_pa / 253)
+    np.testing.assert_array_equal(maps.patch, patch)
+    at = np.unravel_index(pressure[1].argmax(), (4, 5))
+    np.testing.assert_allclose(maps.highest[1, :2], [pressure[1][at], pressure[1][at] / 2], rtol=1e-6)
+    in_page = page_data_of(trial)["touch"]
+    assert in_page["most_kpa"] == pytest.approx(maps.most_pa / 1e3) and in_page["shown"] == maps.shown.tolist()
+    assert base64.b64decode(in_page["pressure"]) == maps.pressure.tobytes()
+
+
+def test_touch_maps_stay_few(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a page keeps as many maps as it has room for, evenly, says so, and shows none that is to come."""
+    maps = 60
+    changes = {"map/slice": np.arange(maps) * 5, "map/patch": np.ones((maps, 4, 5), np.uint8)}
+    changes |= {f"map/{name}": np.ones((maps, 4, 5), np.float32) for name in ("pressure_pa", "pressure_sd_pa")}
+    changes |= {f"map/{name}": np.ones((maps, 2, 4, 5), np.float32) for name in ("shear_pa", "shear_sd_pa")}
+    write_touch(trial, changes)
+    monkeypatch.setattr(touch, "MAP_BYTES", 20 * 4 * 4 * 5)
+    data = shown(trial)
+    assert data.touch is not None and len(data.touch.pressure) == 20
+    assert "Touch maps: one of 3 is kept, so that the page stays small." in data.notes
+    ends = data.frame_times + data.shown_ms - 1
+    assert (data.touch.shown * 15 <= ends).all() and (ends - data.touch.shown * 15 < 15).all()
+
+
+@pytest.mark.parametrize("wrong", ["no maps", "one column", "rows that go back", "nothing known"])
+def test_touch_files_of_others_are_drawn_as_far_as_possible(trial: Path, wrong: str) -> None:
+    """Assert that a touch file without a grid to draw, or without one number, still makes a page."""
+    path = write_touch(trial, {"known": np.zeros(SLICES, np.uint8)})
+    with h5py.File(path, "r+") as h5:
+        small_files.remove_dimensions(h5)
+        if wrong == "no maps":
+            del h5["map"]
+        elif wrong == "one column":
+            for name in [name for name in h5["map"] if name not in ("slice", "y_mm")]:
+                values = h5[f"map/{name}"][..., :1]
+                del h5[f"map/{name}"]
+                h5[f"map/{name}"] = values
+        elif wrong == "rows that go back":
+            h5["map/y_mm"][...] = -h5["map/y_mm"][()]
+        else:
+            for name in (*h5, *(f"map/{name}" for name in h5["map"])):
+                if isinstance(h5[name], h5py.Dataset) and h5[name].dtype == np.float32:
+                    h5[name][...] = np.nan
+    data = shown(trial)
+    assert (data.touch is None) == (wrong != "nothing known")
+    assert any("Touch maps are not drawn" in note for note in data.notes) == (
+        wrong in ("one column", "rows that go back")
+    )
+    page_data_of(trial)
+
+
+def page_data_of(trial: Path) -> dict[str, Any]:
+    """The data in the page of a trial."""
+    view.run([trial], View(), None, force=True)
+    return page_data(trial.with_name("a.html"))
 
 
 def test_a_part(trial: Path) -> None:

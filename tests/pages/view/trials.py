@@ -14,6 +14,7 @@ from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
+from tests import small_files
 from tests.make import truth_arrays
 
 SLICES = 300
@@ -151,13 +152,16 @@ def write_labels(
     return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
 
 
-def write_forces(trial: Path, arrays: dict[str, Any], model: str = "gel", **chosen: Any) -> Path:
-    """Forces beside a trial, made from its tracks and a model of this method."""
+def write_touch(trial: Path, changes: dict[str, Any] | None = None, *, adapted: bool = False, **chosen: Any) -> Path:
+    """Touch beside a trial, made from its tracks, and from an adapted scale if there is one."""
     with open_trial([trial]) as opened:
         assert opened.tracks is not None
-        parents = (opened.tracks.header, Recipe("force-model", 1, {"method": model}).header())
-    path = trial.with_name(trial.name.replace("recording", "forces"))
-    write_stage(path, Recipe("forces", 1, chosen, parents=parents), arrays)
+        parents: tuple[Header, ...] = (opened.tracks.header,)
+    if adapted:
+        parents += (Recipe("force-model", 1, {"method": "touch"}).header(),)
+    path = trial.with_name(trial.name.replace("recording", "touch"))
+    arrays = {**small_files.touch_arrays(SLICES), **(changes or {})}
+    write_stage(path, Recipe("touch", 1, chosen, parents=parents), arrays)
     return path
 
 

@@ -139,6 +139,10 @@ def test_dimensions_are_shared_between_groups(tmp_path: Path) -> None:
     assert read["capture/latency_us"].dims == ("median_p99_most",)
     model = in_xarray(written(tmp_path / "m.h5", "model", every_dataset("model")))
     assert model["weights/conv.weight"].dims == ("size_8", "size_8_2", "size_3")
+    touch = in_xarray(written(tmp_path / "t.h5", "touch", every_dataset("touch")))
+    assert touch["normal_n"].dims == ("slices",) and touch["normal_n"].attrs["units"] == "N"
+    assert touch["map/pressure_pa"].dims == ("maps", "map_rows", "map_columns")
+    assert touch["map/shear_pa"].dims == ("maps", "xy", "map_rows", "map_columns")
     force = in_xarray(written(tmp_path / "f.h5", "force-model", every_dataset("force-model")))
     assert force["regression/slope_n_px"].dims == ("displacement_xy", "xy")
 

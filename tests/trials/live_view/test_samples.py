@@ -1,10 +1,12 @@
 """What a live view shows is what track and grasp would say of the same slices."""
 
+import json
 from functools import partial
 
 import numpy as np
 import pytest
 
+import evetac_cli as evetac
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.tracking import presets, tracker
@@ -12,6 +14,7 @@ from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import open_view_detector
 from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower
 from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
+from evetac_cli.trials.live_view.touch import MM_PER_PX, LiveTouch
 from tests.conftest import Made
 
 SLICES = 200
@@ -95,15 +98,70 @@ def test_another_grid_is_tracked_without_slip(made: Made) -> None:
     assert follower.sample()["probability"] is None
 
 
-def test_forces_are_of_a_frame_whose_scale_is_known(made: Made) -> None:
-    """Assert that on another frame than an Evetac's no force is shown, which is said."""
+def test_touch_is_of_a_frame_whose_scale_is_known(made: Made) -> None:
+    """Assert that on another frame than an Evetac's no touch is shown, which is said."""
     with open_recording(made.recordings[0]) as recording:
         sensor = recording.sensor_datasets()
     for frame_px, shown in (((640, 480), True), ((800, 600), False)):
         follower = Follower(SharedView())
         follower.begin({**sensor, "sensor/frame_px": np.array(frame_px, np.int32)}, refuse)
-        assert ("normal_n" in follower.sample()) == shown
-        assert any("no force" in note for note in follower.notes) != shown
+        assert ("normal_n" in follower.sample()) == shown == (follower.touch_map() is not None)
+        assert any("no touch" in note for note in follower.notes) != shown
+
+
+def _pushed(rest_px: np.ndarray, by_px: float) -> np.ndarray:
+    """Dots that a contact at the middle pulls right."""
+    away = rest_px - [320, 240]
+    return rest_px + by_px * np.exp(-(away**2).sum(axis=1) / (2 * 80**2))[:, None] * [1.0, 0.0]
+
+
+def test_touch_is_that_of_a_touch_map() -> None:
+    """Assert forces, torsion and map as evetac.TouchMap tells them, at the first touch, later, and after it."""
+    grid = np.stack(np.meshgrid(np.arange(60.0, 560, 62), np.arange(40.0, 420, 62)), -1)
+    sensor = {"sensor/frame_px": np.array([640, 480]), "sensor/shear_modulus_pa": 120e3}
+    tracking = tracker.start(grid.reshape(-1, 2), presets.PRESETS["stable"].for_dots(9.0))
+    live = LiveTouch(sensor, tracking)
+    gel = evetac.Gel(grid, 9.0, sensitivity=evetac.Sensitivity(shear_modulus_pa=120e3))
+    whole = evetac.TouchMap(gel, mm_per_px=MM_PER_PX, stiffness_error=0.1)
+    assert live.map() is None
+    seen = []
+    for by_px in (0.0, 10.0, 0.0):
+        tracking.dot_xy_px[...] = _pushed(tracking.rest_xy_px, by_px)
+        seen.append((live.now(), live.map()))
+        expected = whole.step(tracking.dot_xy_px)
+        now, shown = seen[-1]
+        assert shown is not None and (shown["columns"], shown["rows"]) == (len(whole.x_mm), len(whole.y_mm))
+        assert now["shear_x_n"] == pytest.approx(expected.shear_n[0]) and now["normal_n"] == expected.normal_n
+        assert now["torsion_n_mm"] == pytest.approx(expected.torsion_n_mm, abs=1e-9)
+        assert [cell for cell, *_ in shown["cells"]] == np.flatnonzero(expected.patch).tolist()
+        for cell, pressure_kpa, x_kpa, y_kpa in shown["cells"]:
+            told = (expected.pressure_pa, *expected.shear_pa)
+            assert [pressure_kpa, x_kpa, y_kpa] == pytest.approx([one.flat[cell] * 1e-3 for one in told], abs=6e-4)
+    assert seen[1][0]["shear_x_n"] > 0.1 and len(seen[1][1]["cells"]) > 4
+    assert seen[2][1]["cells"] == [] and seen[2][1]["centre_mm"] is None and np.isnan(seen[2][0]["normal_sd_n"])
+    json.dumps([shown for _, shown in seen], allow_nan=False)
+
+
+def test_touch_follows_and_survives_lost_dots() -> None:
+    """Assert that a patch follows a contact that moves within a few samples, and that without dots nothing is known."""
+    grid = np.stack(np.meshgrid(np.arange(60.0, 560, 62), np.arange(40.0, 420, 62)), -1)
+    tracking = tracker.start(grid.reshape(-1, 2), presets.PRESETS["stable"].for_dots(9.0))
+    live = LiveTouch({"sensor/frame_px": (640, 480)}, tracking)
+    centres = []
+    for shift_px in (0.0, 120.0):
+        for _ in range(8):
+            tracking.dot_xy_px[...] = tracking.rest_xy_px - shift_px * np.array([1.0, 0.0])
+            moved = _pushed(tracking.dot_xy_px, 10.0) - tracking.dot_xy_px
+            tracking.dot_xy_px[...] = tracking.rest_xy_px + moved
+            live.now()
+        shown = live.map()
+        assert shown is not None
+        centres.append(shown["centre_mm"])
+    assert centres[1][0] - centres[0][0] == pytest.approx(120 * MM_PER_PX, abs=1.0)
+    tracking.lost[...] = True
+    now, shown = live.now(), live.map()
+    assert np.isnan(now["normal_n"]) and shown is not None and not shown["known"] and shown["cells"] == []
+    json.dumps(shown, allow_nan=False)
 
 
 def test_a_picture_counts_the_events_of_each_polarity() -> None:

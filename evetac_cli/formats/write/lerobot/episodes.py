@@ -31,8 +31,8 @@ OF_GRASP = ("control_goal_ticks", "gripper_current_written_ma")
 OF_GRIPPER = ("gripper_current_target_ma", "gripper_current_written_ma")
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
 TACTILE = re.compile(
-    rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|force_(shear|regression|network)_[xy]_n|force_normal_n"
-    "|force_contact_probability|(control|model)_probability"
+    rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|touch_(touches|shear_[xy]_n|normal_n|torsion_n_mm|centre_[xy]_mm)"
+    "|touch_(area_mm2|sticking_share)|(control|model)_probability"
 )
 MOST_BYTES = 2_000_000_000  # of a trial's slices in memory
 MOST_EVENTS = 4_000_000  # drawn in one picture: the last ones

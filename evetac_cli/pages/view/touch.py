@@ -1,0 +1,144 @@
+"""What view shows of a touch file: series of what every slice tells, and the maps that belong to the event images.
+
+A map is kept as a byte for each cell's pressure and shear, and only as many maps as images show and a page has room
+for; the numbers that stand beside it are those of the file.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.pages import touch_words
+from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
+from evetac_cli.pages.view.event_images import read_rows
+from evetac_cli.pages.view.time_series import Read, decimated, rows_of
+from evetac_cli.pages.view.trial_files import OpenTrial
+from evetac_cli.pages.view.view_data import LEVELS, SHEAR_LEVELS, Panel, TouchView, ViewData
+from evetac_cli.store.files import StageFile
+
+MAP_BYTES = 2_000_000  # of maps in a page; a third more as text
+CELL_BYTES = 4  # pressure, two of shear, patch
+SHOWN_SHARE = 0.99  # of touched cells are within the scale: a few odd ones do not pale all others
+
+
+def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
+    """Forces, torsion, area and sticking share of the span, each with its standard deviation."""
+    start, length = span[0], max(0, min(touch.length("known"), span[1]) - span[0])
+
+    def size(name: str) -> Read:
+        return lambda first, last: np.hypot(*touch.read(name, start + first, start + last).T)[:, None]
+
+    def less_sure(name: str) -> Read:  # of the two axes
+        return lambda first, last: touch.read(name, start + first, start + last).max(axis=1, keepdims=True)
+
+    def panel(title: str, unit: str, says: str, *lines: tuple[str, str, Read, Read], **more: Any) -> Panel:
+        series = [
+            one
+            for name, colour, value, sd in lines
+            for one in decimated({name: colour}, start, length, value, {name: sd})
+        ]
+        return Panel(title, unit, series, says=says, **more)
+
+    def rows(name: str) -> Read:
+        return rows_of(touch, name, start)
+
+    panels = [
+        panel(
+            "Force on the gel, estimated",
+            "N",
+            _how_sure(touch),
+            ("normal", INK, rows("normal_n"), rows("normal_sd_n")),
+            ("shear", ORANGE, size("shear_n"), less_sure("shear_sd_n")),
+            ("shear since rest", BLUE, size("shear_since_n"), less_sure("shear_since_sd_n")),
+        ),
+        panel(
+            "Torsion, estimated",
+            "N mm",
+            "About the centre of pressure, from x to y: clockwise in the image.",
+            ("torsion", PINK, rows("torsion_n_mm"), rows("torsion_sd_n_mm")),
+        ),
+        panel("Area of contact, estimated", "mm²", "", ("area", BLUE, rows("area_mm2"), rows("area_sd_mm2"))),
+        panel(
+            "Share of the contact that sticks, estimated",
+            "",
+            "Since the field of the dots last came to rest.",
+            ("sticks", GREEN, rows("sticking_share"), rows("sticking_share_sd")),
+            ends=(0.0, 1.05),
+        ),
+    ]
+    return [one for one in panels if one.lines]
+
+
+def _how_sure(touch: StageFile) -> str:
+    """What the deviation of estimated forces is, and how well the gel's stiffness, their scale, is known."""
+    known = {
+        touch_words.ADAPTED: "The scale was adapted to this sensor with known forces.",
+        touch_words.KNOWN: "The stiffness of this gel is taken as known.",
+        touch_words.UNKNOWN: "The stiffness of this gel is not known, and a typical one assumed: a curve may be off by"
+        " one constant factor. predict-touch --sensor takes a known stiffness.",
+    }
+    return f"Band: one standard deviation either way. {known[touch_words.stiffness(touch.header)]}"
+
+
+def place_touch(view: ViewData, trial: OpenTrial) -> None:
+    """The map that each event image is shown with, the last before its end, and what the slice at its end tells."""
+    touch = trial.touch
+    if touch is None or not touch.has("map/slice") or not len(view.frame_times):
+        return
+    ends = np.minimum(view.frame_times + view.shown_ms, view.span[1]) - 1
+    x_mm, y_mm = touch.read("map/x_mm"), touch.read("map/y_mm")
+    at = np.searchsorted(touch.read("map/slice"), ends, side="right") - 1  # -1 before the first
+    wanted = np.unique(at[at >= 0])
+    if not len(wanted):
+        return
+    if any(len(line) < 2 or not (np.diff(line) > 0).all() for line in (x_mm, y_mm)):
+        view.notes.append("Touch maps are not drawn: their cells lie in no rows and columns that go on.")
+        return
+    most = max(1, MAP_BYTES // (CELL_BYTES * len(x_mm) * len(y_mm)))
+    step = -(-len(wanted) // most)
+    kept = wanted[::step]
+    if step > 1:
+        view.notes.append(f"Touch maps: one of {step} is kept, so that the page stays small.")
+    maps = [_one(touch, row) for row in kept.tolist()]
+    pressure, shear, patch = (np.stack([one[name] for one in maps]) for name in ("pressure", "shear", "patch"))
+    most_pa = _end_of_scale(pressure, patch)
+    most_shear_pa = _end_of_scale(np.hypot(shear[:, 0], shear[:, 1]), patch)
+    slices = {name: read_rows(touch, name, ends, np.nan) for name in ("centre_mm", "centre_sd_mm")}
+    slices |= {name: read_rows(touch, name, ends, np.nan) for name in ("sticking_share", "slip_direction_rad")}
+    view.touch = TouchView(
+        x_mm=x_mm,
+        y_mm=y_mm,
+        most_pa=most_pa,
+        most_shear_pa=most_shear_pa,
+        pressure=_levels(pressure / most_pa, 0, LEVELS).astype(np.uint8),
+        shear=(_levels(shear / most_shear_pa, -SHEAR_LEVELS, SHEAR_LEVELS) + SHEAR_LEVELS).astype(np.uint8),
+        patch=patch.astype(np.uint8),
+        highest=np.array([one["highest"] for one in maps], np.float32),
+        shown=np.where(at < 0, -1, np.searchsorted(kept, at, side="right") - 1),
+        slices={name: values.astype(np.float32) for name, values in slices.items()},
+    )
+
+
+def _one(touch: StageFile, row: int) -> dict[str, Any]:
+    """A map of a file; `highest` in it: pressure and shear where each is highest, with their deviations, in Pa."""
+    names = ("patch", "pressure_pa", "pressure_sd_pa", "shear_pa", "shear_sd_pa")
+    patch, pressure, pressure_sd, shear, shear_sd = (touch.read(f"map/{name}", row, row + 1)[0] for name in names)
+    size, size_sd = np.hypot(*shear), shear_sd.max(axis=0)
+    highest: list[float] = []
+    for value, sd in ((pressure, pressure_sd), (size, size_sd)):
+        at = int(np.argmax(np.where(np.isfinite(value), value, -np.inf)))
+        highest += [float(value.flat[at]), float(sd.flat[at])]
+    return {"pressure": pressure, "shear": shear, "patch": patch, "highest": highest}
+
+
+def _end_of_scale(values_pa: NDArray[Any], patch: NDArray[Any]) -> float:
+    """The end of a scale of colours or arrows for values of touched cells; above 0."""
+    touched = values_pa[(patch == 1) & (values_pa > 0)]  # without NaN
+    return float(np.quantile(touched, SHOWN_SHARE)) if len(touched) else 1.0
+
+
+def _levels(share: NDArray[Any], low: int, high: int) -> NDArray[np.float64]:
+    """Whole numbers from low to high for shares of high; what is not known is 0."""
+    levels: NDArray[np.float64] = np.rint(np.clip(np.nan_to_num(share) * high, low, high))
+    return levels
