@@ -22,12 +22,19 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import GelLayer
+from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
 from evetac_cli.stages.model_files import why_useless
-from evetac_cli.stages.touch.known_gel import DRIFT_PX, SHEAR_LOG_SD, SHEAR_MODULUS_PA, TRACKER_PX
+from evetac_cli.stages.touch.known_gel import (
+    DRIFT_PX,
+    SHEAR_LOG_SD,
+    SHEAR_MODULUS_PA,
+    TRACKER_PX,
+    GelShape,
+    at_window,
+)
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.record import SCENE_KINDS, simulated
@@ -239,8 +246,8 @@ class TouchMap:
     gel: a recording, a simulation or a `Gel`. mm_per_px: scale of the image, x_mm and y_mm are from its middle.
     shear_modulus_pa, which forces are proportional to, is the gel's unless given; where it is unknown, 121e3 as in
     `predict-touch`, and then forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below
-    the surface. lens_mm: from the lens to the dots. InputError where the gel's dots are unknown; ValueError for numbers
-    that cannot be.
+    the surface. lens_mm: from the lens to the dots. edges_mm: where the gel ends, x0, y0, x1, y1; a cut one ends at its
+    window anyway. InputError where the gel's dots are unknown; ValueError for numbers that cannot be.
     On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts: the matrices are small, and threads that wait
     for a core make a new patch take ten times as long.
 
@@ -262,17 +269,22 @@ class TouchMap:
         stiffness_error: float | None = None,
         print_depth_mm: float = 0.0,
         lens_mm: float = 25.0,
+        edges_mm: tuple[float, float, float, float] = ENDLESS_MM,
     ) -> None:
         check_range("mm_per_px", mm_per_px, 0.0, 10.0, "mm", above=True)
         dot_xy_px, _ = _known_dots(gel, "stable")
         modulus = gel.sensitivity.shear_modulus_pa if shear_modulus_pa is None else shear_modulus_pa
         if stiffness_error is None:
             stiffness_error = SHEAR_LOG_SD if modulus is None else 0.0
-        layer = GelLayer(height_mm, modulus or SHEAR_MODULUS_PA, 0.5, print_depth_mm, lens_mm)
-        self._scale, self._middle_px = mm_per_px, np.array(getattr(gel, "frame_px", FRAME_PX)) / 2
+        frame_px = getattr(gel, "frame_px", FRAME_PX)
+        self._scale, self._middle_px = mm_per_px, np.array(frame_px) / 2
         self.rest_xy_px = dot_xy_px.reshape(-1, 2)  # the dots at rest, (n, 2)
+        rest_mm = (self.rest_xy_px - self._middle_px) * mm_per_px
         noise = DotNoise(TRACKER_PX * mm_per_px, DRIFT_PX * mm_per_px)
-        self._state = touch_map.start((self.rest_xy_px - self._middle_px) * mm_per_px, layer, noise, stiffness_error)
+        shape = GelShape(height_mm, print_depth_mm, lens_mm, edges_mm)
+        shape = at_window(shape, gel.window_px, frame_px, mm_per_px, rest_mm)
+        layer = shape.layer(modulus or SHEAR_MODULUS_PA)
+        self._state = touch_map.start(rest_mm, layer, noise, stiffness_error)
         self.x_mm, self.y_mm = self._state.cells  # middles of the columns and rows of cells
 
     def step(self, dot_xy_px: NDArray[np.float64], lost: NDArray[np.bool_] | None = None) -> touch_map.TouchReading:

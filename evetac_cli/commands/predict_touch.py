@@ -52,6 +52,13 @@ class PredictTouch:
         high=1e6,
         needs=(TouchOption.OF_NO_MODEL,),
     )
+    gel_mm: str = parameter(
+        "",
+        "Where the gel ends: left, top, right and bottom edge from the middle of the frame, as in -12.8,-7.5,10.5,7.5;"
+        " default: a named sensor's, else far away but for the window of a cut gel; --model knows it.",
+        unit="mm",
+        needs=(TouchOption.OF_NO_MODEL,),
+    )
 
 
 COMMAND = Command(

@@ -51,6 +51,13 @@ class TrainForce:
         high=1e6,
         needs=(TouchOption.TOUCH,),
     )
+    gel_mm: str = parameter(
+        "",
+        "Of method touch: where the gel ends: left, top, right and bottom edge from the middle of the frame, as in"
+        " -12.8,-7.5,10.5,7.5; default: a named sensor's, else far away but for the window of a cut gel.",
+        unit="mm",
+        needs=(TouchOption.TOUCH,),
+    )
     samples: int = parameter(
         200,
         "Of method paper: samples of each trajectory, evenly spread over the contact.",

@@ -32,7 +32,7 @@ from evetac_cli.stages.force import adapt_touch, readings
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.touch import known_gel
-from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelWeights, KnownGel
+from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelShape, GelWeights, KnownGel
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import Recording
@@ -62,16 +62,16 @@ class ForceTrial(NamedTuple):
 
 
 class _Folds:
-    """Touch maps of tracks, made once per scale of the image: force over modulus does not depend on the modulus."""
+    """Touch maps of tracks, made once per scale of the image and shape: force over modulus does not depend on it."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[Path, float], Slices] = {}
+        self._found: dict[tuple[Path, float, GelShape], Slices] = {}
 
     def of(self, gel: GelWeights, tracks: StageFile) -> "Slices":
         """What the dots of a tracks file tell, for a scale of the image."""
         from evetac_cli.stages.touch import touch_fold  # brings scipy
 
-        key = tracks.path, gel.mm_per_px
+        key = tracks.path, gel.mm_per_px, gel.shape
         if key not in self._found:
             self._found[key] = touch_fold.slices_of(gel._replace(modulus_pa=SHEAR_MODULUS_PA), tracks)
         return self._found[key]
@@ -119,7 +119,7 @@ def _headers(
             sensor = known_sensor(recording)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
-            of_gel = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px)
+            of_gel = _true_gel(sensor)
             first, other = true.setdefault(names[-1], (path, of_gel))
             if other != of_gel:
                 raise InputError(
@@ -165,6 +165,11 @@ def known_sensor(recording: Recording) -> Sensor:
     return read_sensor(recording.header["parameters"], str(recording.path))
 
 
+def _true_gel(sensor: Sensor, off: float = 1.0) -> KnownGel:
+    """What is true of a simulated sensor's gel, but for its creep; the modulus times a factor."""
+    return KnownGel(sensor.shear_modulus_pa * off, sensor.mm_per_px, None, known_gel.edges_of(sensor))
+
+
 def _gels(
     name: str,
     sensor: Sensor,
@@ -177,7 +182,7 @@ def _gels(
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
     off = float(np.exp(params.stiffness_error * moduli.standard_normal()))
-    known = {"unknown": KnownGel(), "known": KnownGel(sensor.shear_modulus_pa * off, sensor.mm_per_px)}
+    known = {"unknown": KnownGel(), "known": _true_gel(sensor, off)}
     if identified is not None:
         known["identified"] = identified
     gels = {state: known_gel.gel_of(gel, params.stiffness_error) for state, gel in known.items()}

@@ -135,6 +135,16 @@ class Squeeze:
         np.matmul(self._slope_y @ normal, self._smooth_x, out=aside[..., 1])
         return aside
 
+    def transposed(self, weights: Floats) -> Floats:
+        """Weights on pressures (..., rows, columns) that are those given on the forces that they push with.
+
+        weights: (..., rows, columns, 2). So what forces do, pressure does: for instance to a dot.
+        """
+        of_x = self._smooth_y.T @ weights[..., 0] @ self._slope_x.T
+        of_y = self._slope_y.T @ weights[..., 1] @ self._smooth_x.T
+        pressed: Floats = of_x + of_y
+        return pressed
+
 
 def moved_by(node_xy_m: Floats, height_m: float, sticks: Flags, squeezed_m2: Floats) -> Floats:
     """How a pad lies in balance where nodes stick to an object: (rows, columns, 2, 3), along x and y.

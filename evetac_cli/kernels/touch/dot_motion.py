@@ -3,6 +3,11 @@
 The layer is the exact bonded one (kernels/gel_layer.py), in Fourier space; a cell is a square on which the traction is
 even. Dots may lie under a coat, and a dot that comes nearer to the lens is seen farther from the axis.
 
+Where a gel ends, as at the window of a cut one, nothing beyond drags along. Its free edge acts like a mirror: what a
+cell does is added to by its images, so that an even shear moves an even gel evenly, as it must. Of the push with which
+pressure moves a gel aside (kernels/gel_layer.py, `Squeeze`) only what is inside counts, so that pressed gel bulges out
+at the edge. That is no exact solution; beside a free edge none is known in closed form.
+
 Why by a Fourier transform per dot: what all cells of a grid do to one dot is one transform, which takes a fifth of a
 millisecond; cell by cell, it would be a sum over all waves for each.
 """
@@ -14,7 +19,7 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.gel_layer import compliance
+from evetac_cli.kernels.gel_layer import Squeeze, compliance
 
 CELL_MM = 1.0  # half of the dots' pitch: shear finer than two pitches is aliased, not damped
 SHEAR_X, SHEAR_Y, PRESSURE = 0, 1, 2  # order of the tractions
@@ -25,13 +30,16 @@ APART_HEIGHTS = 8
 # Points of the transform per cell: more change what a cell does to the dot over it by 5 %, and what a contact of many
 # cells does to dots by 0.5 % at most.
 POINTS_PER_CELL = 2
+IMAGES_HEIGHTS = 4  # images farther than so many heights beyond an edge are not felt
+ENDLESS_MM = (-math.inf, -math.inf, math.inf, math.inf)
 
 
 class GelLayer(NamedTuple):
     """A gel layer on its stiff back, and how its dots are seen.
 
     print_depth_mm: of the dots below the surface. lens_mm: from the lens to the dots, infinite for no parallax; 25 mm
-    is the guess of the simulation (sim/gel/dots.py).
+    is the guess of the simulation (sim/gel/dots.py). edges_mm: where the gel ends, x0, y0, x1, y1 from the axis of the
+    lens, infinite where that is far; to half a cell.
     """
 
     height_mm: float = 4.0
@@ -39,6 +47,7 @@ class GelLayer(NamedTuple):
     poisson: float = 0.5
     print_depth_mm: float = 0.0
     lens_mm: float = 25.0
+    edges_mm: tuple[float, float, float, float] = ENDLESS_MM
 
     def check(self) -> None:
         """ValueError for numbers that no layer has."""
@@ -48,6 +57,9 @@ class GelLayer(NamedTuple):
         check_range("print_depth_mm", self.print_depth_mm, 0.0, self.height_mm, "mm", below=True)
         if self.lens_mm != math.inf:
             check_range("lens_mm", self.lens_mm, 0.0, unit="mm", above=True)
+        x0, y0, x1, y1 = self.edges_mm
+        if not (x0 + CELL_MM < x1 and y0 + CELL_MM < y1):
+            raise ValueError(f"edges_mm: expected x0, y0, x1, y1 in mm, x0 < x1, y0 < y1, found {self.edges_mm}")
 
 
 class CellGrid(NamedTuple):
@@ -67,9 +79,16 @@ class CellGrid(NamedTuple):
         return np.stack(np.meshgrid(self.x_mm, self.y_mm), -1).reshape(-1, 2)
 
 
-def cells_about(dot_mm: Floats, margin_mm: float) -> CellGrid:
-    """The cells that cover the dots (n, 2) and a margin around them; middles lie at whole multiples of a cell."""
-    low, high = dot_mm.min(axis=0) - margin_mm, dot_mm.max(axis=0) + margin_mm
+def cells_about(dot_mm: Floats, margin_mm: float, edges_mm: tuple[float, float, float, float] = ENDLESS_MM) -> CellGrid:
+    """The cells that cover the dots (n, 2) and a margin around them, as far as there is gel.
+
+    Middles lie at whole multiples of a cell. ValueError for dots beyond the gel's edges.
+    """
+    half = CELL_MM / 2
+    if (dot_mm < np.array(edges_mm[:2]) - half).any() or (dot_mm > np.array(edges_mm[2:]) + half).any():
+        raise ValueError(f"dots lie beyond the edges of the gel: {edges_mm} mm")
+    low = np.maximum(dot_mm.min(axis=0) - margin_mm, np.array(edges_mm[:2]) + half)
+    high = np.minimum(dot_mm.max(axis=0) + margin_mm, np.array(edges_mm[2:]) - half)
     lines = [np.arange(round(a / CELL_MM), round(b / CELL_MM) + 1) * CELL_MM for a, b in zip(low, high, strict=True)]
     return CellGrid(lines[0], lines[1])
 
@@ -81,6 +100,58 @@ def dot_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
     pressure into it. ValueError for a layer that cannot be.
     """
     layer.check()
+    moved = _motion_by_cells(layer, cells, dot_mm, _images(layer, cells))
+    seen: Floats = moved[:, :2] + dot_mm[:, :, None, None, None] / layer.lens_mm * moved[:, 2:]
+    return seen.reshape(len(dot_mm), 2, KINDS, -1)
+
+
+def _images(layer: GelLayer, cells: CellGrid) -> list[tuple[int, int]]:
+    """How many cells beyond the grid's low and high end, along x and along y, stand for the images of cells inside."""
+    count = math.ceil(IMAGES_HEIGHTS * layer.height_mm / CELL_MM)
+    images = []
+    for line, low, high in zip(cells, layer.edges_mm[:2], layer.edges_mm[2:], strict=True):
+        ends = abs(line[0] - CELL_MM / 2 - low), abs(line[-1] + CELL_MM / 2 - high)
+        most = min(count, len(line))
+        images.append(tuple(most if off <= CELL_MM / 2 + 1e-9 else 0 for off in ends))
+    return images  # type: ignore[return-value]
+
+
+def _motion_by_cells(layer: GelLayer, cells: CellGrid, dot_mm: Floats, images: list[tuple[int, int]]) -> Floats:
+    """Motion of dots along x, y and into the layer, (dots, 3, KINDS, rows, columns), with images beyond the edges."""
+    (left, right), (above, below) = images
+    if not (left or right or above or below):
+        return _endless_motion(layer, cells, dot_mm)
+    lines = [
+        line[0] + CELL_MM * np.arange(-low, len(line) + high) for line, (low, high) in zip(cells, images, strict=True)
+    ]
+    wide = CellGrid(lines[0], lines[1])
+    whole = _endless_motion(layer, wide, dot_mm)
+    folded = _folded(_folded(whole, left, right), above, below, axis=-2)
+    inside = np.s_[..., above : above + len(cells.y_mm), left : left + len(cells.x_mm)]
+    with_edges, without = (
+        Squeeze(grid.middle_mm.reshape(*grid.shape, 2) / MM_PER_M, layer.height_mm / MM_PER_M).transposed(
+            np.moveaxis(moved[:, :2, :PRESSURE], 2, -1)
+        )
+        for grid, moved in ((cells, folded), (wide, whole))
+    )
+    # Exact but for what the edges change in the push of pressure, so that far from them nothing does.
+    folded[:, :2, PRESSURE] = whole[:, :2, PRESSURE][inside] + with_edges - without[inside]
+    return folded
+
+
+def _folded(moved: Floats, low: int, high: int, axis: int = -1) -> Floats:
+    """What cells do with the images beyond the low and high end of an axis added to them."""
+    turned = np.moveaxis(moved, axis, -1)
+    inside = turned[..., low : turned.shape[-1] - high].copy()
+    if low:
+        inside[..., :low] += turned[..., low - 1 :: -1][..., :low]
+    if high:
+        inside[..., -high:] += turned[..., : -high - 1 : -1]
+    return np.moveaxis(inside, -1, axis)
+
+
+def _endless_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
+    """Motion of dots along x, y and into a layer without edges, per traction, (dots, 3, KINDS, rows, columns)."""
     reach_mm = max(
         float(np.abs(dot_mm[:, axis, None] - line[None]).max(initial=0.0)) for axis, line in enumerate(cells)
     )
@@ -90,13 +161,11 @@ def dot_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
     answer = _answer(layer, waves, box_mm)
     rows, columns = cells.shape
     picked = np.ix_(np.arange(rows) * POINTS_PER_CELL, np.arange(columns) * POINTS_PER_CELL)
-    motion = np.empty((len(dot_mm), 2, KINDS, rows, columns))
+    motion = np.empty((len(dot_mm), 3, KINDS, rows, columns))
     for dot, (x, y) in enumerate(dot_mm):
         phase = np.exp(1j * (waves * (y - cells.y_mm[0])))[:, None] * np.exp(1j * waves * (x - cells.x_mm[0]))
-        for axis, place in enumerate((x, y)):
-            seen = (answer[axis] + (place / layer.lens_mm) * answer[2]) * phase
-            motion[dot, axis] = np.fft.fft2(seen).real[:, picked[0], picked[1]]
-    return motion.reshape(len(dot_mm), 2, KINDS, rows * columns)
+        motion[dot] = np.fft.fft2(answer * phase).real[:, :, picked[0], picked[1]]
+    return motion
 
 
 def _answer(layer: GelLayer, waves_per_mm: Floats, box_mm: float) -> np.ndarray:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
@@ -19,7 +18,7 @@ from evetac_cli.sim.gel.pressure_law import PressureLaw
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.sampling import SampledTrial
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.setup.sensor import PAD_M, Sensor
 from evetac_cli.sim.setup.solver import Solver
 
 STEP_S = 1e-3
@@ -27,7 +26,6 @@ STEP_S = 1e-3
 FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher and lower
 
 LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
-PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 
 # A gel that moves more slowly than this everywhere, and whose Maxwell arms pull less, rests: it would move a dot by
 # 1e-18 px, where a position is known to 1e-14 px. A displacement that small is none.
@@ -39,13 +37,8 @@ SMALLEST_M = 1e-21
 def pad(solver: Solver, sensor: Sensor, *, cut: bool) -> NDArray[np.float64]:
     """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
     columns, rows = solver.nodes(PAD_M)
-    mm_per_px = sensor.mm_per_px
-    cut_m = (sensor.window_px[0] - FRAME_PX[0] / 2) * mm_per_px * 1e-3
-    end_m = cut_m if cut else FRAME_PX[0] / 2 * mm_per_px * 1e-3
-    more = (end_m - cut_m) / PAD_M[0]
-    return contact.pad_nodes(
-        round(columns * (1 + more)), rows, (cut_m - PAD_M[0], end_m), (-PAD_M[1] / 2, PAD_M[1] / 2)
-    )
+    x0, y0, x1, y1 = sensor.pad_m(cut=cut)
+    return contact.pad_nodes(round(columns * (x1 - x0) / PAD_M[0]), rows, (x0, x1), (y0, y1))
 
 
 def material(sensor: Sensor) -> gel.GelMaterial:

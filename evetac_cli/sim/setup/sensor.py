@@ -25,6 +25,7 @@ from evetac_cli.sim.setup.tables import (
 SENSOR_NAME = "^[a-z][a-z0-9-]{0,39}$"
 MOST_HOT_PIXELS = 10_000
 HOT = (0, MOST_HOT_PIXELS)
+PAD_M = (20e-3, 15e-3)  # the part of a cut gel that can touch, along x and y
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,6 +231,12 @@ class Sensor:
     static_friction_factor: float = number("on all objects", 0.01, 100, default=1.0)
     friction: GelFriction = table(GelFriction, default=GelFriction())
     gripper: SensorGripper = table(SensorGripper, default=SensorGripper())
+
+    def pad_m(self, *, cut: bool) -> tuple[float, float, float, float]:
+        """Where its gel ends, x0, y0, x1, y1 from the frame's middle: a cut one at the window, else at the frame."""
+        cut_m = (self.window_px[0] - FRAME_PX[0] / 2) * self.mm_per_px * 1e-3
+        end_m = cut_m if cut else FRAME_PX[0] / 2 * self.mm_per_px * 1e-3
+        return cut_m - PAD_M[0], -PAD_M[1] / 2, end_m, PAD_M[1] / 2
 
     def sensitivity(self) -> Sensitivity:
         """How strongly the sensor answers contact; ON and OFF thresholds averaged."""

@@ -60,13 +60,14 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
         raise InputError(
             "recordings of different sensors", where=str(job.inputs[0]), expected=expected, found=", ".join(sensors)
         )
-    shape = GelShape.of(params)
+    shape = GelShape.of(params, known)
     parameters: dict[str, Any] = {
         "method": "touch",
         "noise_n": params.noise_n,
         "known": known.named(),
         "readings": sources,
         **shape._asdict(),
+        "edges_mm": params.gel_mm,
         **({} if params.sensor is None else {"stiffness_error": params.stiffness_error}),
     }
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=tuple(headers))

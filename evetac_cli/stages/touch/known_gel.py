@@ -13,6 +13,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import ForceErrorModel, Scale, Stiffness
+from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, GelLayer
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
@@ -35,6 +36,7 @@ class KnownGel(NamedTuple):
     shear_modulus_pa: float | None = None
     mm_per_px: float | None = None
     creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time in s of its arms
+    edges_mm: tuple[float, float, float, float] | None = None  # where it ends, see GelLayer
 
     def named(self) -> dict[str, Any]:
         """As it enters a recipe."""
@@ -45,16 +47,22 @@ class KnownGel(NamedTuple):
 
 
 class GelShape(NamedTuple):
-    """How thick a gel is, how deep its dots lie, and how far from the lens: what a touch map takes as given."""
+    """A gel's thickness, depth of its dots, distance to the lens and edges: what a touch map takes as given."""
 
     height_mm: float = 4.0
     print_depth_mm: float = 0.0
     lens_mm: float = 25.0
+    edges_mm: tuple[float, float, float, float] = ENDLESS_MM
 
     @classmethod
-    def of(cls, params: PredictTouch | TrainForce) -> Self:
-        """As flags say."""
-        return cls(params.height_mm, params.print_depth_mm, params.lens_mm)
+    def of(cls, params: PredictTouch | TrainForce, known: KnownGel) -> Self:
+        """As flags say, and of edges what is known where they do not."""
+        edges = _typed_edges(params.gel_mm) if params.gel_mm else known.edges_mm or ENDLESS_MM
+        return cls(params.height_mm, params.print_depth_mm, params.lens_mm, edges)
+
+    def layer(self, modulus_pa: float) -> GelLayer:
+        """The layer of this shape."""
+        return GelLayer(self.height_mm, modulus_pa, 0.5, self.print_depth_mm, self.lens_mm, self.edges_mm)
 
 
 class GelWeights(NamedTuple):
@@ -73,11 +81,12 @@ class GelWeights(NamedTuple):
     errors: ForceErrorModel
 
 
-def gel_of(known: KnownGel, stiffness_error: float, shape: GelShape = GelShape()) -> GelWeights:  # noqa: B008 - constant
+def gel_of(known: KnownGel, stiffness_error: float, shape: GelShape | None = None) -> GelWeights:
     """The weights for a sensor of which so much is known.
 
     stiffness_error: sd of the logarithm of a modulus that is known. A scale that is not known makes forces less sure.
     """
+    shape = GelShape(edges_mm=known.edges_mm or ENDLESS_MM) if shape is None else shape
     mm_per_px, mm_log_sd = (MM_PER_PX, MM_LOG_SD) if known.mm_per_px is None else (known.mm_per_px, 0.0)
     modulus_pa, log_sd = SHEAR_MODULUS_PA, SHEAR_LOG_SD
     if known.shear_modulus_pa is not None:
@@ -112,8 +121,44 @@ def known_of(sensor: str | None) -> KnownGel:
 def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
     """What a sensor says of its gel, of the keys that are named; it creeps if it says so."""
     arms = sensor.creep or GelCreep(share=(), time_s=())
-    whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s))
+    whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s), edges_of(sensor))
     return KnownGel(**{name: value for name, value in whole._asdict().items() if name in named})
+
+
+def edges_of(sensor: Sensor) -> tuple[float, float, float, float]:
+    """Where the gel of a simulated sensor ends, in mm from the middle of the frame, before it is cut."""
+    x0, y0, x1, y1 = (round(1e3 * edge, 6) for edge in sensor.pad_m(cut=False))
+    return x0, y0, x1, y1
+
+
+def _typed_edges(text: str) -> tuple[float, float, float, float]:
+    """The edges of a gel as typed, four numbers; InputError for anything else."""
+    try:
+        x0, y0, x1, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        x0 = y0 = x1 = y1 = np.nan
+    if not (x0 < x1 and y0 < y1):
+        expected = "left, top, right and bottom edge in mm from the middle of the frame, as in -12.8,-7.5,10.5,7.5"
+        raise InputError("these are no edges of a gel", where="--gel-mm", expected=expected, found=text)
+    return x0, y0, x1, y1
+
+
+def at_window(
+    shape: GelShape, window_px: Sequence[int] | None, frame_px: Sequence[int], mm_per_px: float, dot_mm: Floats
+) -> GelShape:
+    """The shape of a gel that is cut: it ends at its window (x0, y0, x1, y1), where that is a strip beside its dots."""
+    if window_px is None:
+        return shape
+    middle = np.array(frame_px) / 2
+    starts, ends = (np.array(window_px[:2]) - middle) * mm_per_px, (np.array(window_px[2:]) - middle) * mm_per_px
+    edges = np.array(shape.edges_mm)
+    for axis in (0, 1):
+        if np.nanmax(dot_mm[:, axis]) < starts[axis]:
+            edges[2 + axis] = min(edges[2 + axis], starts[axis])
+        elif np.nanmin(dot_mm[:, axis]) > ends[axis]:
+            edges[axis] = max(edges[axis], ends[axis])
+    x0, y0, x1, y1 = (float(edge) for edge in edges)
+    return shape._replace(edges_mm=(x0, y0, x1, y1))
 
 
 def check_scale(tracks: StageFile, known: KnownGel) -> None:

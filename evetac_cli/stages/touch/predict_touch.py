@@ -22,6 +22,7 @@ from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
 
 OUTPUT = "touch"
 METHOD = 1
+SHAPE_FLAGS = {"height_mm", "print_depth_mm", "lens_mm", "gel_mm"}  # which a model knows
 
 
 def jobs(files: list[Path], params: PredictTouch, out: Path | None) -> list[Job]:
@@ -56,7 +57,7 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
     with StageFile(path, "tracks") as tracks:
         if own is None:
             known_gel.check_scale(tracks, known)
-            gel = known_gel.gel_of(known, params.stiffness_error, GelShape.of(params))
+            gel = known_gel.gel_of(known, params.stiffness_error, GelShape.of(params, known))
         else:
             _check_sensor(tracks, own[1], models[0])
             gel = own[2]
@@ -72,7 +73,7 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
 def _recipe(params: PredictTouch, known: KnownGel, tracks: Header, own: Header | None) -> Recipe:
     """What the numbers follow from: of a sensor that is not named its error is none, and a model has its own shape."""
     unused = set() if params.sensor is not None else {"stiffness_error"}
-    unused |= set() if own is None else set(GelShape._fields)
+    unused |= set() if own is None else SHAPE_FLAGS
     chosen: dict[str, Any] = {name: value for name, value in recipe_of(params).items() if name not in unused}
     chosen |= {"known": known.named()} if params.sensor is not None else {}
     return Recipe(OUTPUT, METHOD, chosen, parents=(tracks,) if own is None else (tracks, own))

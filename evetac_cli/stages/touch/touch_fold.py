@@ -16,10 +16,9 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import CreepMemory, Forces
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import GelLayer
 from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState
 from evetac_cli.stages import row_blocks
-from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, GelWeights
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, GelWeights, at_window
 from evetac_cli.store.files import StageFile
 
 SETTLED_SLICES = 200  # of a touch, after which it is taken to be held: a judgement, grips close within 0.1 s or so
@@ -66,11 +65,12 @@ class Factor(NamedTuple):
 def start(gel: GelWeights, tracks: StageFile) -> TouchState:
     """Begin a touch map of the dots of a tracks file; InputError where they are no dots of a gel."""
     rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
-    height_mm, print_depth_mm, lens_mm = gel.shape
-    layer = GelLayer(height_mm, gel.modulus_pa, 0.5, print_depth_mm, lens_mm)
+    rest_mm = (rest_px - _middle_px(tracks)) * gel.mm_per_px
+    window_px = tracks.read("sensor/window_px").tolist() if tracks.has("sensor/window_px") else None
+    shape = at_window(gel.shape, window_px, tracks.read("sensor/frame_px").tolist(), gel.mm_per_px, rest_mm)
     noise = DotNoise(TRACKER_PX * gel.mm_per_px, DRIFT_PX * gel.mm_per_px)
     try:
-        return touch_map.start((rest_px - _middle_px(tracks)) * gel.mm_per_px, layer, noise)
+        return touch_map.start(rest_mm, shape.layer(gel.modulus_pa), noise)
     except ValueError as error:
         raise InputError(f"no touch can be told of these dots: {error}", where=str(tracks.path)) from error
 

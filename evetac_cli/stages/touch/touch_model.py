@@ -7,16 +7,19 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force.gel_forces import CREEP_ARMS, ForceErrorModel, Scale
+from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM
 from evetac_cli.stages.touch.known_gel import GelShape, GelWeights
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
 KIND = "force-model"
 MADE = "a model of train-force --method touch"
+SHAPE = ("height_mm", "print_depth_mm", "lens_mm")  # numbers of a GelShape
 SHAPES = {  # what the schema leaves open
     "adapted/shear_covariance": (2, CREEP_ARMS + 2, CREEP_ARMS + 2),
     "adapted/normal_covariance": (2, 2),
     "adapted/creep_time_s": (CREEP_ARMS,),
+    "adapted/edges_mm": (4,),
     "adapted/errors": (len(ForceErrorModel._fields),),
 }
 
@@ -25,7 +28,8 @@ def arrays_of(gel: GelWeights) -> dict[str, Any]:
     """The datasets of an adapted scale."""
     return {
         **{f"adapted/{name}": values for name, values in gel.scale._asdict().items()},
-        **{f"adapted/{name}": np.float64(value) for name, value in gel.shape._asdict().items()},
+        **{f"adapted/{name}": np.float64(getattr(gel.shape, name)) for name in SHAPE},
+        "adapted/edges_mm": np.where(np.isfinite(gel.shape.edges_mm), gel.shape.edges_mm, np.nan),
         "adapted/modulus_pa": np.float64(gel.modulus_pa),
         "adapted/mm_per_px": np.float64(gel.mm_per_px),
         "adapted/mm_log_sd": np.float64(gel.mm_log_sd),
@@ -63,10 +67,17 @@ def _weights(file: StageFile) -> GelWeights:
 
     return GelWeights(
         number("modulus_pa"),
-        GelShape(*map(number, GelShape._fields)),
+        GelShape(number("height_mm"), number("print_depth_mm"), number("lens_mm"), _edges(file)),
         number("mm_per_px"),
         number("mm_log_sd"),
         Scale(*(file.read(f"adapted/{name}") for name in Scale._fields)),
         file.read("adapted/creep_time_s"),
         ForceErrorModel(*file.read("adapted/errors").tolist()),
     )
+
+
+def _edges(file: StageFile) -> tuple[float, float, float, float]:
+    """The edges of a gel; NaN in a file stands for one that is far away."""
+    stored = file.read("adapted/edges_mm")
+    x0, y0, x1, y1 = (float(edge) for edge in np.where(np.isnan(stored), ENDLESS_MM, stored))
+    return x0, y0, x1, y1

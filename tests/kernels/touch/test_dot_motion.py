@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.touch import dot_motion as operator
-from evetac_cli.kernels.touch.dot_motion import CellGrid, GelLayer, cells_about, dot_motion
+from evetac_cli.kernels.touch.dot_motion import PRESSURE, CellGrid, GelLayer, cells_about, dot_motion
 
 LAYER = GelLayer(lens_mm=math.inf)
 DOTS = np.stack(np.meshgrid(np.linspace(-6.3, 6.1, 4), np.linspace(-4.2, 4.4, 3)), -1).reshape(-1, 2)
@@ -95,3 +95,42 @@ def test_layers_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
     """Assert that the refusal names the number."""
     with pytest.raises(ValueError, match=next(iter(wrong))):
         dot_motion(LAYER._replace(**wrong), cells_about(DOTS, 4.0), DOTS)
+
+
+def test_an_even_shear_moves_a_gel_that_ends_evenly() -> None:
+    """Assert that all dots of a gel with free edges move by traction times height over modulus, in its own direction.
+
+    Without edges the gel beyond holds them back. Far from its edges a gel moves as one that has none.
+    """
+    layer = LAYER._replace(edges_mm=(-10.0, -8.0, 9.0, 8.0))
+    cells = cells_about(DOTS, 20.0, layer.edges_mm)
+    assert (cells.x_mm[0], cells.x_mm[-1], cells.y_mm[0], cells.y_mm[-1]) == (-10.0, 8.0, -8.0, 8.0)
+    ends, endless = (dot_motion(one, cells, DOTS) for one in (layer, LAYER))
+    evenly = layer.height_mm / layer.shear_modulus_pa
+    for axis in (0, 1):
+        assert ends[:, axis, axis].sum(axis=-1) == pytest.approx(evenly, rel=0.03)
+        assert np.abs(ends[:, 1 - axis, axis].sum(axis=-1)).max() < 0.03 * evenly
+        assert (endless[:, axis, axis].sum(axis=-1) < 0.97 * evenly).all()
+    middle = np.abs(cells.middle_mm).max(axis=1) < 1
+    near = np.hypot(*DOTS.T) < 3
+    assert ends[near][..., middle] == pytest.approx(endless[near][..., middle], abs=0.02 * np.abs(endless).max())
+
+
+def test_a_gel_that_is_pressed_evenly_bulges_out_at_its_edge() -> None:
+    """Assert that even pressure moves dots out beside a free edge, and the more the nearer, and none without edges."""
+    layer = LAYER._replace(edges_mm=(-40.0, -40.0, 7.0, 40.0))
+    line = np.array([[x, 0.0] for x in (-5.0, 0.0, 3.0, 6.0)])
+    cells = cells_about(line, 30.0, layer.edges_mm)
+    out = dot_motion(layer, cells, line)[:, 0, PRESSURE].sum(axis=-1)
+    assert (np.diff(out[1:]) > 0).all() and out[-1] > 5 * abs(out[0])
+    inside = np.abs(dot_motion(LAYER, cells_about(line, 30.0), line)[:, :, PRESSURE].sum(axis=-1))
+    assert inside.max() < 0.1 * out[-1]
+
+
+def test_dots_beyond_the_edges_are_no_dots_of_the_gel() -> None:
+    """Assert refusals of edges that hold no gel, or not all dots."""
+    with pytest.raises(ValueError, match="dots lie beyond the edges"):
+        cells_about(DOTS, 4.0, (-1.0, -40.0, 1.0, 40.0))
+    for edges in ((1.0, -9.0, 1.5, 9.0), (math.nan, -9.0, 9.0, 9.0)):
+        with pytest.raises(ValueError, match="edges_mm"):
+            LAYER._replace(edges_mm=edges).check()

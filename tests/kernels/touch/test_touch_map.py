@@ -10,7 +10,7 @@ import pytest
 from evetac_cli.evaluate.touch_contacts import ContactMaker, KnownContact
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import GelLayer
+from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, GelLayer
 from evetac_cli.kernels.touch.touch_map import LEAST_DOTS, RENEWAL_SLICES, TouchReading, TouchState
 
 DOTS = np.stack(np.meshgrid(np.linspace(-8, 8, 9), np.linspace(-6, 6, 7)), -1).reshape(-1, 2)
@@ -252,3 +252,22 @@ def test_a_renewal_in_parts_is_that_at_once(ball: KnownContact) -> None:
             assert same(touch_map.step(in_parts, places(ball), gone), before)
     assert parts == 3
     assert same(touch_map.step(in_parts, places(ball), gone), touch_map.step(at_once, places(ball), gone))
+
+
+def test_a_face_wider_than_the_view_says_that_it_is_told_badly() -> None:
+    """Assert that shear of a face over a whole gel is told where its edges are, and deviations hold where not.
+
+    Its normal force is as good as unknown, and told as that.
+    """
+    layer = GelLayer(lens_mm=math.inf, edges_mm=(-12.0, -9.0, 12.0, 9.0))
+    moved = DOTS + [20e3 * layer.height_mm / layer.shear_modulus_pa, 0.0]
+    moved[:, 0] += 0.01 * DOTS[:, 0]  # it bulges out
+    true_n = 20e3 * 24 * 18 * 1e-6
+    told, without = (
+        touch_map.step(touch_map.start(DOTS, one), moved) for one in (layer, layer._replace(edges_mm=ENDLESS_MM))
+    )
+    assert told.shear_n[0] == pytest.approx(true_n, rel=0.15)
+    assert abs(without.shear_n[0] - true_n) < 2 * without.shear_sd_n[0]
+    assert without.shear_sd_n[0] > 0.2 * without.shear_n[0]
+    for one in (told, without):
+        assert one.normal_sd_n > abs(one.normal_n)
