@@ -114,7 +114,7 @@ part-effects: $(READY)  ## what each part of a sensor or a scene does to each st
 blind-identification: $(READY)  ## whether sensors that identify has never seen are found again
 	@$(REPRODUCE) --only $@
 
-force-sensors: $(READY)  ## ... and forces on these sensors, which no model saw
+force-sensors: $(READY)  ## ... and forces by touch maps of these sensors
 	@$(REPRODUCE) --only $@
 
 touch-cost: $(READY)  ## what a step of the touch sensor costs

@@ -27,13 +27,11 @@ from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
 from evetac_cli.stages.model_files import why_useless
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, SHEAR_LOG_SD, SHEAR_MODULUS_PA, TRACKER_PX
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.record import SCENE_KINDS, simulated
 from evetac_cli.trials.trial import SimulatedTrial
-
-TRACKER_PX, DRIFT_PX = 0.05, 0.2  # sd of a tracked dot's own error, and of all dots' together, see DotNoise
-UNKNOWN_STIFFNESS = 0.4  # relative sd over gels: log-uniform from 70 to 300 kPa, as `randomized` has them
 
 
 def open_labels(path: str | Path) -> StageFile:
@@ -74,18 +72,16 @@ def open_features(path: str | Path) -> StageFile:
     return StageFile(Path(path), "features")
 
 
-def open_forces(path: str | Path) -> StageFile:
-    """Open a forces file: `shear_n` (slices, 2), `normal_n` (slices,), their `_sd_n`, and `contact`, all by slice.
-
-    By a model of the paper's method: shear force in N, (slices, 2), by `regression_n` and by `network_n`.
+def open_touch(path: str | Path) -> StageFile:
+    """Open a touch file: `shear_n` (slices, 2), `normal_n`, `centre_mm` and more, their `_sd_`, by slice; and `map/`.
 
     InputError if it is anything else.
 
-    >>> with evetac.open_forces("a.forces.h5") as forces:
-    ...     forces.read("network_n").shape[1]
-    2
+    >>> with evetac.open_touch("a.touch.h5") as touch:
+    ...     touch.read("shear_n").shape[1], touch.read("map/pressure_pa").ndim
+    (2, 3)
     """
-    return StageFile(Path(path), "forces")
+    return StageFile(Path(path), "touch")
 
 
 def open_model(path: str | Path) -> StageFile:
@@ -101,15 +97,15 @@ def open_model(path: str | Path) -> StageFile:
 
 
 def open_force_model(path: str | Path) -> StageFile:
-    """Open a force model: `regression/slope_n_px`, `regression/offset_n`, the network's weights and scales; or `gel/`.
+    """Open a force model: `regression/`, the network's weights and scales; or `adapted/`, the scale of touch maps.
 
-    `shipped` is the package's. InputError if it is anything else.
+    InputError if it is anything else.
 
     >>> with evetac.open_force_model("dots.force-model.h5") as model:
     ...     model.read("regression/offset_n").shape
     (2,)
     """
-    return StageFile(resources.model_file(path, "force-model", "path"), "force-model")
+    return StageFile(Path(path), "force-model")
 
 
 def open_report(path: str | Path) -> StageFile:
@@ -241,9 +237,10 @@ class TouchMap:
     """Where a gel is touched, how hard and in which direction, in mm, Pa and N, from dots slice by slice.
 
     gel: a recording, a simulation or a `Gel`. mm_per_px: scale of the image, x_mm and y_mm are from its middle.
-    shear_modulus_pa, which forces are proportional to, is the gel's unless given; 145e3 where it is unknown, and then
-    forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below the surface. lens_mm: from
-    the lens to the dots. InputError where the gel's dots are unknown; ValueError for numbers that cannot be.
+    shear_modulus_pa, which forces are proportional to, is the gel's unless given; where it is unknown, 121e3 as in
+    `predict-touch`, and then forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below
+    the surface. lens_mm: from the lens to the dots. InputError where the gel's dots are unknown; ValueError for numbers
+    that cannot be.
     On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts: the matrices are small, and threads that wait
     for a core make a new patch take ten times as long.
 
@@ -270,8 +267,8 @@ class TouchMap:
         dot_xy_px, _ = _known_dots(gel, "stable")
         modulus = gel.sensitivity.shear_modulus_pa if shear_modulus_pa is None else shear_modulus_pa
         if stiffness_error is None:
-            stiffness_error = UNKNOWN_STIFFNESS if modulus is None else 0.0
-        layer = GelLayer(height_mm, modulus or GelLayer().shear_modulus_pa, 0.5, print_depth_mm, lens_mm)
+            stiffness_error = SHEAR_LOG_SD if modulus is None else 0.0
+        layer = GelLayer(height_mm, modulus or SHEAR_MODULUS_PA, 0.5, print_depth_mm, lens_mm)
         self._scale, self._middle_px = mm_per_px, np.array(getattr(gel, "frame_px", FRAME_PX)) / 2
         self.rest_xy_px = dot_xy_px.reshape(-1, 2)  # the dots at rest, (n, 2)
         noise = DotNoise(TRACKER_PX * mm_per_px, DRIFT_PX * mm_per_px)

@@ -114,16 +114,10 @@ class Capability(StrEnum):
     HARDWARE = "a real device, before which a person puts the object"
 
 
-class TrainingOption(StrEnum):
-    """Ways to a force model that options of train-force belong to."""
+class TouchOption(StrEnum):
+    """What options of predict-touch and train-force belong to."""
 
     PAPER = "a training by the paper's method (--method paper)"
-    GEL = "a training for any sensor (--method gel)"
-    ADAPTATION = "an adaptation (--adapt)"
-    SENSOR = "an adaptation to a sensor of which something is known (--adapt with --sensor)"
-
-
-class PredictionOption(StrEnum):
-    """What options of predict-force belong to."""
-
+    TOUCH = "an adaptation of touch maps (--method touch)"
     SENSOR = "a sensor of which something is known (--sensor)"
+    OF_NO_MODEL = "a touch map without a model (no --model)"

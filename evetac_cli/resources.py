@@ -1,4 +1,4 @@
-"""Where the package's own data lies: schemas, scenes, tables, a slip detector, a force model."""
+"""Where the package's own data lies: schemas, scenes, tables, a slip detector."""
 
 import functools
 from collections.abc import Iterable
@@ -13,8 +13,6 @@ DATA = PACKAGE / "data"
 SCENES = DATA / "scenes"
 SHIPPED = "shipped"  # names the package's model where a flag asks for one
 MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
-FORCE_MODEL = DATA / "models" / "gel.force-model.h5"  # of `predict-force`, likewise
-MODELS = {"model": MODEL, "force-model": FORCE_MODEL}
 
 
 def schemas() -> Path:
@@ -25,13 +23,13 @@ def schemas() -> Path:
     raise EvetacError("the folder schemas/ is missing from this installation", hint="install evetac again")
 
 
-def model_file(named: Path | str | None, kind: str = "model", flag: str = "--model") -> Path:
-    """The file of a model: the package's for `shipped` and where none is named, otherwise the one that is named.
+def model_file(named: Path | str | None, flag: str = "--model") -> Path:
+    """The file of a slip detector: the package's for `shipped` and where none is named, otherwise what is named.
 
     InputError for a name that is neither a file nor `shipped`, but near to it.
     """
     if named is None or str(named) in ("", SHIPPED):
-        return MODELS[kind]
+        return MODEL
     path = Path(named)
     if not path.exists() and get_close_matches(str(named), [SHIPPED]):
         raise InputError("no such file", where=flag, found=str(named), hint=f"did you mean {SHIPPED}?")

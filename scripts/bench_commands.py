@@ -19,7 +19,7 @@ COMMANDS = {
     "--version": "--version",
     "--help": "--help",
     **{f"{stage}, nothing to do": f"{stage} a.recording.h5" for stage in STAGES},
-    "predict-force, nothing to do": "predict-force a.tracks.h5",
+    "predict-touch, nothing to do": "predict-touch a.tracks.h5",
     "record, nothing to do": RECORD,
     "validate": "validate a.recording.h5",
     "info": "info a.recording.h5",
@@ -27,7 +27,7 @@ COMMANDS = {
     "track": f"track a.recording.h5 -o {NEW}.tracks.h5",
     "label": f"label a.recording.h5 -o {NEW}.labels.h5",
     "featurize": f"featurize a.recording.h5 -o {NEW}.features.h5",
-    "predict-force": f"predict-force a.tracks.h5 -o {NEW}.forces.h5",
+    "predict-touch": f"predict-touch a.tracks.h5 -o {NEW}.touch.h5",
     "export parquet": f"export a.recording.h5 --format parquet -o {NEW}.parquet",
     "export raw": f"export a.recording.h5 --format raw -o {NEW}.raw",
     "report": f"report . -o {NEW}.html",
@@ -56,7 +56,7 @@ def cheapest(codes: Sequence[Path], rounds: int, commands: dict[str, str] = COMM
         for code, folder in zip(codes, folders, strict=True):
             folder.mkdir()
             made = [f"{stage} a.recording.h5" for stage in STAGES]
-            for words in (RECORD, *made, "predict-force a.tracks.h5", "index ."):
+            for words in (RECORD, *made, "predict-touch a.tracks.h5", "index ."):
                 cpu_s(code, words, folder)
         at_work = list(zip(codes, folders, strict=True))
         found = {}

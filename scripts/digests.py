@@ -70,7 +70,6 @@ def cases() -> Iterator[tuple[str, Commands]]:
             "track a.recording.h5 b.recording.h5 --preset stable",
             "track-rgb a.recording.h5 b.recording.h5 --out rgb",
             "train-force a.tracks.h5 b.tracks.h5 --epochs 20 --out m.force-model.h5",
-            "predict-force a.tracks.h5 --model m.force-model.h5 --out a.forces.h5",
         ],
     )
 

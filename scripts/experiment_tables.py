@@ -44,6 +44,8 @@ class Table:
     across: Column | None = None
     notes: tuple[str, ...] = ()
     measured: bool = False  # all figures of rows and summaries are kept, and columns without a figure left out
+    # Without, no result of today's method is kept: `docs/` has no place for it before somebody has run it.
+    kept: bool = True
 
 
 def demo_rows(evaluations: Evaluations) -> Rows:

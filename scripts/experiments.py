@@ -169,7 +169,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(studies.BLIND_IDENTIFICATION,),
     ),
     Experiment(
-        "force-sensors", "shear and normal force on sensors that no model saw", "data/force-sensors", 1.5,
+        "force-sensors", "shear and normal force by touch maps of different sensors", "data/force-sensors", 3.0,
         full={"first": 20_020, "sensors": 20, "adapt": 12}, small={"sensors": 1, "adapt": 1},
         steps=studies.force_sensor_steps, evaluations=studies.force_sensor_evaluations, in_plan=False,
         tables=(studies.FORCE_SENSORS, studies.FORCE_OBJECTS), after=("blind-identification",),

@@ -1,10 +1,10 @@
-"""Recordings of simulated sensors that are all different, to train and to evaluate force models that travel.
+"""Recordings of simulated sensors that are all different, to adapt and to evaluate touch maps on.
 
     python scripts/force_randomized.py FOLDER --first 20000 --sensors 20
 
 For each sensor randomized-narrow:N, 5 s each (10 s with --waypoints 4):
 
-- N-adapt-0 to 11: a flat face, pressed on with 6 to 20 N and sheared: a minute that a model is adapted on;
+- N-adapt-0 to 11: a flat face, pressed on with 6 to 20 N and sheared: a minute to adapt on;
 - N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
 - N-disc: a disc of 16 mm, 10 N; N-slip: an object of the paper's table slips out of the grip (a cut gel).
 

@@ -75,8 +75,8 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
     for header in headers:
         for node in (header, *header["history"].values()):
             command = node["parameters"].get("command", COMMANDS.get(node["kind"], ""))
-            if node["kind"] == "force-model" and node["parameters"].get("method") == "gel":
-                command = "train-force --method gel"
+            if node["kind"] == "force-model" and node["parameters"].get("method") == "touch":
+                command = "train-force --method touch"
             if node["kind"] == "tracks":
                 command = "track" if node["seed"] is None else "track-rgb"
             if node["kind"] == "recording" and "controller" in node["parameters"]:

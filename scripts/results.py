@@ -110,7 +110,7 @@ OF_SCRIPTS = {
 OF_COVARIATES = ("median", "p10", "p90")
 # Where each command has the number of its method.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
-MODULES["train-force --method gel"] = "stages.force.train_gel"
+MODULES["train-force --method touch"] = "stages.force.adapt_touch"
 
 
 def keys(template: str) -> list[str]:

@@ -76,10 +76,10 @@ SLIP_IN_CONTACT = measured(
 TRACKERS = {"stable": "", "paper": "paper/"}  # folder of its tracks
 STATES = {  # as `evaluate force` calls them
     "unknown": "nothing",
-    "known": "scale, moduli within {stiffness_error:.0%}",
+    "known": "scale, modulus within {stiffness_error:.0%}",
     "identified": "what `identify` tells, and the scale",
     "adapted": "nothing before, then adapted",
-    "known, adapted": "scale, moduli within {stiffness_error:.0%}, then adapted",
+    "known, adapted": "scale, modulus within {stiffness_error:.0%}, then adapted",
     "identified, adapted": "what `identify` tells, and the scale, then adapted",
 }
 PAPER_MODELS = {"regression": "linear regression", "network": "network"}
@@ -100,7 +100,7 @@ def force_sensor_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def force_sensor_evaluations(sizes: Sizes) -> dict[str, Command]:
-    """The package's model with what is known of the gel, on faces by both trackers and on objects; the paper's models.
+    """Touch maps with what is known of the gel, on faces by both trackers and on objects; the paper's models.
 
     The seed is that of readings and of the errors of moduli.
     """
@@ -108,7 +108,7 @@ def force_sensor_evaluations(sizes: Sizes) -> dict[str, Command]:
 
     def of_any_sensor(folder: str, trial: str) -> Command:
         own = (f"--adapt-on={folder}*-adapt-*.tracks.h5", "--identified", "../blind-identification")
-        return evetac("evaluate", "force", f"{folder}*-{trial}.tracks.h5", "--model", "shipped", *seed, *own)
+        return evetac("evaluate", "force", f"{folder}*-{trial}.tracks.h5", *seed, *own)
 
     evaluations = {tracker: of_any_sensor(folder, "shear-0") for tracker, folder in TRACKERS.items()}
     evaluations["slip"] = of_any_sensor("", "slip")
@@ -165,7 +165,7 @@ FORCE_COLUMNS = (
     Column("within one sd: shear, normal", "{shear_within_sd:.0%}, {normal_within_sd:.0%}"),
 )
 FORCE_NOTE = (
-    "Range: the largest normal force. `known` moduli are the true ones times a lognormal error, creep is not known."
+    "Range: the largest normal force. A `known` modulus is the true one times a lognormal error, creep is not known."
 )
 FORCE_SENSORS = Table(
     "force-sensors",
@@ -175,6 +175,7 @@ FORCE_SENSORS = Table(
     FORCE_COLUMNS,
     notes=(FORCE_NOTE,),
     measured=True,
+    kept=False,
 )
 FORCE_OBJECTS = Table(
     "force-objects",
@@ -184,6 +185,7 @@ FORCE_OBJECTS = Table(
     FORCE_COLUMNS,
     notes=(FORCE_NOTE,),
     measured=True,
+    kept=False,
 )
 
 # --- what each part does to each stage --------------------------------------------------------------------------------

@@ -17,11 +17,11 @@ import pytest
 import evetac_cli as evetac
 from evetac_cli import api
 from evetac_cli.commands.evaluate import EvaluateLabels
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
 from evetac_cli.evaluate import labels
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages.force import predict_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.trials.record import jobs, run
 from tests.conftest import Made
 from tests.patience import PATIENCE_S
@@ -39,9 +39,8 @@ def files(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(made.beside(recording, kind), folder / f"a.{kind}.h5")
     shutil.copy(made.model, folder / "slip.model.h5")
     shutil.copy(made.force_model, folder / "dots.force-model.h5")
-    force = PredictForce(model=made.force_model)
-    (job,) = predict_force.jobs([folder / "a.tracks.h5"], force, None)
-    predict_force.run(job, force)
+    (job,) = predict_touch.jobs([folder / "a.tracks.h5"], PredictTouch(map_every=100), None)
+    predict_touch.run(job, PredictTouch(map_every=100))
     (job,) = labels.jobs([folder / "a.labels.h5"], EvaluateLabels(), folder / "a.report.h5")
     labels.run(job, EvaluateLabels())
     return folder

@@ -203,13 +203,13 @@ ON_OTHERS = [
     ("tracks", "evaluate tracking"),
     ("tracks", "evaluate force"),
     ("tracks", "train-force"),
-    ("tracks", "predict-force --model none.force-model.h5"),
+    ("tracks", "predict-touch"),
     ("features", "train"),
     ("features", "evaluate slip --model {}"),
     ("features", "evaluate cost model"),
     ("model", "evaluate slip --model {}"),
     ("model", "grasp --model"),
-    ("force-model", "predict-force {} --model"),
+    ("force-model", "predict-touch {} --model"),
     *((kind, command) for kind in schema.KINDS if kind != "recording" for command in ("validate", "info")),
 ]
 

@@ -70,7 +70,6 @@ ONLY_IN = {
         "kernels/slip/networks.py",
         "kernels/slip/training.py",
         "kernels/force/training.py",
-        "kernels/force/gel_training.py",
         "stages/train/__init__.py",
         "stages/train/log.py",
         "testing.py",

@@ -9,19 +9,22 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.calibrate import Calibrate
+from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import force as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import calibrate, featurize, label, track, train
-from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.force import train_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_toml
@@ -164,15 +167,16 @@ def test_calibration_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> No
 
 
 def test_forces_of_dots_in_no_grid(short_scene: Path, tmp_path: Path) -> None:
-    """Assert that a force model is trained on them and applied, and that it refuses another gel."""
+    """Assert that a force model is trained on them and judged, refuses another gel, and that they tell touch."""
     for seed in (0, 1):
         slipped("scattered", short_scene, tmp_path, seed)
     tracks = [tmp_path / f"{seed}.tracks.h5" for seed in (0, 1)]
     model = output_of(train_force, TrainForce(samples=10, epochs=2), *tracks, out=tmp_path / "a.force-model.h5")
-    forces = output_of(predict_force, PredictForce(model=model), tracks[0])
-    with StageFile(forces, "forces") as made, StageFile(tmp_path / "0.recording.h5", "recording") as truth:
-        assert made.read("regression_n").shape == truth.read("truth/shear_force_n").shape
+    touch = output_of(predict_touch, PredictTouch(map_every=0), tracks[0])
+    with StageFile(touch, "touch") as made, StageFile(tmp_path / "0.recording.h5", "recording") as truth:
+        assert made.read("shear_n").shape == truth.read("truth/shear_force_n").shape
+        assert made.read("touches").any()
     other = slipped("3 x 4", short_scene, tmp_path, 2).with_name("2.tracks.h5")
     with pytest.raises(InputError, match="another dot grid") as refused:
-        output_of(predict_force, PredictForce(model=model), other)
+        output_of(evaluate_force, EvaluateForce(model=str(model)), other)
     assert "40 dots in no grid" in str(refused.value)

@@ -14,28 +14,26 @@ from typer.testing import CliRunner
 import evetac_cli as evetac
 from evetac_cli.cli.main import app
 from evetac_cli.commands import EVALUATE, EXPORT, PIPELINE, VIEW
-from evetac_cli.commands.evaluate import EvaluateCost, EvaluateForce, EvaluateSlip
+from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.commands.predict_force import PredictForce
 from evetac_cli.commands.train import Train
-from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import force, slip
+from evetac_cli.evaluate import slip
 from evetac_cli.evaluate.cost import command as cost
-from evetac_cli.resources import FORCE_MODEL, MODEL, SHIPPED, model_file, with_shipped
+from evetac_cli.resources import MODEL, SHIPPED, model_file, with_shipped
 from evetac_cli.stages import train
-from evetac_cli.stages.force import predict_force, train_force
 from evetac_cli.trials.grasp.settings import GraspSettings
 from tests.conftest import Made
 
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT)}
 COMMANDS |= {f"evaluate {command.name}": command for command in EVALUATE}
-# Parameters that name a model file; `train --model` names an architecture.
+# Parameters that name a slip detector's file; `train --model` names an architecture, and of forces there is no model.
 TAKES_A_MODEL = [
     (name, item)
     for name, command in COMMANDS.items()
     for item in dataclasses.fields(command.params)
     if item.name in ("model", "adapt") and not item.metadata["choices"]
+    if name not in ("predict-touch", "evaluate force")
 ]
 
 
@@ -49,12 +47,9 @@ def test_where_a_model_is_taken() -> None:
     """Assert that the flags above are those known here, each of which is tried below: a new one needs a test."""
     assert {(command, item.name) for command, item in TAKES_A_MODEL} == {
         ("train", "adapt"),
-        ("train-force", "adapt"),
-        ("predict-force", "model"),
         ("grasp", "model"),
         ("export", "model"),
         ("evaluate slip", "model"),
-        ("evaluate force", "model"),
         ("evaluate cost", "model"),
     }
 
@@ -62,15 +57,11 @@ def test_where_a_model_is_taken() -> None:
 def test_stages_take_the_packages_model(made: Made, tmp_path: Path) -> None:
     """Assert that every stage that takes a model finds the package's by this word."""
     features = [made.beside(path, "features") for path in made.recordings]
-    tracks = [made.beside(path, "tracks") for path in made.recordings]
     named = Path(SHIPPED)
     assert slip.jobs(features, EvaluateSlip(model=named), tmp_path)[0].inputs[-1] == MODEL
     assert slip.jobs([*features, named], EvaluateSlip(), tmp_path)[0].inputs[-1] == MODEL
     both = slip.jobs([*features, named], EvaluateSlip(model=made.model), tmp_path)[0]
     assert set(both.inputs[-both.models :]) == {MODEL, made.model}
-    assert force.jobs(tracks, EvaluateForce(model=SHIPPED), tmp_path)[0].inputs[-1] == FORCE_MODEL
-    assert predict_force.jobs(tracks[:1], PredictForce(model=named), tmp_path)[0].inputs[-1] == FORCE_MODEL
-    assert train_force.jobs(tracks[:1], TrainForce(adapt=SHIPPED), tmp_path)[0].inputs[-1] == FORCE_MODEL
     assert train.jobs(features, Train(adapt=SHIPPED), tmp_path)[0].output.name.endswith("10ms.model.h5")
     for params in (Grasp(model=named), Grasp()):
         assert (detector := GraspSettings.of(params).detector) is not None
@@ -107,7 +98,7 @@ def test_view_shows_the_packages_detector(made: Made, tmp_path: Path) -> None:
 
 
 def test_from_python(made: Made) -> None:
-    """Assert that the detector, both kinds of model files and the Gymnasium environment take the word."""
+    """Assert that the detector, its model file and the Gymnasium environment take the word."""
     gymnasium = pytest.importorskip("gymnasium")
     import evetac_cli.gym  # noqa: F401  registers the environment
 
@@ -115,8 +106,8 @@ def test_from_python(made: Made) -> None:
         named, default = (evetac.SlipDetector(recording, *model) for model in ((SHIPPED,), ()))
         for events, _ in zip(recording, range(60), strict=False):
             assert np.array_equal(named.step(events), default.step(events), equal_nan=True)
-    with evetac.open_model(SHIPPED) as model, evetac.open_force_model(SHIPPED) as force_model:
-        assert (model.path, force_model.path) == (MODEL, FORCE_MODEL)
+    with evetac.open_model(SHIPPED) as model:
+        assert model.path == MODEL
     assert gymnasium.make("evetac/Lift-v0", model=SHIPPED).unwrapped._model == MODEL
     assert "shipped" in str(inspect.getdoc(evetac.SlipDetector))
 

@@ -24,7 +24,7 @@ OF_PIPELINE = (
     "train",
     "track-rgb",
     "train-force",
-    "predict-force",
+    "predict-touch",
     "grasp",
 )
 # Made when they are asked for.

@@ -164,34 +164,36 @@ class EvaluateStability:
 
 @dataclass(frozen=True)
 class EvaluateForce:
-    """Compare the forces that force models predict from dots with the true ones (simulated recordings)."""
+    """Compare forces that touch maps, or the paper's models, tell with the true ones (simulated recordings)."""
 
     model: str = parameter(
         "",
-        "Force model, folder or glob of several, or `shipped`, the package's. Each judges the tracks of its own"
-        " sensor.",
+        "Force model of the paper's method, folder or glob of several: each judges the tracks of its own sensor;"
+        " default: none, touch maps are judged.",
         recipe=False,
     )
     adapt_on: str = parameter(
         "",
-        "Tracks (a folder or a glob) of the same sensors, on which a model of method gel is adapted first; one row"
-        " more of each sensor.",
+        "Tracks (a folder or a glob) of the same sensors, on which touch maps are adapted first: more rows of each"
+        " sensor.",
         recipe=False,
     )
     identified: str = parameter(
         "",
-        "Folder with files of the same sensors by `evetac identify`, 7.sensor.toml for randomized:7: one row more, of"
-        " method gel, of each sensor that has one.",
+        "Folder with files of the same sensors by `evetac identify`, 7.sensor.toml for randomized:7: one row more of"
+        " each sensor that has one.",
         recipe=False,
     )
     stiffness_error: float = parameter(
-        0.1, "Of method gel: relative error of the moduli that are taken as known, sd.", low=0.0, high=2.0
+        0.1, "Of touch maps: relative error of the modulus that is taken as known, sd.", low=0.0, high=2.0
     )
-    samples: int = parameter(200, "Samples of each trajectory, evenly spread over the contact.", low=3, high=100000)
+    samples: int = parameter(
+        200, "Of the paper's models: samples of each trajectory, evenly spread over the contact.", low=3, high=100000
+    )
     noise_n: float = parameter(
-        0.05, "Noise of the force sensor that is compared with, sd.", unit="N", low=0.0, high=100.0
+        0.05, "Noise of the force sensor that is compared with, or adapted to, sd.", unit="N", low=0.0, high=100.0
     )
-    seed: int = parameter(0, "Seed of the noise, and of the error of the moduli.", low=0, high=2**31 - 1)
+    seed: int = parameter(0, "Seed of the noise, and of the error of the modulus.", low=0, high=2**31 - 1)
 
 
 COMMANDS = (
@@ -256,7 +258,7 @@ COMMANDS = (
         "Tracks of simulated shear recordings.",
         kind="tracks",
         unit="files",
-        examples=("evetac evaluate force unseen --model shear.force-model.h5",),
+        examples=("evetac evaluate force unseen", "evetac evaluate force unseen --model shear.force-model.h5"),
     ),
     Command(
         "realism",

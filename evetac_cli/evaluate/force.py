@@ -21,13 +21,13 @@ from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import (
-    gel_force,
     paper,
     picture,
     report,
     report_job,
+    touch_force,
 )
-from evetac_cli.evaluate.gel_force import ForceReportJob
+from evetac_cli.evaluate.touch_force import ForceReportJob
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.force import models as forces
@@ -65,28 +65,28 @@ class TrialForce(NamedTuple):
 
 def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:
     """One report over all tracks files."""
-    models = named_files(params.model, "force-model", "--model")
+    models = named_files(params.model, "force-model", "--model") if params.model else []
     own = named_files(params.adapt_on, "tracks", "--adapt-on") if params.adapt_on else []
+    for is_given, flag in ((own, "--adapt-on"), (params.identified, "--identified")):
+        if is_given and models:
+            raise InputError(
+                "a model of the paper's method is for the sensor that it was trained on alone",
+                where=flag,
+                expected="touch maps, which are judged without --model",
+                found=f"--model {params.model}",
+            )
     (job,) = report_job(files, "force", out, *own, *models)
     return [ForceReportJob(job.inputs, job.output, len(models), len(own))]
 
 
 def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Rows of both models for every trajectory: mean and sd of the absolute error, for x and y.
+    """Rows of both of the paper's models for every trajectory: mean and sd of the absolute error, for x and y.
 
-    A model for any sensor has rows of its own (gel_force).
+    Without a model touch maps are judged (touch_force).
     """
+    if not job.models:
+        return touch_force.run(job, params, force=force, progress=progress)
     files, model_paths = job.inputs[: -job.models], job.inputs[-job.models :]
-    if is_for_any_sensor(model_paths):
-        return gel_force.run(job, params, force=force, progress=progress)
-    for is_given, flag in ((job.own, "--adapt-on"), (params.identified, "--identified")):
-        if is_given:
-            raise InputError(
-                "a model of the paper's method is for the sensor that it was trained on alone",
-                where=flag,
-                expected="a model of train-force --method gel",
-                found=str(model_paths[0]),
-            )
     models = _models(model_paths)
     headers = []
     for path in files:
@@ -130,22 +130,6 @@ def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
         words = ", ".join(f"{word}{mean:.3g} N" for word, mean in means.items())
         lines.append(f"{by} {name}: mean absolute error of shear force {words}; {len(of_name)} trajectories.")
     return rows, lines
-
-
-def is_for_any_sensor(paths: tuple[Path, ...]) -> bool:
-    """Whether the model is one for any sensor; InputError where there are several and one of them is."""
-    has_gel = []
-    for path in paths:
-        with StageFile(path, "force-model") as file:
-            has_gel.append(file.has("gel"))
-    if any(has_gel) and len(has_gel) > 1:
-        raise InputError(
-            "a model for any sensor among several",
-            where="--model",
-            expected="that model alone, or models of the paper's method",
-            found=", ".join(map(str, paths)),
-        )
-    return any(has_gel)
 
 
 def _models(paths: tuple[Path, ...]) -> Models:

@@ -284,9 +284,8 @@ def _model(file: StageFile) -> dict[str, Any]:
 
 
 def _force_model(file: StageFile) -> dict[str, Any]:
-    if file.has("gel"):
-        adapted = file.has("adapted")
-        modulus = float(file.read("adapted/shear")[:, 0].mean()) * 1e6 if adapted else None
+    if file.has("adapted"):
+        modulus = float(file.read("adapted/shear")[:, 0].mean()) * 1e6
         return {
             "sensor": file.read("sensor"),
             "sensor_name": file.read("sensor_name"),

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from evetac_cli.errors import MADE_BY, InputError, made_by
-from evetac_cli.resources import MODELS, SHIPPED, model_file
+from evetac_cli.resources import SHIPPED, model_file
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -23,8 +23,8 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
     InputError if it names none.
     """
     pattern = str(given or "")
-    if kind in MODELS and pattern:
-        pattern = str(model_file(pattern, kind, flag))
+    if kind == "model" and pattern:
+        pattern = str(model_file(pattern, flag))
     if pattern and Path(pattern).is_dir():
         pattern = f"{pattern}/*.{kind}.h5"
     is_file = bool(pattern) and Path(pattern).is_file()  # its name may hold signs that mean something in a glob
@@ -33,7 +33,7 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
         raise InputError(
             "no such file" if pattern else f"no {kind} file is named",
             where=flag,
-            expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind in MODELS else ""),
+            expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind == "model" else ""),
             found=str(given or ""),
             hint=made_by(kind),
         )

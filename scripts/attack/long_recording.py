@@ -140,7 +140,7 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     yield "featurize", f"{long}"
     yield "track-rgb", f"{long}"
     yield from _force_model(folder / "trials", folder / "short.force-model.h5")
-    yield "predict-force", f"{folder / 'long.tracks.h5'}", "--model", f"{folder / 'short.force-model.h5'}"
+    yield "predict-touch", f"{folder / 'long.tracks.h5'}"
     yield "grasp", "--camera", f"replay:{long}", "-o", f"{folder / 'replayed.recording.h5'}"
     yield "evaluate", "data-rate", f"{long}", "-o", f"{folder / 'rate.report.h5'}"
     yield "evaluate", "tracking", f"{folder / 'long.tracks.h5'}", "-o", f"{folder / 'tracking.report.h5'}"
@@ -152,7 +152,7 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     yield "record", "--from", f"{folder / 'long.dsec.h5'}", "-o", f"{folder / 'imported.recording.h5'}"
     yield "trim", f"{long}", "--to-ms", f"{text_ms}", "-o", f"{folder / 'minutes.recording.h5'}"
     yield "export", "--format", "text", f"{folder / 'minutes.recording.h5'}"
-    derived = ("long.labels", "long.tracks", "long.features", "long.forces")
+    derived = ("long.labels", "long.tracks", "long.features", "long.touch")
     for name in (*derived, "piece.recording", "imported.recording", "replayed.recording"):
         yield "validate", f"{folder / name}.h5"
 

@@ -18,7 +18,7 @@ MADE_BY = {
     "features": "[`featurize`](../commands/featurize.md)",
     "model": "[`train`](../commands/train.md)",
     "force-model": "[`train-force`](../commands/train-force.md)",
-    "forces": "[`predict-force`](../commands/predict-force.md)",
+    "touch": "[`predict-touch`](../commands/predict-touch.md)",
     "report": "[`evaluate`](../commands/index.md#evaluate)",
 }
 
@@ -57,9 +57,10 @@ frame.index.name = "ms" """,
         "regression/slope_n_px",
         """frame = pandas.DataFrame({name: file[f"curve/{name}_n"][:] for name in ("learned", "held_out")})""",
     ),
-    "forces": Snippets(
-        "network_n",
-        """frame = pandas.DataFrame(file["network_n"][:], columns=["x_n", "y_n"]).rename_axis(index="ms")""",
+    "touch": Snippets(
+        "shear_n",
+        """frame = pandas.DataFrame({name: file[name][:] for name in ("normal_n", "area_mm2")})
+frame.index.name = "ms" """,
     ),
     "report": Snippets("rows", """frame = pandas.DataFrame(json.loads(file["rows"].asstr()[()]))"""),
 }

@@ -18,7 +18,7 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
-from evetac_cli.resources import FORCE_MODEL, MODEL
+from evetac_cli.resources import MODEL
 
 ROWS, COLUMNS = 7, 8  # of the cut gel, for which numbers of weights are counted
 OWN = "ours"
@@ -70,7 +70,8 @@ MODELS = {
 OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
-    "gel": "Shear force, normal force and contact for any dot grid and any gel, each with its uncertainty. Ours.",
+    "touch": "Shear modulus, creep, offset and the factor of the normal force, with which touch maps of one sensor tell"
+    " its forces. Ours.",
 }
 
 
@@ -175,11 +176,7 @@ def _models() -> str:
     said += ["## Force models\n", "`evetac train-force --method NAME`.\n"]
     for name in force_methods():
         said += [f"### Force model {name}\n", FORCE_MODELS[name] + "\n"]
-    facts = json.loads(FORCE_MODEL.with_name("gel.json").read_text())
-    said += [
-        f"The package's {code(FORCE_MODEL.name)} is of method `{facts['method']}`: {facts['parameters']:,} weights,"
-        f" from {facts['training']['contacts']:,} simulated contacts. [Forces](../forces.md) says how well it does.\n"
-    ]
+    said.append("Without a model `predict-touch` tells forces, too: [touch maps](../touch-maps.md).\n")
     return "\n".join(said)
 
 

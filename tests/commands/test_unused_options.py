@@ -1,4 +1,4 @@
-"""No option of `record`, `grasp`, `train-force` and `predict-force` is ignored without a word."""
+"""No option of `record`, `grasp`, `train-force` and `predict-touch` is ignored without a word."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -7,12 +7,13 @@ from typing import Any
 import pytest
 
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.devices.cameras import parse
 from evetac_cli.errors import InputError
-from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.force import train_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.trials import grasp, record
 
 FILE = {"source": Path("one.txt")}
@@ -123,14 +124,11 @@ def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("run", "option", "belongs"),
     [
-        ({}, {"sensor": "evetac"}, "an adaptation"),
-        ({"method": "gel"}, {"sensor": "evetac"}, "an adaptation"),
-        ({"adapt": "shipped"}, {"stiffness_error": 0.2}, "of which something is known"),
-        ({"adapt": "shipped"}, {"method": "gel"}, "a training by the paper's method .* or a training for any sensor"),
-        ({"adapt": "shipped"}, {"epochs": 3}, "a training by the paper's method"),
-        ({"adapt": "shipped"}, {"samples": 30}, "a training by the paper's method"),
-        ({"method": "gel"}, {"noise_n": 0.1}, "a training by the paper's method .* or an adaptation"),
-        ({}, {"contacts": 30}, "a training for any sensor"),
+        ({}, {"sensor": "evetac"}, "an adaptation of touch maps"),
+        ({}, {"height_mm": 3.0}, "an adaptation of touch maps"),
+        ({"method": "touch"}, {"stiffness_error": 0.2}, "of which something is known"),
+        ({"method": "touch"}, {"epochs": 3}, "a training by the paper's method"),
+        ({"method": "touch"}, {"samples": 30}, "a training by the paper's method"),
     ],
 )
 def test_options_of_another_training(run: dict[str, Any], option: dict[str, Any], belongs: str) -> None:
@@ -139,19 +137,23 @@ def test_options_of_another_training(run: dict[str, Any], option: dict[str, Any]
     flag = "--" + next(iter(option)).replace("_", "-")
     with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
         train_force.jobs([Path("a.tracks.h5")], TrainForce(**run, **option), None)
-    assert without_needs(TrainForce) == {"adapt", "seed"}
+    assert without_needs(TrainForce) == {"noise_n", "seed"}
 
 
-def test_the_error_of_a_stiffness_that_is_not_known() -> None:
-    """Assert that --stiffness-error needs the sensor whose stiffness it is of."""
+def test_options_of_another_prediction() -> None:
+    """Assert that --stiffness-error needs the sensor whose error it is, and that a model knows the gel's shape."""
     files = [Path("a.tracks.h5")]
-    assert predict_force.jobs(files, PredictForce(sensor="evetac", stiffness_error=0.2), None)
-    with pytest.raises(InputError, match=r"^--stiffness-error: has no effect .* \(--sensor\)"):
-        predict_force.jobs(files, PredictForce(stiffness_error=0.2), None)
+    assert predict_touch.jobs(files, PredictTouch(sensor="evetac", stiffness_error=0.2, height_mm=3.0), None)
+    for chosen, flag in (
+        (PredictTouch(stiffness_error=0.2), r"--stiffness-error: has no effect .* \(--sensor\)"),
+        (PredictTouch(model=Path("own.force-model.h5"), print_depth_mm=0.5), "--print-depth-mm: has no effect"),
+        (PredictTouch(model=Path("own.force-model.h5"), sensor="evetac"), "--sensor: an adapted model has"),
+    ):
+        with pytest.raises(InputError, match=f"^{flag}"):
+            predict_touch.jobs(files, chosen, None)
 
 
 def test_options_of_this_training() -> None:
     """Assert that options with an effect are not refused."""
-    train_force._refuse_unused(TrainForce(adapt="a.h5", sensor="evetac", stiffness_error=0.2, noise_n=0.1))
+    train_force._refuse_unused(TrainForce(method="touch", sensor="evetac", stiffness_error=0.2, noise_n=0.1))
     train_force._refuse_unused(TrainForce(samples=9, epochs=2, noise_n=0.1))
-    train_force._refuse_unused(TrainForce(method="gel", contacts=20, epochs=2))

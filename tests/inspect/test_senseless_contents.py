@@ -17,7 +17,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.label import Label
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
@@ -30,7 +30,7 @@ from evetac_cli.evaluate import vibration as evaluate_vibration
 from evetac_cli.inspect import validate
 from evetac_cli.pages import view
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
-from evetac_cli.stages.force import predict_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, put_header
 from evetac_cli.store.layout.provenance import recompute_id
 from tests import small_files
@@ -390,10 +390,7 @@ STAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "features",
         lambda path: outcome_of(evaluate_slip, EvaluateSlip(model=path.with_name("a.model.h5")), path),
     ),
-    "predict-force": (
-        "tracks",
-        lambda path: outcome_of(predict_force, PredictForce(model=path.with_name("a.force-model.h5")), path),
-    ),
+    "predict-touch": ("tracks", lambda path: outcome_of(predict_touch, PredictTouch(), path)),
 }
 
 REFUSED_BY = [
@@ -424,8 +421,7 @@ REFUSED_BY = [
     ("evaluate slip", model("horizon_ms", (), 2**40, "horizon_ms")),
     ("evaluate slip", features("label", 0, 7, "label")),
     ("evaluate slip", features("onset_slice", (), 2**40, "onset_slice")),
-    ("predict-force", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
-    ("predict-force", force_model("network/scale_px", (), 0.0, "network/scale_px")),
+    ("predict-touch", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
 ]  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """scripts/docs: what a user can name has a place in the reference, its snippets run, and a broken site is noticed."""
 
 import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -150,11 +151,19 @@ def test_snippets_that_nobody_ran_say_so(every: dict[str, str]) -> None:
         assert '=== "Julia (not run)"' in every[f"files/{kind}.md"]
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the pages were written over themselves."""
+    folder = tmp_path_factory.mktemp("pages")
+    pages.write(folder)
+    assert len(pages.write(folder)) > 30
+    return folder
+
+
 @pytest.mark.parametrize("name", ["thesis.tex", "deep/notes.md", "python.md"])
-def test_a_folder_of_other_things_is_not_written_over(name: str, tmp_path: Path) -> None:
+def test_a_folder_of_other_things_is_not_written_over(name: str, written: Path, tmp_path: Path) -> None:
     """Assert that pages are written over pages alone, and that nothing of somebody else's is removed."""
-    pages.write(tmp_path)
-    assert len(pages.write(tmp_path)) > 30
+    shutil.copytree(written, tmp_path, dirs_exist_ok=True)
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("mine")
     before = sorted(path.name for path in tmp_path.rglob("*"))

@@ -27,7 +27,13 @@ def slip(part: str, seed: int, **figures: Any) -> Row:
     return {**what, **usual, **figures}
 
 
-@pytest.mark.parametrize("part", PARTS[1:], ids=lambda part: part.name)
+SLOW = {"second finger"}  # the gel of another finger is built for each of four plans
+
+
+@pytest.mark.parametrize(
+    "part",
+    [pytest.param(part, id=part.name, marks=pytest.mark.slow if part.name in SLOW else ()) for part in PARTS[1:]],
+)
 def test_a_part_is_built(part: Part, tmp_path: Path) -> None:
     """Assert that scene and sensor with a part are valid, and make another trial of the same seeds than without."""
     for kind, object_ in (("slip", 8), ("lift", 11)):

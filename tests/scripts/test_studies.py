@@ -19,12 +19,12 @@ HEADER: dict[str, Any] = {
     "seed": None,
     "parameters": {"command": "evaluate force"},
     "parents": [],
-    "history": {"b": {"kind": "force-model", "method": 7, "seed": 0, "parameters": {"method": "gel"}, "parents": []}},
+    "history": {"b": {"kind": "force-model", "method": 7, "seed": 0, "parameters": {"method": "touch"}, "parents": []}},
 }
 
 
 def of_states(*states: str) -> Evaluation:
-    """An evaluation of a model for any sensor, with these states of knowledge."""
+    """An evaluation of touch maps, with these states of knowledge."""
     summary: dict[str, Any] = {"sensors": 3, "stiffness_error": 0.1}
     for number, state in enumerate(states):
         summary |= {f"{state}_{key}": number + 0.125 for key in studies.FIGURES}
@@ -63,10 +63,10 @@ def test_rows_of_the_table() -> None:
 
 
 def test_a_table_is_kept_with_its_methods() -> None:
-    """Assert that a table says by which method the model for any sensor was made, and shows what it knows alone."""
+    """Assert that a table says by which method touch maps were adapted, and shows what it knows alone."""
     evaluations = {"stable": of_states("unknown"), "evetac-paper": of_paper(1.0)}
     made = reproduce.result(studies.FORCE_SENSORS, evaluations, ["evetac evaluate force"])
-    assert made["methods"] == {"train-force --method gel": 7, "evaluate force": 2}
+    assert made["methods"] == {"train-force --method touch": 7, "evaluate force": 2}
     lines = results.text(made).splitlines()
     assert lines[4].startswith("| nothing | stable | 3 | 0.12 | 0.12 | 0.1 (12.5%)")
     assert lines[5].endswith("| paper | 1 | 1.50 | 1.50 |  |  |")

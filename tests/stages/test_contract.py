@@ -36,7 +36,7 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import flag_of
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
@@ -64,7 +64,8 @@ from evetac_cli.stages import (
     train,
     trim,
 )
-from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.force import train_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.trials import grasp, record
@@ -172,8 +173,8 @@ STAGES = [
         every("tracks"),
     ),
     Stage(
-        "predict-force", predict_force, some(PredictForce, model=force_model),
-        some(PredictForce, model=force_model), of("tracks"), of("tracks", 1),
+        "predict-touch", predict_touch, some(PredictTouch, map_every=50),
+        some(PredictTouch, map_every=0), of("tracks"),
     ),
     Stage(
         "grasp", grasp, some(Grasp, **GRASP, balance_s=0.0), some(Grasp, **GRASP, balance_s=0.1), nothing,

@@ -1,7 +1,7 @@
 """train-force: force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
-The paper's method is here, that for any sensor in train_gel, its adaptation to one's own in adapt_gel. The paper's: two
-models into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
+The paper's method is here, the adaptation of touch maps to one's own sensor in adapt_touch. The paper's: two models
+into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
 network, trained on all but the last, on which the best epoch is chosen. The target is the reading of a force sensor:
 the true force of a simulated recording, with noise.
 """
@@ -20,8 +20,8 @@ from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
-from evetac_cli.names import TrainingOption
-from evetac_cli.stages.force import adapt_gel, train_gel
+from evetac_cli.names import TouchOption
+from evetac_cli.stages.force import adapt_touch
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.stages.track_rgb import PRESET
@@ -55,23 +55,19 @@ class ForceModel(NamedTuple):
 
 def _refuse_unused(params: TrainForce) -> None:
     """InputError for an option that has no effect in this training."""
-    if params.adapt:
-        has, flags = {TrainingOption.ADAPTATION}, f"--adapt {params.adapt}"
-        if params.sensor is not None:
-            has.add(TrainingOption.SENSOR)
-    else:
-        has = {TrainingOption.GEL if params.method == "gel" else TrainingOption.PAPER}
-        flags = f"--method {params.method}, no --adapt"
+    has = {TouchOption.TOUCH if params.method == "touch" else TouchOption.PAPER}
+    flags = f"--method {params.method}"
+    if params.method == "touch":
+        has |= set() if params.sensor is None else {TouchOption.SENSOR}
+        flags += "" if params.sensor else ", no --sensor"
     refuse_unused(params, has, flags)
 
 
 def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
-    """One model from all tracks files together: `shear.force-model.h5` beside the first (`gel...`, `own...`)."""
+    """One model from all tracks files together: `shear.force-model.h5` beside the first, or `own.force-model.h5`."""
     _refuse_unused(params)
-    if params.adapt:
-        return [adapt_gel.job(files, params, out)]
-    if params.method == "gel":
-        return [train_gel.job(files, out)]
+    if params.method == "touch":
+        return [adapt_touch.job(files, params, out)]
     if len(files) < 2:
         raise InputError(
             "no file is left to hold out",
@@ -84,11 +80,9 @@ def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Fit both models of the paper and store them as arrays, or do as the other methods do."""
-    if params.adapt:
-        return adapt_gel.run(job, params, force=force)
-    if params.method == "gel":
-        return train_gel.run(job, params, force=force, progress=progress)
+    """Fit both models of the paper and store them as arrays, or adapt touch maps."""
+    if params.method == "touch":
+        return adapt_touch.run(job, params, force=force, progress=progress)
     headers, sensors, sensor_names, shapes = [], [], [], []
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
@@ -200,6 +194,7 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
                 "the force model is not of the paper's method",
                 where=str(path),
                 expected="a model of train-force --method paper",
+                hint="evetac evaluate force judges touch maps without --model; --adapt-on adapts them",
             )
         rows, columns = file.read("dot_shape").tolist()
         regression = forces.Regression(file.read("regression/slope_n_px"), file.read("regression/offset_n"))

@@ -30,7 +30,8 @@ label first.recording.h5 second.recording.h5 third.recording.h5 --after-ms 25
 featurize first.recording.h5 second.recording.h5 third.recording.h5 --images
 train first.features.h5 second.features.h5 --epochs 30 --max-steps 60 --preset adam --out m.model.h5
 train-force first.tracks.h5 second.tracks.h5 --samples 10 --epochs 2 --out f.force-model.h5
-predict-force first.tracks.h5 --model f.force-model.h5 --out first.forces.h5
+train-force first.tracks.h5 --method touch --out own.force-model.h5
+predict-touch first.tracks.h5 --out first.touch.h5
 evaluate slip third.features.h5 --model m.model.h5 --out slip.report.h5
 grasp --model m.model.h5 --lift-s 1 --balance-s 0.2 --out grasp.recording.h5
 record --camera virtual:prepared --gripper virtual --seconds 0.5 --out device.recording.h5
@@ -102,7 +103,7 @@ KINDS = (
         "hdf5",
         (
             *_INSPECT,
-            "predict-force {f} --model f.force-model.h5 --out {o}/a.forces.h5",
+            "predict-touch {f} --out {o}/a.touch.h5",
             "evaluate tracking {f} --out {o}/a.report.h5",
             "evaluate force {f} --model f.force-model.h5 --samples 10 --out {o}/a.report.h5",
             "featurize first.recording.h5 --out {o}/a.features.h5",
@@ -151,12 +152,18 @@ KINDS = (
         "hdf5",
         (
             *_INSPECT,
-            "predict-force first.tracks.h5 --model {f} --out {o}/a.forces.h5",
             "evaluate force first.tracks.h5 --model {f} --samples 10 --out {o}/a.report.h5",
         ),
         ("first.tracks.h5", "first.recording.h5"),
     ),
-    Kind("forces", "first.forces.h5", "hdf5", (*_INSPECT, "view first.recording.h5 --images 5 --out {o}/a.html"),
+    Kind(
+        "own force model",
+        "own.force-model.h5",
+        "hdf5",
+        (*_INSPECT, "predict-touch first.tracks.h5 --model {f} --out {o}/a.touch.h5"),
+        ("first.tracks.h5",),
+    ),
+    Kind("touch", "first.touch.h5", "hdf5", (*_INSPECT, "view first.recording.h5 --images 5 --out {o}/a.html"),
          ("first.recording.h5",)),
     Kind("report", "slip.report.h5", "hdf5", (*_INSPECT, "evaluate cost model --model {f} --out {o}/a.report.h5")),
     Kind("segments", "broken.recording.part", "segments", ("repair {d}",)),

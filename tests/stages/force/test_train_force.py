@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from evetac_cli.commands.evaluate import EvaluateForce
-from evetac_cli.commands.predict_force import PredictForce
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import force as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.stages import track_rgb
-from evetac_cli.stages.force import predict_force, train_force
+from evetac_cli.stages.force import train_force
+from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_valid
@@ -125,21 +126,14 @@ def test_another_gel_is_reported_as_it_is(fits: Path, tmp_path: Path) -> None:
     assert regression["paper_mae_n_x"] is None
 
 
-def test_forces_of_any_tracks(fits: Path, tmp_path: Path) -> None:
-    """Assert that force tells every slice what the model says of it, also of tracks without a recording."""
-    chosen = PredictForce(model=fits / "events.force-model.h5")
-    output, _ = run_valid(predict_force, [fits / "trial3.tracks.h5"], chosen, tmp_path)
-    with StageFile(output) as reported, StageFile(fits / "trial3.recording.h5") as recording:
-        regression, network = reported.read("regression_n"), reported.read("network_n")
-        true = recording.read("truth/shear_force_n")
-    assert np.abs(regression - true).max() < 0.05
-    _, model = train_force.read_model(fits / "events.force-model.h5")
-    with StageFile(fits / "trial3.tracks.h5") as tracks:
-        moved = tracks.read("dot_xy_px") - train_force.read_rest_px(tracks)
-    assert np.allclose(network, train_force.forces.apply_network(model.network, moved), atol=1e-3)
-    figures = info.run([output, fits / "events.force-model.h5"]).rows
-    assert figures[0]["slices"] == SLICES
-    assert figures[1]["sensor"] == "events"
+def test_what_a_model_of_the_paper_is_for(fits: Path, tmp_path: Path) -> None:
+    """Assert that info tells its sensor, and that neither touch maps nor their evaluation take it."""
+    model = fits / "events.force-model.h5"
+    assert info.run([model]).rows[0]["sensor"] == "events"
+    tracks = [fits / "trial3.tracks.h5"]
+    refused(predict_touch, tracks, PredictTouch(model=model), "which only `evetac evaluate force` applies", tmp_path)
+    for flags in ({"adapt_on": str(fits / "trial1.tracks.h5")}, {"identified": str(fits)}):
+        refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "trained on alone", tmp_path)
 
 
 def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
@@ -185,10 +179,9 @@ def test_sensors_are_kept_apart(fits: Path, tmp_path: Path) -> None:
 
 
 def test_another_grid_is_refused(fits: Path, tmp_path: Path) -> None:
-    """Assert that a cut gel's tracks do not fit a closed gel's model, in all three commands."""
+    """Assert that a cut gel's tracks do not fit a closed gel's model, in both commands."""
     cut = tracks_of_shear(tmp_path, 8, columns=8)
     model = fits / "events.force-model.h5"
-    refused(predict_force, [cut], PredictForce(model=model), "another dot grid", tmp_path)
     refused(evaluate_force, [cut], EvaluateForce(model=str(model)), "another dot grid", tmp_path)
     refused(train_force, [fits / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
 
@@ -198,7 +191,6 @@ def test_what_cannot_be_answered(fits: Path, tmp_path: Path) -> None:
     model = str(fits / "events.force-model.h5")
     refused(train_force, [fits / "trial0.tracks.h5"], FIT, "at least two", tmp_path)
     refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
-    refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(), "no force-model file", tmp_path)
     real = tracks_of_shear(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], EvaluateForce(model=model), "has no truth", tmp_path)
     refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "only a simulation", tmp_path)
@@ -209,10 +201,5 @@ def test_damaged_network_is_refused(fits: Path, tmp_path: Path) -> None:
     path = shutil.copy(fits / "events.force-model.h5", tmp_path / "wrong.force-model.h5")
     with h5py.File(path, "r+") as h5:
         h5["dot_shape"][...] = [7, 8]
-    refused(
-        predict_force,
-        [fits / "trial3.tracks.h5"],
-        PredictForce(model=path),
-        "0/weight is impossible",
-        tmp_path,
-    )
+    chosen = EvaluateForce(model=str(path))
+    refused(evaluate_force, [fits / "trial3.tracks.h5"], chosen, "0/weight is impossible", tmp_path)

@@ -1,23 +1,23 @@
-"""evaluate force with a model for any sensor: errors by what is known of the sensor's gel (simulated recordings).
+"""evaluate force of touch maps: errors of force by what is known of the sensor's gel (simulated recordings).
 
-Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and moduli of the sensor,
-the moduli with an error as large as `--stiffness-error` (creep stays unknown); with `--identified`, what `evetac
-identify` told of the sensor; with `--adapt-on`, `adapted` on tracks of the same sensor from nothing known, and the
-others adapted. Truth is compared without the noise of a force sensor, every 40 ms of the contact; readings that a model
-is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one predicted
-standard deviation (68 % if that is right), `contact_right` that of slices in which contact is told rightly, `usable`
-that of slices in contact with enough tracked dots.
+Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and shear modulus of the
+sensor, the modulus with an error as large as `--stiffness-error` (creep stays unknown); with `--identified`, what
+`evetac identify` told of the sensor; with `--adapt-on`, `adapted` on tracks of the same sensor from nothing known, and
+the others adapted. Truth is compared without the noise of a force sensor, every 40 ms of the contact; readings that a
+sensor is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one
+predicted standard deviation (68 % if that is right), `contact_right` that of slices in which a touch is told rightly,
+`usable` that of slices in contact with enough tracked dots and a touch that is told: errors are of these.
 """
 
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.arrays import Floats
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
@@ -26,16 +26,21 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Rows
 from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
+from evetac_cli.sim.setup.plan import read_sensor
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.stages.force import adapt_gel, gel_model, readings
-from evetac_cli.stages.force.gel_model import GelModel, GelWeights, KnownGel
-from evetac_cli.stages.force.train_gel import known_sensor
+from evetac_cli.stages.force import adapt_touch, readings
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.stages.touch import known_gel
+from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelWeights, KnownGel
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.read import Recording
 
-METHOD = 2
+if TYPE_CHECKING:
+    from evetac_cli.stages.touch.touch_fold import Slices
+
+METHOD = 3
 
 
 @dataclass(frozen=True)
@@ -52,26 +57,38 @@ class ForceTrial(NamedTuple):
     sensor_name: str
     shear_n: Floats
     normal_n: Floats
-    predicted: dict[str, tuple[Forces, Floats]]  # forces, and probability of contact
+    predicted: dict[str, Forces]
+    touches: dict[str, Flags]
+
+
+class _Folds:
+    """Touch maps of tracks, made once per scale of the image: force over modulus does not depend on the modulus."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[Path, float], Slices] = {}
+
+    def of(self, gel: GelWeights, tracks: StageFile) -> "Slices":
+        """What the dots of a tracks file tell, for a scale of the image."""
+        from evetac_cli.stages.touch import touch_fold  # brings scipy
+
+        key = tracks.path, gel.mm_per_px
+        if key not in self._found:
+            self._found[key] = touch_fold.slices_of(gel._replace(modulus_pa=SHEAR_MODULUS_PA), tracks)
+        return self._found[key]
 
 
 def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Progress) -> Outcome:
     """Rows of every file and of what is known."""
-    paths = job.inputs[: -job.models]
-    files, own = paths[: len(paths) - job.own], paths[len(paths) - job.own :]
-    with StageFile(job.inputs[-1], "force-model") as file:
-        model_header, model = file.header, gel_model.read_gel_model(file)
-    if model.adapted is not None:
-        expected = "the model that it was adapted from, with --adapt-on"
-        raise InputError("the model is adapted to one sensor", where="--model", expected=expected)
-    headers, own_headers, by_sensor = _headers(files, own, model_header)
+    files, own = job.inputs[: len(job.inputs) - job.own], job.inputs[len(job.inputs) - job.own :]
+    headers, own_headers, by_sensor = _headers(files, own)
     identified = _identified(params.identified, files) if params.identified else {}
     trials: list[ForceTrial] = []
+    folds = _Folds()
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         gels: dict[str, dict[str, GelWeights]] = {}
         for number, path in enumerate(files):
-            trials.append(_predict(path, model, gels, by_sensor, identified, params))
+            trials.append(_predict(path, folds, gels, by_sensor, identified, params))
             progress(number + 1, len(files))
         range_n = max(float(one.normal_n.max()) for one in trials)
         if not range_n > 0:
@@ -80,7 +97,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
         rows = [_row(one, name, range_n) for one in trials for name in one.predicted]
         return rows, _summary(trials, rows, range_n, params)
 
-    parents = [*headers, *own_headers, model_header]
+    parents = [*headers, *own_headers]
     recipe = recipe_of(params) | (
         {"identified": {name: known.named() for name, known in identified.items()}} if identified else {}
     )
@@ -91,7 +108,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
 
 
 def _headers(
-    files: tuple[Path, ...], own: tuple[Path, ...], model: Header
+    files: tuple[Path, ...], own: tuple[Path, ...]
 ) -> tuple[list[Header], list[Header], dict[str, list[Path]]]:
     """Headers of the files and of those to adapt on, and the latter by sensor; InputError where they do not fit."""
     headers, own_headers, names = [], [], []
@@ -102,7 +119,7 @@ def _headers(
             sensor = known_sensor(recording)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
-            of_gel = KnownGel(sensor.shear_modulus_pa, sensor.normal_modulus_pa, sensor.mm_per_px)
+            of_gel = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px)
             first, other = true.setdefault(names[-1], (path, of_gel))
             if other != of_gel:
                 raise InputError(
@@ -111,7 +128,6 @@ def _headers(
                     expected=f"{other.named()}, as in {first}",
                     found=f"{of_gel.named()}",
                 )
-            check_disjoint([model], [tracks.header], "evaluated on", [path])
     for path in own:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
             own_headers.append(tracks.header)
@@ -137,67 +153,72 @@ def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, KnownGel]:
             name = str(tracks.read("sensor/name"))
         file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
         if file.exists():
-            known[name] = gel_model.known_of(str(file))
+            known[name] = known_gel.known_of(str(file))
     if not known:
         expected = "files such as 7.sensor.toml for randomized:7"
         raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)
     return known
 
 
+def known_sensor(recording: Recording) -> Sensor:
+    """The sensor that was simulated; InputError where the recording does not say."""
+    return read_sensor(recording.header["parameters"], str(recording.path))
+
+
 def _gels(
     name: str,
     sensor: Sensor,
-    model: GelModel,
+    folds: _Folds,
     own: list[Path],
     identified: KnownGel | None,
     params: EvaluateForce,
 ) -> dict[str, GelWeights]:
-    """What is taken as known of a sensor's gel -> the model's weights."""
+    """What is taken as known of a sensor's gel -> its weights."""
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
-    shear_off, normal_off = np.exp(params.stiffness_error * moduli.standard_normal(2)).tolist()
-    known = KnownGel(sensor.shear_modulus_pa * shear_off, sensor.normal_modulus_pa * normal_off, sensor.mm_per_px)
-    gels = {
-        "unknown": gel_model.gel_of(model, KnownGel(), params.stiffness_error),
-        "known": gel_model.gel_of(model, known, params.stiffness_error),
-    }
+    off = float(np.exp(params.stiffness_error * moduli.standard_normal()))
+    known = {"unknown": KnownGel(), "known": KnownGel(sensor.shear_modulus_pa * off, sensor.mm_per_px)}
     if identified is not None:
-        gels["identified"] = gel_model.gel_of(model, identified, params.stiffness_error)
+        known["identified"] = identified
+    gels = {state: known_gel.gel_of(gel, params.stiffness_error) for state, gel in known.items()}
     if own:
         for before in list(gels):
             after = "adapted" if before == "unknown" else f"{before}, adapted"
-            estimated, _ = adapt_gel.known_forces(model, gels[before], own, params.noise_n, noise)
-            gels[after] = adapt_gel.adapted(model, gels[before], estimated, params.noise_n)
+            told, _ = adapt_touch.known_forces(gels[before], own, params.noise_n, noise, fold=folds.of)
+            gels[after] = adapt_touch.adapted(gels[before], told, params.noise_n)
     return gels
 
 
 def _predict(
     path: Path,
-    model: GelModel,
+    folds: _Folds,
     gels: dict[str, dict[str, GelWeights]],
     by_sensor: Mapping[str, list[Path]],
     identified: Mapping[str, KnownGel],
     params: EvaluateForce,
 ) -> ForceTrial:
+    from evetac_cli.stages.touch import touch_fold  # brings scipy
+
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         name = str(tracks.read("sensor/name"))
         if name not in gels:
-            sensor, own = known_sensor(recording), by_sensor.get(name, [])
-            gels[name] = _gels(name, sensor, model, own, identified.get(name), params)
-        predicted = {}
+            own = by_sensor.get(name, [])
+            gels[name] = _gels(name, known_sensor(recording), folds, own, identified.get(name), params)
+        at = slice(None, None, readings.EVERY)
+        predicted, touches = {}, {}
         for known, gel in gels[name].items():
-            estimated = gel_model.predict(model, gel, tracks)
-            at = slice(None, None, readings.EVERY)
-            predicted[known] = (Forces(*(values[at] for values in estimated.forces)), estimated.contact[at])
-        shear_n = recording.read("truth/shear_force_n")[:: readings.EVERY].astype(float)
-        normal_n = recording.read("truth/normal_force_n")[:: readings.EVERY].astype(float)
-        return ForceTrial(path, name, shear_n, normal_n, predicted)
+            over = folds.of(gel, tracks)
+            predicted[known] = Forces(*(values[at] for values in touch_fold.forces_of(gel, over)))
+            touches[known] = over.touches[at]
+        shear_n = recording.read("truth/shear_force_n")[at].astype(float)
+        normal_n = recording.read("truth/normal_force_n")[at].astype(float)
+        return ForceTrial(path, name, shear_n, normal_n, predicted, touches)
 
 
 def _row(trial: ForceTrial, name: str, range_n: float) -> dict[str, Any]:
-    forces, contact = trial.predicted[name]
+    forces, touches = trial.predicted[name], trial.touches[name]
     pressed = trial.normal_n >= CONTACT_N
-    usable = pressed & np.isfinite(forces.normal_n)
+    usable = pressed & touches
     off, normal_off = forces.shear_n[usable] - trial.shear_n[usable], forces.normal_n[usable] - trial.normal_n[usable]
     any_slice = bool(usable.any())
     mae = np.abs(off).mean(axis=0) if any_slice else np.full(2, np.nan)
@@ -213,7 +234,7 @@ def _row(trial: ForceTrial, name: str, range_n: float) -> dict[str, Any]:
         "normal_mae_of_range": normal_mae / range_n,
         "shear_within_sd": float((np.abs(off) <= forces.shear_sd_n[usable]).mean()) if any_slice else np.nan,
         "normal_within_sd": float((np.abs(normal_off) <= forces.normal_sd_n[usable]).mean()) if any_slice else np.nan,
-        "contact_right": float(((contact >= gel_model.CONTACT) == pressed).mean()),
+        "contact_right": float((touches == pressed).mean()),
         "usable": float(usable.sum() / max(pressed.sum(), 1)),
     }
 
@@ -249,7 +270,7 @@ def _draw(figure: Any, trial: ForceTrial) -> None:
     panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
     time_s = np.arange(len(trial.normal_n)) * readings.EVERY / SLICES_PER_S
     for column, name in enumerate(names):
-        forces, _ = trial.predicted[name]
+        forces = trial.predicted[name]
         shown = (
             ("shear force x", trial.shear_n[:, 0], forces.shear_n[:, 0], forces.shear_sd_n[:, 0]),
             ("shear force y", trial.shear_n[:, 1], forces.shear_n[:, 1], forces.shear_sd_n[:, 1]),

@@ -1,0 +1,134 @@
+"""What is known of a sensor's gel: what a sensor's file tells of it, and what is expected where nothing does."""
+
+from collections.abc import Container, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from evetac_cli.arrays import Floats
+from evetac_cli.commands.predict_touch import PredictTouch
+from evetac_cli.commands.train_force import TrainForce
+from evetac_cli.errors import InputError
+from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.force import gel_forces
+from evetac_cli.kernels.force.gel_forces import ForceErrorModel, Scale, Stiffness
+from evetac_cli.sim.setup import sensor_file
+from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.sensor import GelCreep, Sensor
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
+from evetac_cli.store.files import StageFile
+from evetac_cli.text_files import read_toml
+
+# What is expected of a gel of which nothing is known: medians and spreads of 2000 sensors drawn from `randomized`
+# (data/sensors.toml), whose ranges are wider than what is published of gels by as much as these were guessed.
+SHEAR_MODULUS_PA, SHEAR_LOG_SD = 121e3, 0.53
+MM_PER_PX, MM_LOG_SD = 0.0315, 0.046
+CREEP_SHARE, CREEP_SD, CREEP_TIME_S = (0.05, 0.05), (0.029, 0.029), (0.32, 4.4)
+LENGTHS_IN_FORCE = 3  # powers of mm_per_px in force over modulus: of the dots' motion, and two of the patch's area
+TRACKER_PX, DRIFT_PX = 0.05, 0.2  # sd of a tracked dot's own error, and of all dots' together, see DotNoise
+
+
+class KnownGel(NamedTuple):
+    """What `--sensor` says of a gel; None where it does not. Arms of a gel that does not creep are empty."""
+
+    shear_modulus_pa: float | None = None
+    mm_per_px: float | None = None
+    creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time in s of its arms
+
+    def named(self) -> dict[str, Any]:
+        """As it enters a recipe."""
+        named = {name: value for name, value in self._asdict().items() if value is not None}
+        if self.creep is not None:
+            named["creep"] = dict(zip(("share", "time_s"), map(list, self.creep), strict=True))
+        return named
+
+
+class GelShape(NamedTuple):
+    """How thick a gel is, how deep its dots lie, and how far from the lens: what a touch map takes as given."""
+
+    height_mm: float = 4.0
+    print_depth_mm: float = 0.0
+    lens_mm: float = 25.0
+
+    @classmethod
+    def of(cls, params: PredictTouch | TrainForce) -> Self:
+        """As flags say."""
+        return cls(params.height_mm, params.print_depth_mm, params.lens_mm)
+
+
+class GelWeights(NamedTuple):
+    """All that turns the dots of one sensor into forces.
+
+    modulus_pa: that touch maps are made with; scale: weights of force over this modulus. mm_log_sd: sd of the logarithm
+    of mm_per_px, whose effect on forces is in the scale's covariance.
+    """
+
+    modulus_pa: float
+    shape: GelShape
+    mm_per_px: float
+    mm_log_sd: float
+    scale: Scale
+    creep_time_s: Floats
+    errors: ForceErrorModel
+
+
+def gel_of(known: KnownGel, stiffness_error: float, shape: GelShape = GelShape()) -> GelWeights:  # noqa: B008 - constant
+    """The weights for a sensor of which so much is known.
+
+    stiffness_error: sd of the logarithm of a modulus that is known. A scale that is not known makes forces less sure.
+    """
+    mm_per_px, mm_log_sd = (MM_PER_PX, MM_LOG_SD) if known.mm_per_px is None else (known.mm_per_px, 0.0)
+    modulus_pa, log_sd = SHEAR_MODULUS_PA, SHEAR_LOG_SD
+    if known.shear_modulus_pa is not None:
+        modulus_pa, log_sd = known.shear_modulus_pa, stiffness_error
+    share, sd, time_s = map(np.array, (CREEP_SHARE, CREEP_SD, CREEP_TIME_S))
+    if known.creep is not None:
+        arms = gel_forces.CREEP_ARMS
+        share, sd = np.array(_padded(known.creep[0], arms, 0.0)), np.zeros(arms)
+        time_s = np.array(_padded(known.creep[1], arms, 1.0))
+    stiffness = Stiffness(modulus_pa * 1e-6, float(np.hypot(log_sd, LENGTHS_IN_FORCE * mm_log_sd)), share, sd, time_s)
+    scale = gel_forces.scale_of(stiffness)
+    return GelWeights(modulus_pa, shape, mm_per_px, mm_log_sd, scale, time_s, ForceErrorModel())
+
+
+def _padded(values: Sequence[float], size: int, by: float) -> list[float]:
+    return [*map(float, values), *[by] * size][:size]
+
+
+def known_of(sensor: str | None) -> KnownGel:
+    """What `--sensor` tells of a gel: of a file only the keys that it names itself, of a named sensor all."""
+    if sensor is None:
+        return KnownGel()
+    if sensor in FOR_EACH_TRIAL:
+        expected = "one sensor, as in evetac or randomized:7, or its file"
+        raise InputError("not one sensor but many", where="--sensor", expected=expected, found=sensor)
+    if not sensor.endswith(sensor_file.SUFFIX):
+        return _known(one_sensor(sensor), KnownGel._fields)
+    _, own = sensor_file.read(Path(sensor), one_sensor)
+    return _known(own, read_toml(Path(sensor)))
+
+
+def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
+    """What a sensor says of its gel, of the keys that are named; it creeps if it says so."""
+    arms = sensor.creep or GelCreep(share=(), time_s=())
+    whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s))
+    return KnownGel(**{name: value for name, value in whole._asdict().items() if name in named})
+
+
+def check_scale(tracks: StageFile, known: KnownGel) -> None:
+    """InputError for tracks of another frame than an Evetac's, unless it is known how large a pixel is on the gel.
+
+    Displacements in mm would be wrong by the ratio of the scales, and forces by its third power.
+    """
+    width, height = (int(size) for size in tracks.read("sensor/frame_px"))
+    if (width, height) == FRAME_PX or known.mm_per_px is not None:
+        return
+    raise InputError(
+        "the scale of this frame, in mm per pixel on the gel, is not known",
+        where=str(tracks.path),
+        expected="{} x {} px, or --sensor with mm_per_px".format(*FRAME_PX),
+        found=f"{width} x {height} px",
+        hint='write like = "evetac" and mm_per_px, by a ruler laid on the gel, into mine.sensor.toml;'
+        " --sensor mine.sensor.toml",
+    )

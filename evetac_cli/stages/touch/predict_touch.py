@@ -1,0 +1,153 @@
+"""predict-touch: forces, place, torsion and maps of a touch, slice by slice, from tracks."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.arrays import Floats
+from evetac_cli.commands.parameter import recipe_of, refuse_unused
+from evetac_cli.commands.predict_touch import PredictTouch
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
+from evetac_cli.names import TouchOption
+from evetac_cli.stages import per_file, row_blocks
+from evetac_cli.stages.touch import known_gel, touch_model
+from evetac_cli.stages.touch.known_gel import GelShape, GelWeights, KnownGel
+from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
+
+OUTPUT = "touch"
+METHOD = 1
+
+
+def jobs(files: list[Path], params: PredictTouch, out: Path | None) -> list[Job]:
+    """One touch file for every tracks file."""
+    if params.model is not None and params.sensor is not None:
+        raise InputError(
+            "an adapted model has the stiffness of its sensor",
+            where="--sensor",
+            found=f"{params.sensor}, and --model {params.model}",
+            hint="leave out one of the two",
+        )
+    has = [TouchOption.OF_NO_MODEL] if params.model is None else []
+    has += [] if params.sensor is None else [TouchOption.SENSOR]
+    refuse_unused(params, has, "--model" if params.model is not None else "no --sensor")
+    check_depth(params.print_depth_mm, params.height_mm)
+    of_model = () if params.model is None else (params.model,)
+    return [Job((*job.inputs, *of_model), job.output) for job in per_file(files, OUTPUT, out)]
+
+
+def check_depth(print_depth_mm: float, height_mm: float) -> None:
+    """InputError for dots that would lie below the gel."""
+    if print_depth_mm >= height_mm:
+        expected, found = f"less than the gel is thick, {height_mm:g} mm", f"{print_depth_mm:g} mm"
+        raise InputError("dots below the gel", where="--print-depth-mm", expected=expected, found=found)
+
+
+def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Fold touch maps over the tracks and store a row for every slice, and some maps."""
+    path, *models = job.inputs
+    known = known_gel.known_of(params.sensor)
+    own = touch_model.read_own(models[0]) if models else None
+    with StageFile(path, "tracks") as tracks:
+        if own is None:
+            known_gel.check_scale(tracks, known)
+            gel = known_gel.gel_of(known, params.stiffness_error, GelShape.of(params))
+        else:
+            _check_sensor(tracks, own[1], models[0])
+            gel = own[2]
+        recipe = _recipe(params, known, tracks.header, None if own is None else own[0])
+        if up_to_date(job.output, recipe, force=force):
+            return outcome(job, made=False, simulated=recipe.simulated)
+        told = _Told()
+        _write(job.output, recipe, gel, tracks, params.map_every, told, progress)
+    modulus = "adapted" if own is not None else "unknown" if known.shear_modulus_pa is None else "known"
+    return outcome(job, made=True, simulated=recipe.simulated, shear_modulus=modulus, **told.row())
+
+
+def _recipe(params: PredictTouch, known: KnownGel, tracks: Header, own: Header | None) -> Recipe:
+    """What the numbers follow from: of a sensor that is not named its error is none, and a model has its own shape."""
+    unused = set() if params.sensor is not None else {"stiffness_error"}
+    unused |= set() if own is None else set(GelShape._fields)
+    chosen: dict[str, Any] = {name: value for name, value in recipe_of(params).items() if name not in unused}
+    chosen |= {"known": known.named()} if params.sensor is not None else {}
+    return Recipe(OUTPUT, METHOD, chosen, parents=(tracks,) if own is None else (tracks, own))
+
+
+def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
+    """InputError for tracks of another sensor than known forces were applied to."""
+    name = str(tracks.read("sensor/name"))
+    if len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
+        raise InputError(
+            "the tracks are of another sensor than the model was adapted to",
+            where=str(tracks.path),
+            expected=f"{adapted_to}, as in {model}",
+            found=name,
+            hint="train-force --method touch adapts one to this sensor; or leave out --model",
+        )
+
+
+class _Told:
+    """What the row of a file says, from block to block."""
+
+    def __init__(self) -> None:
+        self.slices = self.maps = self.touched = 0
+        self.unknown = 0
+        self.most: dict[str, tuple[float, float]] = {}
+
+    def add(self, columns: dict[str, Any]) -> None:
+        """The columns of one more block."""
+        self.slices += len(columns["known"])
+        self.maps += len(columns.get("map/slice", ()))
+        self.touched += int(columns["touches"].sum())
+        self.unknown += int((columns["known"] == 0).sum())
+        shear = np.linalg.norm(columns["shear_n"], axis=1)
+        self._most("shear_n", shear, columns["shear_sd_n"].max(axis=1, initial=0.0))
+        self._most("normal_n", columns["normal_n"], columns["normal_sd_n"])
+        self._most("torsion_n_mm", np.abs(columns["torsion_n_mm"]), columns["torsion_sd_n_mm"])
+
+    def _most(self, name: str, value: Floats, sd: Floats) -> None:
+        touched = np.isfinite(value) & np.isfinite(sd)
+        if touched.any():
+            at = int(np.argmax(np.where(touched, value, -np.inf)))
+            self.most[name] = max(self.most.get(name, (-np.inf, np.nan)), (float(value[at]), float(sd[at])))
+
+    def row(self) -> dict[str, Any]:
+        """As it is shown; None for the most of a recording without a touch."""
+        most: dict[str, float | None] = {}
+        for name in ("shear_n", "normal_n", "torsion_n_mm"):
+            value, sd = self.most.get(name, (None, None))
+            most |= {f"max_{name}": value, f"max_{name}_sd": sd}
+        times = {"touched_s": self.touched / SLICES_PER_S, "unknown_s": self.unknown / SLICES_PER_S}
+        return {"slices": self.slices, "maps": self.maps, **times, **most}
+
+
+def _write(
+    output: Path, recipe: Recipe, gel: GelWeights, tracks: StageFile, map_every: int, told: _Told, progress: Progress
+) -> None:
+    from evetac_cli.stages.touch import touch_fold  # brings scipy
+
+    slices = tracks.length("dot_xy_px")
+    fold = touch_fold.TouchFold(gel, tracks, map_every)
+    cells = fold.state.cells
+    arrays = {"map/x_mm": cells.x_mm, "map/y_mm": cells.y_mm} if map_every else {}
+    lengths = dict.fromkeys(touch_fold.COLUMNS, slices)
+    if map_every:
+        maps = ("slice", *touch_fold.OF_MAP)
+        lengths |= dict.fromkeys((f"map/{name}" for name in maps), -(-slices // map_every))
+
+    def blocks() -> Iterator[dict[str, Any]]:
+        for first, stop in row_blocks(slices):
+            columns = fold.block(first, stop)
+            told.add(columns)
+            yield columns
+            progress(stop, slices)
+
+    write_stage(output, recipe, arrays, blocks(), lengths)
+
+
+STAGE = Stage(jobs, run)

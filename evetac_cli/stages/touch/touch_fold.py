@@ -1,0 +1,249 @@
+"""Touch maps folded over the tracks of a recording, block by block: forces and place of every slice, and some maps.
+
+A touch map is made with the modulus that is expected of the gel; `GelWeights` says by what its forces are to be
+multiplied, and how sure that is, of a gel that creeps or to which known forces were applied.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Flags, Floats
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.force import gel_forces
+from evetac_cli.kernels.force.gel_forces import CreepMemory, Forces
+from evetac_cli.kernels.touch import touch_map
+from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.dot_motion import GelLayer
+from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState
+from evetac_cli.stages import row_blocks
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, GelWeights
+from evetac_cli.store.files import StageFile
+
+SETTLED_SLICES = 200  # of a touch, after which it is taken to be held: a judgement, grips close within 0.1 s or so
+FLAGS = ("known", "touches")
+SUMS = ("shear_n", "shear_sd_n", "normal_n", "normal_sd_n", "torsion_n_mm", "torsion_sd_n_mm")
+PLACES = ("centre_mm", "centre_sd_mm", "area_mm2", "area_sd_mm2")
+SINCE = ("shear_since_n", "shear_since_sd_n")
+OF_READING = (*FLAGS, *SUMS, *PLACES, *SINCE)
+PAIRS = ("shear_n", "shear_sd_n", "centre_mm", "centre_sd_mm", *SINCE)  # x and y
+OF_MAP = ("patch", "shear_pa", "shear_sd_pa", "pressure_pa", "pressure_sd_pa")
+NOT_TOLD = ("sticking_share", "sticking_share_sd", "slip_direction_rad")
+COLUMNS = (*OF_READING, "reference_slice", *NOT_TOLD)
+
+Columns = dict[str, NDArray[Any]]
+
+
+class Slices(NamedTuple):
+    """Forces over the modulus in mm2 that the dots tell in each slice, their deviations, and whether it is a touch.
+
+    shear_mm2, shear_sd_mm2: (slices, 2); normal_mm2, normal_sd_mm2, touches: (slices,). 0 without a touch, and the
+    deviations NaN; all NaN with too few dots.
+    """
+
+    shear_mm2: Floats
+    shear_sd_mm2: Floats
+    normal_mm2: Floats
+    normal_sd_mm2: Floats
+    touches: Flags
+
+
+class Factor(NamedTuple):
+    """What forces of a map are to be multiplied by, its relative sd, and how much larger the map's own sd is."""
+
+    value: Floats
+    relative_sd: Floats
+    times: float
+
+    def applied(self, value: Floats, sd: Floats) -> tuple[Floats, Floats]:
+        """A force or traction and its sd."""
+        after = value * self.value
+        return after, np.hypot(self.times * self.value * sd, self.relative_sd * after)
+
+
+def start(gel: GelWeights, tracks: StageFile) -> TouchState:
+    """Begin a touch map of the dots of a tracks file; InputError where they are no dots of a gel."""
+    rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    height_mm, print_depth_mm, lens_mm = gel.shape
+    layer = GelLayer(height_mm, gel.modulus_pa, 0.5, print_depth_mm, lens_mm)
+    noise = DotNoise(TRACKER_PX * gel.mm_per_px, DRIFT_PX * gel.mm_per_px)
+    try:
+        return touch_map.start((rest_px - _middle_px(tracks)) * gel.mm_per_px, layer, noise)
+    except ValueError as error:
+        raise InputError(f"no touch can be told of these dots: {error}", where=str(tracks.path)) from error
+
+
+def is_reference(touched: int) -> bool:
+    """Whether what is `since` counts from the slice that is the last of so many with a touch.
+
+    Why so: where the field of the dots rests is not known here yet; a touch that has lasted a while is taken to be
+    held.
+    """
+    return touched == SETTLED_SLICES
+
+
+class TouchFold:
+    """Folds touch maps over the slices of a tracks file in turn; map_every: slices between maps, 0 for none."""
+
+    def __init__(self, gel: GelWeights, tracks: StageFile, map_every: int) -> None:
+        self.gel, self.map_every = gel, map_every
+        self.state = start(gel, tracks)
+        self._tracks = tracks
+        self._memory = CreepMemory()
+        self._touched = 0  # slices that the touch has lasted
+        self._reference = -1
+
+    def block(self, first: int, stop: int) -> Columns:
+        """Columns of a touch file, and its maps, for the slices [first, stop), which follow those before."""
+        readings: list[tuple[Any, ...]] = []
+        references: list[int] = []
+        maps: list[tuple[Any, ...]] = []
+
+        def keep(number: int, reading: TouchReading) -> None:
+            self._touched = self._touched + 1 if reading.touches else 0
+            if not reading.touches:
+                self._reference = -1
+            elif is_reference(self._touched):
+                touch_map.hold(self.state)
+                self._reference = number
+            references.append(self._reference)
+            readings.append(tuple(getattr(reading, name) for name in OF_READING))
+            if self.map_every and number % self.map_every == 0:
+                maps.append((number, *(getattr(reading, name) for name in OF_MAP)))
+
+        _fold(self.state, self._tracks, self.gel.mm_per_px, first, stop, keep)
+        told = {
+            name: np.array([row[place] for row in readings]).reshape(-1, *((2,) if name in PAIRS else ()))
+            for place, name in enumerate(OF_READING)
+        }
+        columns = self._scaled(told, np.array(references, np.int64))
+        return columns | (self._maps(maps) if self.map_every else {})
+
+    def _scaled(self, told: Columns, reference: NDArray[np.int64]) -> Columns:
+        """What readings of a block tell, with the weights of the gel; nothing is `since` before there is a reference.
+
+        An unknown scale of the image concerns places and areas, and torsion once more than forces.
+        """
+        gel, touches = self.gel, np.asarray(told["touches"], np.bool_)
+        forces = forces_of(gel, _over_modulus(gel, told), self._memory)
+        of_shear, unsure = shear_factor(gel), gel.mm_log_sd
+        relative_sd = np.hypot(of_shear.relative_sd.mean(), unsure)
+        of_torsion = Factor(of_shear.value.mean(), relative_sd, of_shear.times)
+        torsion = of_torsion.applied(told["torsion_n_mm"], told["torsion_sd_n_mm"])
+        since = of_shear.applied(told["shear_since_n"], told["shear_since_sd_n"])
+        counts = (touches & (reference >= 0))[:, None]
+        singles = {
+            **forces._asdict(),
+            **dict(zip(("torsion_n_mm", "torsion_sd_n_mm"), torsion, strict=True)),
+            "centre_mm": told["centre_mm"],
+            "centre_sd_mm": np.hypot(told["centre_sd_mm"], unsure * told["centre_mm"]),
+            "area_mm2": told["area_mm2"],
+            "area_sd_mm2": np.hypot(told["area_sd_mm2"], 2 * unsure * told["area_mm2"]),
+            **{name: np.where(counts, values, np.nan) for name, values in zip(SINCE, since, strict=True)},
+            **dict.fromkeys(NOT_TOLD, np.full(len(touches), np.nan)),
+        }
+        return {
+            **{name: told[name].astype(np.uint8) for name in FLAGS},
+            **{name: values.astype(np.float32) for name, values in singles.items()},
+            "reference_slice": reference,
+        }
+
+    def _maps(self, maps: list[tuple[Any, ...]]) -> Columns:
+        """The maps of some slices, with the weights of the gel."""
+        cells = self.state.cells.shape
+        sizes = {"patch": cells, "shear_pa": (2, *cells), "pressure_pa": cells}
+        told = {
+            name: np.array([row[1 + place] for row in maps]).reshape(-1, *sizes[name.replace("_sd", "")])
+            for place, name in enumerate(OF_MAP)
+        }
+        of_shear = shear_factor(self.gel)
+        on_grid = of_shear._replace(
+            value=of_shear.value[:, None, None], relative_sd=of_shear.relative_sd[:, None, None]
+        )
+        shear = on_grid.applied(told["shear_pa"], told["shear_sd_pa"])
+        pressure = normal_factor(self.gel).applied(told["pressure_pa"], told["pressure_sd_pa"])
+        return {
+            "map/slice": np.array([row[0] for row in maps], np.int64),
+            "map/patch": told["patch"].astype(np.uint8),
+            **{
+                f"map/{name}": field.astype(np.float32)
+                for name, field in zip(OF_MAP[1:], (*shear, *pressure), strict=True)
+            },
+        }
+
+
+def _fold(
+    state: TouchState,
+    tracks: StageFile,
+    mm_per_px: float,
+    first: int,
+    stop: int,
+    keep: Callable[[int, TouchReading], None],
+) -> None:
+    """Step a touch map over some slices of its tracks, and hand over the number and the reading of each."""
+    dot_mm = (tracks.read("dot_xy_px", first, stop) - _middle_px(tracks)) * mm_per_px
+    lost = tracks.read("lost", first, stop) != 0
+    for place, (where, gone) in enumerate(zip(dot_mm, lost, strict=True)):
+        keep(first + place, touch_map.step(state, where, gone))
+
+
+def _middle_px(tracks: StageFile) -> Floats:
+    middle: Floats = tracks.read("sensor/frame_px") / 2
+    return middle
+
+
+def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
+    """What the dots tell in all slices of a tracks file, without holding and without maps."""
+    state = start(gel, tracks)
+    slices = tracks.length("dot_xy_px")
+    told = {name: np.empty((slices, 2) if name in PAIRS else slices) for name in (*SUMS, "touches")}
+
+    def keep(number: int, reading: TouchReading) -> None:
+        for name, values in told.items():
+            values[number] = getattr(reading, name)
+
+    for first, stop in row_blocks(slices):
+        _fold(state, tracks, gel.mm_per_px, first, stop, keep)
+    return _over_modulus(gel, told)
+
+
+def _over_modulus(gel: GelWeights, told: Columns) -> Slices:
+    """Forces of readings over the modulus that their map was made with."""
+    mpa = gel.modulus_pa * 1e-6
+    shear, shear_sd, normal, normal_sd = (told[name] / mpa for name in SUMS[:4])
+    return Slices(shear, shear_sd, normal, normal_sd, np.asarray(told["touches"], np.bool_))
+
+
+def forces_of(gel: GelWeights, over: Slices, memory: CreepMemory | None = None) -> Forces:
+    """Forces of slices that follow each other; 0 without a touch, NaN where nothing is known.
+
+    memory: of the gel's creep in the slices before.
+    """
+    shear, normal = terms_of(gel, over, memory)
+    forces = gel_forces.predict(gel.scale, gel.errors, shear, normal, over.shear_sd_mm2, over.normal_sd_mm2)
+    nothing = ~over.touches & np.isfinite(over.normal_mm2)
+    return forces._replace(
+        shear_n=np.where(nothing[:, None], 0.0, forces.shear_n), normal_n=np.where(nothing, 0.0, forces.normal_n)
+    )
+
+
+def terms_of(gel: GelWeights, over: Slices, memory: CreepMemory | None = None) -> tuple[Floats, Floats]:
+    """Terms of the shear force (slices, 2, 4) and of the normal force (slices, 2) of slices that follow each other."""
+    shear = gel_forces.shear_terms(over.shear_mm2, gel.creep_time_s, memory=memory)
+    return shear, gel_forces.normal_terms(over.normal_mm2)
+
+
+def shear_factor(gel: GelWeights) -> Factor:
+    """Of what is shear, without creep and offset."""
+    weight = gel.scale.shear[:, 0]
+    relative_sd = np.sqrt(gel.scale.shear_covariance[:, 0, 0]) / weight
+    return Factor(weight / (gel.modulus_pa * 1e-6), relative_sd, gel.errors.shear_times)
+
+
+def normal_factor(gel: GelWeights) -> Factor:
+    """Of what is pressure, without an offset."""
+    weight = gel.scale.normal[0]
+    relative_sd = np.sqrt(gel.scale.normal_covariance[0, 0]) / weight
+    return Factor(weight / (gel.modulus_pa * 1e-6), relative_sd, gel.errors.normal_times)

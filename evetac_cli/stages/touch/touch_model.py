@@ -1,0 +1,72 @@
+"""Force-model files of touch maps: written by `train-force --method touch`, read by `predict-touch --model`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.force.gel_forces import CREEP_ARMS, ForceErrorModel, Scale
+from evetac_cli.stages.touch.known_gel import GelShape, GelWeights
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
+
+KIND = "force-model"
+MADE = "a model of train-force --method touch"
+SHAPES = {  # what the schema leaves open
+    "adapted/shear_covariance": (2, CREEP_ARMS + 2, CREEP_ARMS + 2),
+    "adapted/normal_covariance": (2, 2),
+    "adapted/creep_time_s": (CREEP_ARMS,),
+    "adapted/errors": (len(ForceErrorModel._fields),),
+}
+
+
+def arrays_of(gel: GelWeights) -> dict[str, Any]:
+    """The datasets of an adapted scale."""
+    return {
+        **{f"adapted/{name}": values for name, values in gel.scale._asdict().items()},
+        **{f"adapted/{name}": np.float64(value) for name, value in gel.shape._asdict().items()},
+        "adapted/modulus_pa": np.float64(gel.modulus_pa),
+        "adapted/mm_per_px": np.float64(gel.mm_per_px),
+        "adapted/mm_log_sd": np.float64(gel.mm_log_sd),
+        "adapted/creep_time_s": gel.creep_time_s,
+        "adapted/errors": np.array(gel.errors),
+    }
+
+
+def read_own(path: Path) -> tuple[Header, str, GelWeights]:
+    """Header, name of the sensor and weights of an adapted model; InputError for one of the paper's method."""
+    with StageFile(path, KIND) as file:
+        if not file.has("adapted"):
+            raise InputError(
+                "the force model is of the paper's method, which only `evetac evaluate force` applies",
+                where=str(path),
+                expected=MADE,
+                hint="leave out --model: predict-touch needs none",
+            )
+        stored = file.contents()
+        for name, shape in SHAPES.items():
+            if stored[name][1] != shape:
+                raise InputError(
+                    f"{name} has another shape than models of this version",
+                    where=str(path),
+                    expected=str(shape),
+                    found=str(stored[name][1]),
+                    hint="train it again",
+                )
+        return file.header, str(file.read("sensor_name")), _weights(file)
+
+
+def _weights(file: StageFile) -> GelWeights:
+    def number(name: str) -> float:
+        return float(file.read(f"adapted/{name}"))
+
+    return GelWeights(
+        number("modulus_pa"),
+        GelShape(*map(number, GelShape._fields)),
+        number("mm_per_px"),
+        number("mm_log_sd"),
+        Scale(*(file.read(f"adapted/{name}") for name in Scale._fields)),
+        file.read("adapted/creep_time_s"),
+        ForceErrorModel(*file.read("adapted/errors").tolist()),
+    )
