@@ -31,5 +31,5 @@ exports.py writes them:
 
 One format is one module, however short, so that a reader finds it here by its name. What several share: the events of
 a recording piece by piece (write/pieces), a trial as columns (write/slice_columns) and as frames
-(write/lerobot/episodes).
+(write/lerobot/episodes). The messages of mcap are a module of their own (write/mcap_messages).
 """

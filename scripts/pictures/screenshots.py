@@ -51,7 +51,7 @@ PREPARE = (
 SHOTS = (
     Shot("info", "evetac info data/slip-obj08-s0-000.recording.h5"),
     Shot("evaluate-labels", "evetac evaluate labels data/slip-obj08-s0-000.labels.h5 data/slip-obj08-s0-001.labels.h5"),
-    Shot("view", "evetac view data/slip-obj08-s0-000.features.h5 --force", "data/slip-obj08-s0-000.html", (1760, 1210)),
+    Shot("view", "evetac view data/slip-obj08-s0-000.features.h5 --force", "data/slip-obj08-s0-000.html", (1760, 1370)),
 )
 
 

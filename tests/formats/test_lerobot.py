@@ -291,7 +291,7 @@ def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:
     """Assert that touch of one trial alone is left out of all, and that is said."""
     sources = [write_grasp(tmp_path / "in", "a"), write_grasp(tmp_path / "in", "b", kinds="tracks labels features")]
     row = written(tmp_path / "out", sources)
-    assert "not in all trials: touch_touches" in row["left_out"]
+    assert "not in all trials: touch_area_mm2" in row["left_out"]
     info, _, _ = read(tmp_path / "out")
     assert not [name for name in info["features"]["observation.tactile"]["names"] if name.startswith("touch")]
 

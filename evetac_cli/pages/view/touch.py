@@ -92,8 +92,8 @@ def place_touch(view: ViewData, trial: OpenTrial) -> None:
     wanted = np.unique(at[at >= 0])
     if not len(wanted):
         return
-    if any(len(line) < 2 or not (np.diff(line) > 0).all() for line in (x_mm, y_mm)):
-        view.notes.append("Touch maps are not drawn: their cells lie in no rows and columns that go on.")
+    if min(len(x_mm), len(y_mm)) < 2:
+        view.notes.append("Touch maps are not drawn: of one row or column of cells it is not known how large they are.")
         return
     most = max(1, MAP_BYTES // (CELL_BYTES * len(x_mm) * len(y_mm)))
     step = -(-len(wanted) // most)

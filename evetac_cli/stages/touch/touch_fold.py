@@ -216,12 +216,14 @@ def _over_modulus(gel: GelWeights, told: Columns) -> Slices:
     return Slices(shear, shear_sd, normal, normal_sd, np.asarray(told["touches"], np.bool_))
 
 
-def forces_of(gel: GelWeights, over: Slices, memory: CreepMemory | None = None) -> Forces:
-    """Forces of slices that follow each other; 0 without a touch, NaN where nothing is known.
+def forces_of(
+    gel: GelWeights, over: Slices, memory: CreepMemory | None = None, step_s: float = gel_forces.SLICE_S
+) -> Forces:
+    """Forces of slices that follow each other, step_s apart; 0 without a touch, NaN where nothing is known.
 
     memory: of the gel's creep in the slices before.
     """
-    shear, normal = terms_of(gel, over, memory)
+    shear, normal = terms_of(gel, over, memory, step_s)
     forces = gel_forces.predict(gel.scale, gel.errors, shear, normal, over.shear_sd_mm2, over.normal_sd_mm2)
     nothing = ~over.touches & np.isfinite(over.normal_mm2)
     return forces._replace(
@@ -229,9 +231,11 @@ def forces_of(gel: GelWeights, over: Slices, memory: CreepMemory | None = None) 
     )
 
 
-def terms_of(gel: GelWeights, over: Slices, memory: CreepMemory | None = None) -> tuple[Floats, Floats]:
+def terms_of(
+    gel: GelWeights, over: Slices, memory: CreepMemory | None = None, step_s: float = gel_forces.SLICE_S
+) -> tuple[Floats, Floats]:
     """Terms of the shear force (slices, 2, 4) and of the normal force (slices, 2) of slices that follow each other."""
-    shear = gel_forces.shear_terms(over.shear_mm2, gel.creep_time_s, memory=memory)
+    shear = gel_forces.shear_terms(over.shear_mm2, gel.creep_time_s, step_s, memory)
     return shear, gel_forces.normal_terms(over.normal_mm2)
 
 

@@ -96,7 +96,7 @@
       ink.clearRect(0, 0, wide, high);
       let low = chart.low ?? Math.min(...known), top = chart.high ?? Math.max(...known);
       if (top - low < 1e-9 * Math.max(1, Math.abs(top))) { top += 1; low -= chart.low === undefined ? 1 : 0; }
-      const left = 56, x = (t) => left + (wide - left - 4) * (t - from) / SECONDS, y = (value) => high - 16 - (high - 22) * (value - low) / (top - low);
+      const left = 66, x = (t) => left + (wide - left - 4) * (t - from) / SECONDS, y = (value) => high - 16 - (high - 22) * (value - low) / (top - low);
       ink.font = "11px system-ui, sans-serif";
       ink.fillStyle = colour("--quiet");
       ink.strokeStyle = colour("--rule");
@@ -148,24 +148,27 @@
     }
   }
 
-  // The touch map: its scales end at the highest that was seen -------------------------------------------------------------
-  const ends = { most_kpa: 5, most_shear_kpa: 2 };
+  // The touch map: its scales end above the highest of the last seconds, at 1, 2 or 5 times a power of 10 -----------------
+  const highest = { most_kpa: 0, most_shear_kpa: 0 };  // it fades, by a half in 3 s
+  const round = (value) => { const power = 10 ** Math.floor(Math.log10(value)); return [1, 2, 5, 10].map((each) => each * power).find((each) => each >= value); };
   function drawTouch() {
     const map = latest.touch;
     by("touch-card").hidden = !map;
     if (!map) return;
-    const size = map.columns * map.rows, drawn = { ...ends, x: [], y: [], empty: map.known ? "no touch" : "too few dots are tracked", patch: new Uint8Array(size) };
+    const size = map.columns * map.rows, drawn = { x: [], y: [], empty: map.known ? "no touch" : "too few dots are tracked", patch: new Uint8Array(size) };
     for (let column = 0; column < map.columns; column++) drawn.x.push(map.x_mm + column * map.cell_mm);
     for (let row = 0; row < map.rows; row++) drawn.y.push(map.y_mm + row * map.cell_mm);
     for (const name of ["pressure", "shear_x", "shear_y"]) drawn[name] = new Float32Array(size);
+    for (const name of Object.keys(highest)) highest[name] *= 0.98;
     for (const [, pressure, x, y] of map.cells) {
-      ends.most_kpa = drawn.most_kpa = Math.max(ends.most_kpa, pressure);
-      ends.most_shear_kpa = drawn.most_shear_kpa = Math.max(ends.most_shear_kpa, Math.hypot(x, y));
+      highest.most_kpa = Math.max(highest.most_kpa, pressure);
+      highest.most_shear_kpa = Math.max(highest.most_shear_kpa, Math.hypot(x, y));
     }
+    drawn.most_kpa = round(Math.max(5, highest.most_kpa)); drawn.most_shear_kpa = round(Math.max(2, highest.most_shear_kpa));
     for (const [at, pressure, x, y] of map.cells) {
       drawn.patch[at] = 1;
-      drawn.pressure[at] = pressure / ends.most_kpa;
-      drawn.shear_x[at] = x / ends.most_shear_kpa; drawn.shear_y[at] = y / ends.most_shear_kpa;
+      drawn.pressure[at] = pressure / drawn.most_kpa;
+      drawn.shear_x[at] = x / drawn.most_shear_kpa; drawn.shear_y[at] = y / drawn.most_shear_kpa;
     }
     drawn.centre = map.centre_mm || []; drawn.centre_sd = map.centre_sd_mm || [];
     drawTouchMap(by("touch"), drawn);

@@ -83,7 +83,7 @@ class Follower:
             constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
         try:
-            self._touch = LiveTouch(sensor, self._tracking)
+            self._touch = LiveTouch(sensor, self._tracking, PERIOD_S)
         except ValueError as error:
             self.notes.append(f"no touch: {error}")
         self._next = max(0, self._shared.slices - SHOWN_MS)  # more came while this was loaded

@@ -9,37 +9,44 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.force.gel_forces import CreepMemory
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.dot_motion import CELL_MM, GelLayer
 from evetac_cli.kernels.touch.touch_map import TouchReading
 from evetac_cli.kernels.tracking.tracker import TrackerState
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, KnownGel, gel_of
+from evetac_cli.stages.touch.touch_fold import Factor, Slices, forces_of, normal_factor, shear_factor
 
-MM_PER_PX = 0.0329  # of the sensor `evetac`; what a calibration tells has no scale
-STIFFNESS_ERROR = 0.1  # of a modulus that the calibration names, as predict-touch --sensor has it
-UNKNOWN_STIFFNESS = 0.4  # relative sd over gels: log-uniform from 70 to 300 kPa, as `randomized` has them
 DIGITS = 3  # of numbers in a map
 
 
 class LiveTouch:
-    """Touch maps of dots that a tracker follows."""
+    """Touch maps of dots that a tracker follows, with what is known and expected of the gel as in predict-touch."""
 
-    def __init__(self, sensor: Mapping[str, Any], tracking: TrackerState) -> None:
-        """For datasets `sensor/...` of a camera; ValueError where nothing can be told of its dots."""
+    def __init__(self, sensor: Mapping[str, Any], tracking: TrackerState, period_s: float) -> None:
+        """For datasets `sensor/...` of a camera, and a sample so often; ValueError where its dots can tell nothing."""
         width, height = (int(side) for side in sensor["sensor/frame_px"])
         if (width, height) != FRAME_PX:  # how large its pixels are on the gel is not known
             raise ValueError("the frame is not {} x {} px".format(*FRAME_PX))
         self._tracking, self._middle_px = tracking, np.array(FRAME_PX) / 2
         modulus = sensor.get("sensor/shear_modulus_pa")
-        layer, error = GelLayer(), UNKNOWN_STIFFNESS
-        if modulus is not None:
-            layer, error = layer._replace(shear_modulus_pa=float(modulus)), STIFFNESS_ERROR
-        self._state = touch_map.start(self._mm(tracking.rest_xy_px), layer, DotNoise(), error, renews=False)
+        known = KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
+        gel = gel_of(known, PredictTouch().stiffness_error)
+        self._gel, self._mm_per_px, self._period_s = gel, gel.mm_per_px, period_s
+        self._creep = CreepMemory()
+        self._shear, self._normal = shear_factor(gel), normal_factor(gel)
+        sd = float(np.hypot(self._shear.relative_sd.mean(), gel.mm_log_sd))  # a lever has one more power of the scale
+        self._torsion = Factor(self._shear.value.mean(), np.asarray(sd), self._shear.times)
+        layer = GelLayer(shear_modulus_pa=gel.modulus_pa)
+        noise = DotNoise(TRACKER_PX * gel.mm_per_px, DRIFT_PX * gel.mm_per_px)
+        self._state = touch_map.start(self._mm(tracking.rest_xy_px), layer, noise, renews=False)
         self._reading: TouchReading | None = None
 
     def _mm(self, dot_xy_px: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        return np.asarray((dot_xy_px - self._middle_px) * MM_PER_PX)
+        return np.asarray((dot_xy_px - self._middle_px) * self._mm_per_px)
 
     def now(self) -> dict[str, float]:
         """Forces, torsion and area now, with deviations; NaN where too few dots are tracked."""
@@ -51,15 +58,26 @@ class LiveTouch:
             touch_map.renew(state)
             reading = touch_map.step(state, dots_mm, lost)
         self._reading = reading
-        x_n, y_n = reading.shear_n
+        mpa = self._gel.modulus_pa * 1e-6
+        over = Slices(
+            reading.shear_n[None] / mpa,
+            reading.shear_sd_n[None] / mpa,
+            np.array([reading.normal_n]) / mpa,
+            np.array([reading.normal_sd_n]) / mpa,
+            np.array([reading.touches]),
+        )
+        forces = forces_of(self._gel, over, self._creep, self._period_s)
+        torsion, torsion_sd = self._torsion.applied(
+            np.asarray(reading.torsion_n_mm), np.asarray(reading.torsion_sd_n_mm)
+        )
         return {
-            "shear_x_n": float(x_n),
-            "shear_y_n": float(y_n),
-            "shear_sd_n": float(reading.shear_sd_n.max()),
-            "normal_n": reading.normal_n,
-            "normal_sd_n": reading.normal_sd_n,
-            "torsion_n_mm": reading.torsion_n_mm,
-            "torsion_sd_n_mm": reading.torsion_sd_n_mm,
+            "shear_x_n": float(forces.shear_n[0, 0]),
+            "shear_y_n": float(forces.shear_n[0, 1]),
+            "shear_sd_n": float(forces.shear_sd_n.max()),
+            "normal_n": float(forces.normal_n[0]),
+            "normal_sd_n": float(forces.normal_sd_n[0]),
+            "torsion_n_mm": float(torsion),
+            "torsion_sd_n_mm": float(torsion_sd),
             "area_mm2": reading.area_mm2,
         }
 
@@ -69,7 +87,10 @@ class LiveTouch:
         if reading is None:
             return None
         cells = np.flatnonzero(reading.patch)
-        kpa = np.stack([reading.pressure_pa, *reading.shear_pa]).reshape(3, -1)[:, cells] * 1e-3
+        pa = np.stack(
+            [reading.pressure_pa * self._normal.value, *(reading.shear_pa * self._shear.value[:, None, None])]
+        )
+        kpa = pa.reshape(3, -1)[:, cells] * 1e-3
         known = reading.touches and bool(np.isfinite(reading.centre_mm).all())
         return {
             "known": reading.known,

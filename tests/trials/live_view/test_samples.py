@@ -2,19 +2,23 @@
 
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-import evetac_cli as evetac
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.kernels.tracking import presets, tracker
+from evetac_cli.stages.touch.known_gel import MM_PER_PX, KnownGel, gel_of
+from evetac_cli.stages.touch.touch_fold import TouchFold
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import open_view_detector
 from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower
 from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
-from evetac_cli.trials.live_view.touch import MM_PER_PX, LiveTouch
+from evetac_cli.trials.live_view.touch import LiveTouch
 from tests.conftest import Made
 
 SLICES = 200
@@ -115,38 +119,51 @@ def _pushed(rest_px: np.ndarray, by_px: float) -> np.ndarray:
     return rest_px + by_px * np.exp(-(away**2).sum(axis=1) / (2 * 80**2))[:, None] * [1.0, 0.0]
 
 
-def test_touch_is_that_of_a_touch_map() -> None:
-    """Assert forces, torsion and map as evetac.TouchMap tells them, at the first touch, later, and after it."""
+def test_touch_is_what_predict_touch_tells(tmp_path: Path) -> None:
+    """Assert forces, torsion and map as in a touch file of the same dots: before, at the begin of and after a touch."""
     grid = np.stack(np.meshgrid(np.arange(60.0, 560, 62), np.arange(40.0, 420, 62)), -1)
-    sensor = {"sensor/frame_px": np.array([640, 480]), "sensor/shear_modulus_pa": 120e3}
+    sensor = {
+        "sensor/frame_px": np.array([640, 480], np.int32),
+        "sensor/name": "evetac",
+        "sensor/dot_xy_px": grid,
+        "sensor/dot_radius_px": np.float64(9.0),
+        "sensor/shear_modulus_pa": np.float64(120e3),
+    }
     tracking = tracker.start(grid.reshape(-1, 2), presets.PRESETS["stable"].for_dots(9.0))
-    live = LiveTouch(sensor, tracking)
-    gel = evetac.Gel(grid, 9.0, sensitivity=evetac.Sensitivity(shear_modulus_pa=120e3))
-    whole = evetac.TouchMap(gel, mm_per_px=MM_PER_PX, stiffness_error=0.1)
+    dots = np.stack([_pushed(tracking.rest_xy_px, by_px) for by_px in (0.0, 10.0, 0.0)])
+    arrays = {"dot_xy_px": dots.astype(np.float32), **sensor}
+    arrays |= {"events_per_dot": np.zeros(dots.shape[:2], np.int32), "lost": np.zeros(dots.shape[:2], np.uint8)}
+    recording = Recipe("recording", 1, {}, seed=1, simulated_source=True).header()
+    path = tmp_path / "a.tracks.h5"
+    write_stage(path, Recipe("tracks", 1, {"preset": "stable"}, parents=(recording,)), arrays)
+    live = LiveTouch(sensor, tracking, 1e-3)
     assert live.map() is None
-    seen = []
-    for by_px in (0.0, 10.0, 0.0):
-        tracking.dot_xy_px[...] = _pushed(tracking.rest_xy_px, by_px)
-        seen.append((live.now(), live.map()))
-        expected = whole.step(tracking.dot_xy_px)
-        now, shown = seen[-1]
-        assert shown is not None and (shown["columns"], shown["rows"]) == (len(whole.x_mm), len(whole.y_mm))
-        assert now["shear_x_n"] == pytest.approx(expected.shear_n[0]) and now["normal_n"] == expected.normal_n
-        assert now["torsion_n_mm"] == pytest.approx(expected.torsion_n_mm, abs=1e-9)
-        assert [cell for cell, *_ in shown["cells"]] == np.flatnonzero(expected.patch).tolist()
-        for cell, pressure_kpa, x_kpa, y_kpa in shown["cells"]:
-            told = (expected.pressure_pa, *expected.shear_pa)
-            assert [pressure_kpa, x_kpa, y_kpa] == pytest.approx([one.flat[cell] * 1e-3 for one in told], abs=6e-4)
-    assert seen[1][0]["shear_x_n"] > 0.1 and len(seen[1][1]["cells"]) > 4
-    assert seen[2][1]["cells"] == [] and seen[2][1]["centre_mm"] is None and np.isnan(seen[2][0]["normal_sd_n"])
-    json.dumps([shown for _, shown in seen], allow_nan=False)
+    with StageFile(path, "tracks") as tracks:
+        expected = TouchFold(gel_of(KnownGel(shear_modulus_pa=120e3), 0.1), tracks, 1).block(0, 3)
+    for number, place in enumerate(dots):
+        tracking.dot_xy_px[...] = place.astype(np.float32)
+        now, shown = live.now(), live.map()
+        assert shown is not None
+        for name in ("normal_n", "normal_sd_n", "torsion_n_mm", "torsion_sd_n_mm", "area_mm2"):
+            assert now[name] == pytest.approx(expected[name][number], rel=1e-5, abs=1e-6, nan_ok=True), name
+        shear = [now["shear_x_n"], now["shear_y_n"]]
+        assert shear == pytest.approx(expected["shear_n"][number], rel=1e-5, abs=1e-6)
+        patch = expected["map/patch"][number]
+        assert (shown["rows"], shown["columns"]) == patch.shape
+        assert [cell for cell, *_ in shown["cells"]] == np.flatnonzero(patch).tolist()
+        told = np.stack([expected["map/pressure_pa"][number], *expected["map/shear_pa"][number]]).reshape(3, -1)
+        for cell, *kpa in shown["cells"]:
+            assert kpa == pytest.approx(told[:, cell] * 1e-3, abs=6e-4)
+        assert (len(shown["cells"]) > 4) == (now["shear_x_n"] > 0.1) == (number == 1)
+        assert (shown["centre_mm"] is None) == (number != 1)
+        json.dumps(shown, allow_nan=False)
 
 
 def test_touch_follows_and_survives_lost_dots() -> None:
     """Assert that a patch follows a contact that moves within a few samples, and that without dots nothing is known."""
     grid = np.stack(np.meshgrid(np.arange(60.0, 560, 62), np.arange(40.0, 420, 62)), -1)
     tracking = tracker.start(grid.reshape(-1, 2), presets.PRESETS["stable"].for_dots(9.0))
-    live = LiveTouch({"sensor/frame_px": (640, 480)}, tracking)
+    live = LiveTouch({"sensor/frame_px": (640, 480)}, tracking, 0.05)
     centres = []
     for shift_px in (0.0, 120.0):
         for _ in range(8):
