@@ -4,7 +4,7 @@ A touch map is made with the modulus that is expected of the gel; `GelWeights` s
 multiplied, and how sure that is, of a gel that creeps or to which known forces were applied.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,15 +62,23 @@ class Factor(NamedTuple):
         return after, np.hypot(self.times * self.value * sd, self.relative_sd * after)
 
 
-def start(gel: GelWeights, tracks: StageFile) -> TouchState:
+def start(
+    gel: GelWeights, rest_px: Floats, frame_px: Sequence[int], window_px: Sequence[int] | None, *, renews: bool = True
+) -> TouchState:
+    """Begin a touch map of dots at rest (n, 2), of a gel that may be cut; ValueError where they are no such dots."""
+    scale = gel.mm_per_px
+    rest_mm = (rest_px - np.array(frame_px) / 2) * scale
+    shape = at_window(gel.shape, window_px, frame_px, scale, rest_mm)
+    noise = DotNoise(TRACKER_PX * scale, DRIFT_PX * scale)
+    return touch_map.start(rest_mm, shape.layer(gel.modulus_pa), noise, renews=renews)
+
+
+def of_tracks(gel: GelWeights, tracks: StageFile) -> TouchState:
     """Begin a touch map of the dots of a tracks file; InputError where they are no dots of a gel."""
-    rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
-    rest_mm = (rest_px - _middle_px(tracks)) * gel.mm_per_px
     window_px = tracks.read("sensor/window_px").tolist() if tracks.has("sensor/window_px") else None
-    shape = at_window(gel.shape, window_px, tracks.read("sensor/frame_px").tolist(), gel.mm_per_px, rest_mm)
-    noise = DotNoise(TRACKER_PX * gel.mm_per_px, DRIFT_PX * gel.mm_per_px)
     try:
-        return touch_map.start(rest_mm, shape.layer(gel.modulus_pa), noise)
+        rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+        return start(gel, rest_px, tracks.read("sensor/frame_px").tolist(), window_px)
     except ValueError as error:
         raise InputError(f"no touch can be told of these dots: {error}", where=str(tracks.path)) from error
 
@@ -89,7 +97,7 @@ class TouchFold:
 
     def __init__(self, gel: GelWeights, tracks: StageFile, map_every: int) -> None:
         self.gel, self.map_every = gel, map_every
-        self.state = start(gel, tracks)
+        self.state = of_tracks(gel, tracks)
         self._tracks = tracks
         self._memory = CreepMemory()
         self._touched = 0  # slices that the touch has lasted
@@ -196,7 +204,7 @@ def _middle_px(tracks: StageFile) -> Floats:
 
 def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
     """What the dots tell in all slices of a tracks file, without holding and without maps."""
-    state = start(gel, tracks)
+    state = of_tracks(gel, tracks)
     slices = tracks.length("dot_xy_px")
     told = {name: np.empty((slices, 2) if name in PAIRS else slices) for name in (*SUMS, "touches")}
 
@@ -236,7 +244,7 @@ def terms_of(
 ) -> tuple[Floats, Floats]:
     """Terms of the shear force (slices, 2, 4) and of the normal force (slices, 2) of slices that follow each other."""
     shear = gel_forces.shear_terms(over.shear_mm2, gel.creep_time_s, step_s, memory)
-    return shear, gel_forces.normal_terms(over.normal_mm2)
+    return shear, gel_forces.normal_terms(over.normal_mm2, over.normal_sd_mm2)
 
 
 def shear_factor(gel: GelWeights) -> Factor:

@@ -17,7 +17,8 @@ MADE = "a model of train-force --method touch"
 SHAPE = ("height_mm", "print_depth_mm", "lens_mm")  # numbers of a GelShape
 SHAPES = {  # what the schema leaves open
     "adapted/shear_covariance": (2, CREEP_ARMS + 2, CREEP_ARMS + 2),
-    "adapted/normal_covariance": (2, 2),
+    "adapted/normal": (3,),
+    "adapted/normal_covariance": (3, 3),
     "adapted/creep_time_s": (CREEP_ARMS,),
     "adapted/edges_mm": (4,),
     "adapted/errors": (len(ForceErrorModel._fields),),

@@ -13,11 +13,11 @@ from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force.gel_forces import CreepMemory
 from evetac_cli.kernels.touch import touch_map
-from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import CELL_MM, GelLayer
+from evetac_cli.kernels.touch.dot_motion import CELL_MM
 from evetac_cli.kernels.touch.touch_map import TouchReading
 from evetac_cli.kernels.tracking.tracker import TrackerState
-from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, KnownGel, gel_of
+from evetac_cli.stages.touch import touch_fold
+from evetac_cli.stages.touch.known_gel import KnownGel, gel_of
 from evetac_cli.stages.touch.touch_fold import Factor, Slices, forces_of, normal_factor, shear_factor
 
 DIGITS = 3  # of numbers in a map
@@ -40,9 +40,9 @@ class LiveTouch:
         self._shear, self._normal = shear_factor(gel), normal_factor(gel)
         sd = float(np.hypot(self._shear.relative_sd.mean(), gel.mm_log_sd))  # a lever has one more power of the scale
         self._torsion = Factor(self._shear.value.mean(), np.asarray(sd), self._shear.times)
-        layer = GelLayer(shear_modulus_pa=gel.modulus_pa)
-        noise = DotNoise(TRACKER_PX * gel.mm_per_px, DRIFT_PX * gel.mm_per_px)
-        self._state = touch_map.start(self._mm(tracking.rest_xy_px), layer, noise, renews=False)
+        window = sensor.get("sensor/window_px")
+        window_px = None if window is None else [int(side) for side in window]
+        self._state = touch_fold.start(gel, tracking.rest_xy_px, FRAME_PX, window_px, renews=False)
         self._reading: TouchReading | None = None
 
     def _mm(self, dot_xy_px: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

@@ -42,7 +42,7 @@ def test_adaptation_finds_the_gel(own: list[Path], tmp_path: Path) -> None:
     assert row["shear_modulus_kpa_before"] == pytest.approx(1.3e-3 * MODULUS_PA)
     assert row["shear_modulus_kpa"] == pytest.approx(1e-3 * MODULUS_PA, rel=0.03)
     assert 0.01 < row["shear_modulus_sd_kpa"] / row["shear_modulus_kpa"] < 0.06
-    assert 1.0 < row["normal_factor"] < 1.12
+    assert 0.9 < row["normal_factor"] < 1.12  # beside it a part of the deviation, which all of these contacts have
     assert info.run([model]).rows[0]["adapted_shear_modulus_pa"] == pytest.approx(1e3 * row["shear_modulus_kpa"])
 
     path = write_contact(tmp_path, 20, contact("ball", 6002))
