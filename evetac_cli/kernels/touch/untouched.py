@@ -66,7 +66,7 @@ def step(state: UntouchedState, dot_xy_px: Floats, lost: Flags | None = None) ->
         state.since_xy_px = np.where(np.isfinite(dot_xy_px), dot_xy_px, state.rest_xy_px)
         state.still_for = 0
         if not state.touched and dots >= LEAST_DOTS:
-            state.touched = _near(state, dot_xy_px, seen, TOUCHED_PX) < MOST * dots
+            state.touched = bool(_near(state, dot_xy_px, seen, TOUCHED_PX) < MOST * dots)
         return False
     state.still_for += 1
     if state.still_for < state.still_slices or not state.touched:

@@ -1,10 +1,11 @@
 """Which dots have moved otherwise than a layer that is touched on a patch can have moved them, given all the others.
 
 A tracker that has lost a dot without notice shows it somewhere else. Here tractions on the patch are thought to have a
-part that is common to it and one that varies smoothly; by their size the typical dot is as far off as it should be. Each
-dot then has a place that is expected given the others (leave one out, in closed form) and a deviation, small outside of
-the patch and large within. The dot that is farthest off, over its deviation, is taken out while it is off by more than
-LIMIT, and all are judged anew without it: several may be wrong, and those that are make their neighbours look so.
+part that is common to it and one that varies smoothly; by their size the typical dot is as far off as it should be.
+Each dot then has a place that is expected given the others (leave one out, in closed form) and a deviation, small
+outside of the patch and large within. The dot that is farthest off, over its deviation, is taken out while it is off by
+more than LIMIT, and all are judged anew without it: several may be wrong, and those that are make their neighbours look
+so.
 
 Why not by the size that makes the dots most likely: wrong dots would make it so large that all are right.
 
