@@ -49,8 +49,8 @@ FRAME_SHARES = {1: 0.4, 10: 0.7}  # of the way to a frame, every so many s; chos
 FLASH_EVERY_S = 1
 FLASH = (0.2, 0.1)
 FLASH_SLICES = 2 * len(FLASH)  # of which the tracker gets no events
-# Motion per event, over that of `stable`: after a flash the pixels of a rim wait for a whole threshold, all alike, where
-# usually some are half way. Chosen on seed 7010.
+# Motion per event, over that of `stable`: after a flash all pixels of a rim wait for a whole threshold, where usually
+# some are half way. Chosen on seed 7010.
 FLASH_EVENT = 1.4
 WEAK = 5.0  # regulariser weight in place of 50: rims count ten times as much against neighbours
 WRONG_PX = (1.0, 2.0)
