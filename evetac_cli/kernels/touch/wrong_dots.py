@@ -24,14 +24,15 @@ from evetac_cli.kernels.touch.dot_motion import KINDS, PRESSURE
 SMOOTH_CELLS = 1.0  # sd of the window that makes the varying part smooth
 COMMON = 4.0  # sd of the common part over that of the varying one, as in posterior.py
 PRESSURE_RATIO = 2.0  # of pressure over shear, as in posterior.py
-LIMIT = 5.0  # deviations that a dot may be off
-MOST_SHARE = 0.3  # of the dots: where more seem wrong, it is the patch that is
+LIMIT = 4.0  # deviations that a dot may be off
+MOST_SHARE = 0.2  # of the dots: where more seem wrong, it is the patch that is, and none is called so
 # Of the tracker per axis: 0.1 px of each dot and 0.3 px of all together, at 0.0329 mm per px, as after some time.
 OWN_MM, COMMON_MM = 0.1 * 0.0329, 0.3 * 0.0329
 LEAST_MM = 0.3 * 0.0329  # none that is off by less is wrong
 MODEL_SHARE = 0.05  # of the dots' motion (rms): what the gel is not quite like the layer, as in dot_modes.py
 LEAST_DOTS = 6
 MEDIAN_OFF = 1.1774  # of what is normally distributed in two dimensions, in deviations
+SHARE_OF_SIZE = 0.4  # of the dots: those that tractions move most tell their size
 SIZES, HALVINGS = (1e-3, 30.0), 5  # of the tractions' part in the motion's mean square: bounds, and how often halved
 
 
@@ -61,7 +62,8 @@ def wrong(
     """Flags (dots,) of the trusted dots that have moved otherwise than the others and the patch allow.
 
     moved_mm: (dots, 2) from rest. patch: (rows, columns), what is touched, none where nothing is. own_mm, common_mm: sd
-    of the tracker's error per axis, of each dot and of all together. With fewer than LEAST_DOTS dots none is wrong.
+    of the tracker's error per axis, of each dot and of all together. With fewer than LEAST_DOTS dots none is wrong, nor
+    where more than MOST_SHARE of them would be.
     """
     flags: Flags = np.zeros(len(trusted), np.bool_)
     used = np.flatnonzero(trusted)
@@ -77,18 +79,18 @@ def wrong(
     shown = _shown(known, used, patch)
     inverse = linalg.inv(errors, check_finite=False) if shown is None else _inverse(shown, errors, moved, usual)
     left = np.ones(count, np.bool_)
-    for _ in range(int(MOST_SHARE * count)):
+    for _ in range(int(MOST_SHARE * count) + 1):
         deviations, off_mm = _off(inverse, moved)
         deviations[~left | (off_mm < LEAST_MM)] = 0.0
         worst = int(np.argmax(deviations))
         if deviations[worst] <= LIMIT:
+            flags[used[~left]] = True
             break
         left[worst] = False
         out = slice(2 * worst, 2 * worst + 2)
         inverse = inverse - inverse[:, out] @ np.linalg.solve(inverse[out, out], inverse[out])
         inverse[out, out] = np.eye(2)  # never looked at again, and of no effect on the others
         moved[out] = 0.0
-    flags[used[~left]] = True
     return flags
 
 
@@ -105,13 +107,19 @@ def _shown(known: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
 
 
 def _inverse(shown: Floats, errors: Floats, moved: Floats, usual: float) -> Floats:
-    """Inverse of the covariance of the dots' motion (2 dots, 2 dots), of a size by which the typical dot is right."""
+    """Inverse of the covariance of the dots' motion (2 dots, 2 dots), of a size by which a typical dot is right.
+
+    Typical of those that the tractions move most: what the others are off by is the tracker's error, which may be less
+    than told.
+    """
     low, high = (np.log(size * usual + 1e-30) for size in SIZES)
+    variance = shown.diagonal()[::2] + shown.diagonal()[1::2]
+    by_touch = variance >= np.quantile(variance, 1.0 - SHARE_OF_SIZE)
     inverse: Floats = errors
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         inverse = linalg.inv(shown * np.exp(middle) + errors, check_finite=False)
-        if np.median(_off(inverse, moved)[0]) > MEDIAN_OFF:
+        if np.median(_off(inverse, moved)[0][by_touch]) > MEDIAN_OFF:
             low = middle
         else:
             high = middle

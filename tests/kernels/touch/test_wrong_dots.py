@@ -75,8 +75,8 @@ def test_dots_that_are_not_trusted_count_for_nothing() -> None:
     assert not wrong_dots.wrong(KNOWN, places, few, DISC).any()
 
 
-def test_no_more_than_a_part_is_called_wrong() -> None:
-    """Assert that not all dots are called wrong that go their own ways, and none of dots that do not move."""
+def test_where_many_seem_wrong_the_patch_is() -> None:
+    """Assert that none is called wrong of dots that all go their own ways, nor of dots that do not move."""
     wild = np.random.default_rng(1).normal(size=DOTS.shape) * 20 * PX
-    assert wrong_dots.wrong(KNOWN, wild, ALL, NOTHING).mean() <= wrong_dots.MOST_SHARE
+    assert not wrong_dots.wrong(KNOWN, wild, ALL, NOTHING).any()
     assert not wrong_dots.wrong(KNOWN, np.zeros_like(DOTS), ALL, DISC).any()
