@@ -1,4 +1,4 @@
-"""Touch maps after known forces: two minutes of adaptation of sensors that are not as told, and beside published forces.
+"""Touch maps after known forces: two minutes of adaptation of sensors that are not as told; beside published forces.
 
     python scripts/touch_adapted.py [--seeds 60000-60024] [--out docs/results]
 
@@ -55,7 +55,7 @@ PUBLISHED = {"x_mae_n": 0.14, "y_mae_n": 0.10, "normal_mae_n": 0.93}  # arXiv 26
 
 
 class Told(NamedTuple):
-    """What touch maps told of some contacts: forces over the modulus and deviations in mm2, and the true forces in N."""
+    """What touch maps told of some contacts: forces over the modulus and deviations in mm2; true forces in N."""
 
     shear_mm2: Floats  # (n, 2)
     shear_sd_mm2: Floats

@@ -307,9 +307,13 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
 
 
 def _light(scene: Scene) -> str:
-    flicker, step = (scene.light.flicker, scene.light.step) if scene.light else (None, None)
+    if scene.light is None:
+        return ""
+    flicker, step, flash = scene.light.flicker, scene.light.step, scene.light.flash
     lights = [f"flickers by {flicker.depth:.0%} at {flicker.frequency_hz:g} Hz"] if flicker else []
     lights += [f"x {step.factor:g} from {step.at_s:g} s on"] if step else []
+    lights += [f"{scene.light.floor:g} of it does not pass the print"] if scene.light.floor else []
+    lights += [f"flashes every {flash.every_s:g} s"] if flash else []
     return ", ".join(lights)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.touch import patch
+from evetac_cli.kernels.touch import patch, wrong_dots
 from evetac_cli.kernels.touch.dot_modes import DotModes, DotNoise, modes_of
 from evetac_cli.kernels.touch.dot_motion import CELL_MM, KINDS, PRESSURE, CellGrid, GelLayer, cells_about, dot_motion
 from evetac_cli.kernels.touch.patch_fit import (
@@ -40,6 +40,7 @@ BEGINS, ENDS = 4.0, 2.5
 NORMAL_BEYOND, SHEAR_BEYOND = 1.5, 0.3
 MOST_CELLS = 4000  # of a grid
 MOST_DOTS = 1024
+MOST_COMPARED = 80  # dots that are looked at for those that moved otherwise than the others allow: it takes 4 ms then
 
 
 class TouchReading(NamedTuple):
@@ -115,6 +116,8 @@ class TouchState:
             raise ValueError(f"dots span {len(self.cell_mm)} mm2 with their margin: expected up to {MOST_CELLS}")
         self.motion = np.full((len(rest_mm), 2, KINDS, len(self.cell_mm)), np.nan)
         self.motion[self.there] = dot_motion(layer, self.cells, rest_mm[self.there])
+        few = len(rest_mm) <= MOST_COMPARED
+        self.compared = wrong_dots.start(self.motion, self.cells.shape) if few else None
         self.moved_mm = np.zeros_like(rest_mm)
         self.trusted: Flags = self.there.copy()
         self.held_mm: Floats | None = None
@@ -217,18 +220,21 @@ def renew(state: TouchState) -> None:
 def renew_part(state: TouchState) -> bool:
     """The next part of a renewal, some milliseconds each, and whether it was the last, or nothing touches.
 
-    In turn: the dots that are tracked now, where they are others; the patch; its fit; and that of what changed since
-    `hold`. Until a part is done, what was found before is used.
+    In turn: the dots that are tracked now and not wrong, where they are others; the patch; its fit; and that of what
+    changed since `hold`. Until a part is done, what was found before is used.
     """
     state.next_part = _PARTS[state.next_part](state) if state.touches else 0
     return state.next_part == 0
 
 
 def _renew_dots(state: TouchState) -> int:
-    """Take the dots that are tracked now; the number of the part that is next."""
-    if (state.trusted == state.dots.used).all():
+    """Take the dots that are tracked now, but for those that are wrong; the number of the part that is next."""
+    used = state.trusted
+    if state.now is not None and state.compared is not None:
+        used = used & ~wrong_dots.wrong(state.compared, state.moved_mm, used, state.now.fit.patch)
+    if (used == state.dots.used).all():
         return _renew_patch(state)
-    state.use(state.trusted)
+    state.use(used)
     return _PARTS.index(_renew_patch)
 
 
@@ -354,7 +360,7 @@ def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats
     count = PRESSURE * len(held.cells)
     field, net = _on_grid(state, held, told[:count].reshape(PRESSURE, -1)), told[count : count + 2].astype(np.float64)
     error = state.stiffness_error
-    field_sd = np.hypot(held.traction_sd_pa, error * field)
+    field_sd = held.traction_sd_pa if not error else np.hypot(held.traction_sd_pa, error * field)
     net_sd = np.sqrt(held.sum_sd[:2] ** 2 + (error**2 + beyond[:2] ** 2) * net**2)
     return field, field_sd, net, net_sd
 

@@ -232,10 +232,16 @@ def _put_back(
         if count > 0 and displacement_x * displacement_x + displacement_y * displacement_y < AT_REST_PX * AT_REST_PX:
             centre_xy_px[i, 0] = min(max(rest_xy_px[i, 0] + displacement_x, 0.0), FRAME_PX[0] - 1.0)
             centre_xy_px[i, 1] = min(max(rest_xy_px[i, 1] + displacement_y, 0.0), FRAME_PX[1] - 1.0)
-            lost[i] = 0
-            state["left_behind"][i] = 0
-            for axis in range(2):
-                state["one_rim_px"][i, axis] = 0.0
-                state["own_way_px"][i, axis] = 0.0
-                state["near_way_px"][i, axis] = 0.0
-            state["way_events"][i] = 0.0
+            start_anew(state, i)
+
+
+@njit(cache=True)
+def start_anew(state: np.void, i: int) -> None:
+    """Forget that dot i was lost, and by what signs; state: tracker.STATE."""
+    state["lost"][i] = 0
+    state["left_behind"][i] = 0
+    for axis in range(2):
+        state["one_rim_px"][i, axis] = 0.0
+        state["own_way_px"][i, axis] = 0.0
+        state["near_way_px"][i, axis] = 0.0
+    state["way_events"][i] = 0.0

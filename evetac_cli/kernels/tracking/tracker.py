@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.compiled import njit
@@ -205,6 +206,32 @@ def checked_polarities(
     if p.dtype != _POLARITY or p.shape != x.shape:
         raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
     return p
+
+
+def place(state: TrackerState, dot_xy_px: NDArray[np.float64], share: float = 1.0) -> None:
+    """Move dots to where something else than their events shows them, or a share of the way; updates `state`.
+
+    dot_xy_px: (n, 2) in px; a dot with NaN stays as it is, the others are followed from there on and no longer lost.
+    ValueError for another shape or share, an infinite place, or one for a missing dot.
+    """
+    if dot_xy_px.shape != state.dot_xy_px.shape:
+        raise ValueError(f"dot_xy_px: expected shape {state.dot_xy_px.shape}, found {dot_xy_px.shape}")
+    check_range("share", share, 0.0, 1.0)
+    seen = ~np.isnan(dot_xy_px).any(axis=1)
+    if not np.isfinite(dot_xy_px[seen]).all() or np.isnan(state.rest_xy_px[seen]).any():
+        raise ValueError("dot_xy_px: expected finite places, and NaN for missing dots")
+    most_px = np.array(FRAME_PX) - 1.0
+    moved = state.dot_xy_px[seen] + share * (dot_xy_px[seen] - state.dot_xy_px[seen])
+    state.dot_xy_px[seen] = np.clip(moved, 0.0, most_px)
+    _start_anew(state.record, seen)
+
+
+@njit(cache=True)
+def _start_anew(record: NDArray[np.void], which: NDArray[np.bool_]) -> None:
+    state = record[0]
+    for i in range(which.shape[0]):
+        if which[i]:
+            lost_dots.start_anew(state, i)
 
 
 class Tracks(NamedTuple):

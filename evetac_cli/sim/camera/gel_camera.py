@@ -184,7 +184,7 @@ class GelCamera:
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
         change = light.of_scene(scene.light)
         if readout == "ideal" and change is not None:
-            raise ValueError("light that flickers or steps: expected the readout dvxplorer, found ideal")
+            raise ValueError("light that changes: expected the readout dvxplorer, found ideal")
         differ = dots_differ(sensor, cut)
         if readout == "ideal" and differ is not None:
             raise ValueError("dots that differ: expected the readout dvxplorer, found ideal")

@@ -190,11 +190,29 @@ class LightStep:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Flash:
+    """Pulses of light that does not pass the print: dots get brighter, bare gel hardly does."""
+
+    every_s: float = number("from one to the next; the first comes so long after the start", 0.05, 3600)
+    brightness: tuple[float, ...] = numbers(
+        "of its pulses, over that of bare gel; each lasts for a slice, and they are a slice apart", 0.001, 1000, (1, 8)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class LightSettings:
-    """Light that is not steady: the brightness of all pixels changes together; readout dvxplorer only."""
+    """Light that is not steady, or does not pass the print; readout dvxplorer only."""
 
     flicker: Flicker | None = table(Flicker)
     step: LightStep | None = table(LightStep)
+    floor: float = number(
+        "light that does not pass the print (scattered, or from within), over what the lamp gives bare gel; it neither"
+        " flickers nor steps",
+        0,
+        1000,
+        default=0.0,
+    )
+    flash: Flash | None = table(Flash)
 
     RULES: ClassVar[Rules] = {"minProperties": 1}
 

@@ -12,7 +12,7 @@ slice.
 
 The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but few pixels are compared: see
 pixel_culling (gel) and window. Lines that are not dots: lines. Leak makes its events up to 40 ms late: leak. Light that
-flickers or steps: light.
+flickers, steps or flashes: light.
 
 A refractory pixel is blind: its reference follows what it is shown, until its time is over.
 
@@ -236,13 +236,13 @@ def start(
     window_reference = phase[y0:y1, x0:x1].copy()
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
+    light = None if light_change is None else Light(light_change, model.frame_px, y1 - y0, (profile, shapes))
     level = shaped_level(model.frame_px, dots, profile, shapes)
     if contact_edges is not None and contact_edges.frame_px != (width, height):
         raise ValueError(
             f"contact_edges: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}"
         )
     blind = model.refractory_us > SLICE_US / model.scans_per_ms
-    light = None if light_change is None else Light(light_change, model.frame_px, y1 - y0)
     steady: NDArray[np.float32] = np.zeros(2, np.float32)
     return CameraState(
         model=model,

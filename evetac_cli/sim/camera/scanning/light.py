@@ -1,4 +1,4 @@
-"""Light that flickers or steps: the brightness of all pixels of a scanning camera changes together.
+"""Light that flickers, steps or flashes: the brightness of all pixels of a scanning camera changes together.
 
 In log brightness a change of the light adds the same number to every level. It is taken off the references instead,
 once a slice, at its last scan, and the pixels that it takes past their threshold make events there. So the light is
@@ -10,8 +10,12 @@ holds until a dot, a line or leak has changed what the run sees. A slice costs t
 runs only that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a flicker
 (`candidate_light`).
 
+A light that does not pass the print (`floor`, `flash`) changes the contrast of the dots as well (print_contrast): then
+their tables are written anew with each change, nothing that was known of any pixel holds, and all are compared.
+
 Left out: the bandwidth of the pixels (one of 300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, noise
-that grows as the light fades. Where a rim and the light both pass a threshold in a last scan, a pixel has two events.
+that grows as the light fades, and that a light which does not pass the print may wash out texture and lines as well.
+Where a rim and the light both pass a threshold in a last scan, a pixel has two events.
 """
 
 import math
@@ -23,13 +27,14 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import LineMotion
-from evetac_cli.sim.camera.dot_shapes import differing_row
+from evetac_cli.sim.camera.dot_shapes import DotShapes, differing_row
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.leak import LEAK_SLICES
+from evetac_cli.sim.camera.optics import DotProfile
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
 from evetac_cli.sim.camera.scanning.pixels import (
     RUN_PX,
@@ -37,6 +42,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     gel_pixels,
     window_pixels,
 )
+from evetac_cli.sim.camera.scanning.print_contrast import PrintContrast
 from evetac_cli.sim.setup.scene import LightSettings
 
 # More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
@@ -48,19 +54,30 @@ class LightChange:
     """How the light changes; ValueError where a value is out of range.
 
     Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)), with a depth of 0 for none. Step: brightness times
-    `step_factor` from `step_at_s` on.
+    `step_factor` from `step_at_s` on. Both are of the light that shows the print. Beside it, over what it gives bare
+    gel at the start: a `floor` that does not pass the print, and every `flash_every_s` pulses of such light, as bright
+    as `flash`, each for a slice, and a slice apart.
     """
 
     frequency_hz: float = 100.0
     depth: float = 0.0
     step_at_s: float = 0.0
     step_factor: float = 1.0
+    floor: float = 0.0
+    flash_every_s: float = 1.0
+    flash: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_range("light.flicker.frequency_hz", self.frequency_hz, 0.1, 400.0)
         check_range("light.flicker.depth", self.depth, 0.0, 0.95)
         check_range("light.step.at_s", self.step_at_s, 0.0, math.inf)
         check_range("light.step.factor", self.step_factor, 1e-3, 1e3)
+        check_range("light.floor", self.floor, 0.0, 1e3)
+        check_range("light.flash.every_s", self.flash_every_s, 0.05, math.inf)
+        for brightness in self.flash:
+            check_range("light.flash.brightness", brightness, 0.0, 1e3, above=True)
+        if 2 * len(self.flash) > self.flash_every_s * SLICES_PER_S:
+            raise ValueError(f"light.flash: {len(self.flash)} pulses do not fit into {self.flash_every_s:g} s")
 
     def flicker(self, time_us: float) -> float:
         """What the flicker adds to log brightness at a time."""
@@ -70,20 +87,46 @@ class LightChange:
         """What the step has added to log brightness by a time."""
         return math.log(self.step_factor) if time_us >= self.step_at_s * 1e6 else 0.0
 
+    @property
+    def passes_no_print(self) -> bool:
+        """Whether some of the light does not pass the print."""
+        return self.floor > 0.0 or len(self.flash) > 0
+
+    def two_lights(self, time_us: float) -> tuple[float, float]:
+        """The brightness of the light that shows the print, and of that which does not pass it, at a time."""
+        every = round(self.flash_every_s * SLICES_PER_S)
+        slice_number = int(time_us // SLICE_US)
+        pulse, dark = divmod(slice_number % every, 2)
+        shines = slice_number >= every and not dark and pulse < len(self.flash)
+        second = self.floor + (self.flash[pulse] if shines else 0.0)
+        return math.exp(self.flicker(time_us) + self.step(time_us)), second
+
 
 class Light:
     """The light on one camera, and what the camera last saw of it."""
 
-    def __init__(self, change: LightChange, frame_px: tuple[int, int], window_rows: int) -> None:
-        """Light as it is at time 0, over a frame of (width, height) and a window of so many rows (0 without)."""
+    def __init__(
+        self, change: LightChange, frame_px: tuple[int, int], window_rows: int, dots: tuple[DotProfile, DotShapes]
+    ) -> None:
+        """Light as it is at time 0, over a frame of (width, height) and a window of so many rows (0 without).
+
+        dots: their tables, which are changed in place where some of the light does not pass the print.
+        """
         width, height = frame_px
         self._change = change
+        self._profile = dots[0]
+        self._print: PrintContrast | None = None
+        if change.passes_no_print:
+            self._print = PrintContrast([dots[0].level, dots[1].level])
+            self._seen_lights = change.two_lights(0.0)
+            self._seen_bare = self._print.show(*self._seen_lights)
         self._seen_flicker = change.flicker(0.0)
         self._seen_step = 0.0
         brightest, darkest = math.log1p(change.depth), math.log1p(-change.depth)
         self._middle = 0.5 * (brightest + darkest)
         self.candidate_light: NDArray[np.float32] = np.array(
-            [self._seen_flicker - self._middle, 0.5 * (brightest - darkest)], np.float32
+            [self._seen_flicker - self._middle, 0.5 * (brightest - darkest)] if self._print is None else [0.0, 0.0],
+            np.float32,
         )
         runs = -(-width // RUN_PX)
         self._bounds = (
@@ -107,9 +150,9 @@ class Light:
         """Before a slice is scanned, forget the bounds of runs whose level or references it will change.
 
         `path` (dots, k + 1, 2) is that of the dots, `lines` those that move, `first_leaking_row` the first whose turn
-        it is to leak. Without a flicker no bounds are kept.
+        it is to leak. Bounds are kept for a flicker alone, where all light shows the print.
         """
-        if self._change.depth == 0.0:
+        if self._change.depth == 0.0 or self._print is not None:
             return
         _, high, _, row_high, _, window_high, _ = self._bounds
         _forget_rings(path, gel[0], float(gel[1][1]), gel[5][13], high, row_high)
@@ -141,6 +184,16 @@ class Light:
         """Compare what the light has changed by the last scan of a slice; returns the number of events so far."""
         scans = len(readout_us)
         now_us = t0_us + (scans - 1) * SLICE_US / scans
+        when = (readout_us[-1], now_us, float(refractory_us))
+        if self._print is not None:
+            lights = self._change.two_lights(now_us)
+            if lights == self._seen_lights:
+                return made
+            bare_before = self._seen_bare
+            self._seen_lights, self._seen_bare = lights, self._print.show(*lights)
+            self._forget_all(gel)
+            change = np.float32(self._seen_bare - bare_before)
+            return int(_shine(change, self._seen_bare, gel, window, self._bounds, when, keys, made))
         flicker, step = self._change.flicker(now_us), self._change.step(now_us)
         if flicker == self._seen_flicker and step == self._seen_step:
             return made
@@ -153,8 +206,18 @@ class Light:
         change = np.float32(flicker - self._seen_flicker + step - self._seen_step)
         self._seen_flicker, self._seen_step = flicker, step
         self.candidate_light[0] = flicker - self._middle
-        when = (readout_us[-1], now_us, float(refractory_us))
         return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, made))
+
+    def _forget_all(self, gel: tuple[Any, ...]) -> None:
+        """Forget whatever follows from how dots looked."""
+        for bounds in (self._bounds[1], self._bounds[3], self._bounds[5]):
+            bounds[:] = -np.inf
+        candidates = CandidatePixels(*gel[5])
+        candidates.level_index[:] = optics.level_index(self._profile)
+        candidates.lower2_px2[:] = np.inf
+        candidates.list_box[:] = np.nan
+        candidates.drawn[:] = 0.0
+        candidates.drawn_at[:] = 0.0
 
 
 @njit(cache=True, _nrt=False)
@@ -326,9 +389,11 @@ def of_scene(settings: LightSettings | None) -> LightChange | None:
     """How the light of a scene changes; None where it is steady."""
     if settings is None:
         return None
-    change, flicker, step = LightChange(), settings.flicker, settings.step
+    change, flicker, step, flash = LightChange(floor=settings.floor), settings.flicker, settings.step, settings.flash
     if flicker is not None:
         change = replace(change, frequency_hz=flicker.frequency_hz, depth=flicker.depth)
     if step is not None:
         change = replace(change, step_at_s=step.at_s, step_factor=step.factor)
+    if flash is not None:
+        change = replace(change, flash_every_s=flash.every_s, flash=flash.brightness)
     return change
