@@ -247,7 +247,8 @@ class TouchMap:
     shear_modulus_pa, which forces are proportional to, is the gel's unless given; where it is unknown, 121e3 as in
     `predict-touch`, and then forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below
     the surface. lens_mm: from the lens to the dots. edges_mm: where the gel ends, x0, y0, x1, y1; a cut one ends at its
-    window anyway. InputError where the gel's dots are unknown; ValueError for numbers that cannot be.
+    window anyway. leave_out_wrong: dots that moved otherwise than the others allow. InputError where the gel's dots
+    are unknown; ValueError for numbers that cannot be.
     On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts: the matrices are small, and threads that wait
     for a core make a new patch take ten times as long.
 
@@ -270,6 +271,7 @@ class TouchMap:
         print_depth_mm: float = 0.0,
         lens_mm: float = 25.0,
         edges_mm: tuple[float, float, float, float] = ENDLESS_MM,
+        leave_out_wrong: bool = False,
     ) -> None:
         check_range("mm_per_px", mm_per_px, 0.0, 10.0, "mm", above=True)
         dot_xy_px, _ = _known_dots(gel, "stable")
@@ -284,7 +286,7 @@ class TouchMap:
         shape = GelShape(height_mm, print_depth_mm, lens_mm, edges_mm)
         shape = at_window(shape, gel.window_px, frame_px, mm_per_px, rest_mm)
         layer = shape.layer(modulus or SHEAR_MODULUS_PA)
-        self._state = touch_map.start(rest_mm, layer, noise, stiffness_error)
+        self._state = touch_map.start(rest_mm, layer, noise, stiffness_error, compares=leave_out_wrong)
         self.x_mm, self.y_mm = self._state.cells  # middles of the columns and rows of cells
 
     def step(self, dot_xy_px: NDArray[np.float64], lost: NDArray[np.bool_] | None = None) -> touch_map.TouchReading:

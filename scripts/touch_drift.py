@@ -242,7 +242,6 @@ class Judge:
         layer = GelLayer(shear_modulus_pa=sensor.shear_modulus_pa)
         self.rest_mm = (rest_px - self.middle_px) * self.mm_per_px
         self.map = touch_map.start(self.rest_mm, layer, renews=False)
-        self.map.compared = None  # whether wrong dots are left out is what is judged
         self.known = wrong_dots.start(self.map.motion, self.map.cells.shape)
         self.looks: dict[tuple[str, str], Looks] = defaultdict(Looks)
         self.wrong: dict[str, WrongDots] = defaultdict(WrongDots)

@@ -58,7 +58,6 @@ def judged(contact: KnownContact, reading: TouchReading, state: TouchState) -> t
 def rows_of(contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float) -> list[Row]:
     """A row for each number of wrong dots and each error of theirs, and one without any."""
     state = touch_map.start(rest_mm, renews=False)
-    state.compared = None  # what is judged here is done here
     known = wrong_dots.start(state.motion, state.cells.shape)
     rows = []
     for count, off_px in [(0, 0.0)] + [(count, off_px) for count in WRONG for off_px in OFF_PX]:

@@ -59,6 +59,10 @@ class PredictTouch:
         unit="mm",
         needs=(TouchOption.OF_NO_MODEL,),
     )
+    leave_out_wrong: bool = parameter(
+        False,
+        "Leave out dots that moved otherwise than the others allow: better after minutes of pushes, else a little worse.",
+    )
 
 
 COMMAND = Command(

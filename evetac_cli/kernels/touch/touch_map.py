@@ -40,7 +40,7 @@ BEGINS, ENDS = 4.0, 2.5
 NORMAL_BEYOND, SHEAR_BEYOND = 1.5, 0.3
 MOST_CELLS = 4000  # of a grid
 MOST_DOTS = 1024
-MOST_COMPARED = 80  # dots that are looked at for those that moved otherwise than the others allow: it takes 4 ms then
+MOST_COMPARED = 80  # dots, which takes 4 ms, and grows with their cube
 
 
 class TouchReading(NamedTuple):
@@ -105,7 +105,9 @@ class TouchState:
     it was in the last slice.
     """
 
-    def __init__(self, rest_mm: Floats, layer: GelLayer, noise: DotNoise, stiffness_error: float, renews: bool) -> None:
+    def __init__(
+        self, rest_mm: Floats, layer: GelLayer, noise: DotNoise, stiffness_error: float, renews: bool, compares: bool
+    ) -> None:
         """For dots (n, 2) from the axis; NaN where one is missing."""
         self.rest_mm, self.layer, self.noise = rest_mm, layer, noise
         self.stiffness_error, self.renews = stiffness_error, renews
@@ -116,8 +118,7 @@ class TouchState:
             raise ValueError(f"dots span {len(self.cell_mm)} mm2 with their margin: expected up to {MOST_CELLS}")
         self.motion = np.full((len(rest_mm), 2, KINDS, len(self.cell_mm)), np.nan)
         self.motion[self.there] = dot_motion(layer, self.cells, rest_mm[self.there])
-        few = len(rest_mm) <= MOST_COMPARED
-        self.compared = wrong_dots.start(self.motion, self.cells.shape) if few else None
+        self.compared = wrong_dots.start(self.motion, self.cells.shape) if compares else None
         self.moved_mm = np.zeros_like(rest_mm)
         self.trusted: Flags = self.there.copy()
         self.held_mm: Floats | None = None
@@ -151,12 +152,16 @@ def start(
     noise: DotNoise = DotNoise(),  # noqa: B008
     stiffness_error: float = 0.0,
     renews: bool = True,
+    compares: bool = False,
 ) -> TouchState:
     """Begin a touch map of dots at rest.
 
-    rest_mm: (n, 2) from the axis of the lens, at least 4, a row of NaN is a missing dot. stiffness_error: relative sd
-    of the layer's shear modulus, which all forces share. renews: whether `step` renews the patch itself. ValueError for
-    dots or numbers that cannot be. Takes about a millisecond per dot.
+    rest_mm: (n, 2) from the axis of the lens, at least 4, a row of NaN is a missing dot. stiffness_error: relative
+    sd of the layer's shear modulus, which all forces share. renews: whether `step` renews the patch itself.
+    compares: leave out dots that moved otherwise than the others allow (wrong_dots.py), which helps after minutes
+    of pushes and costs some accuracy before: now and then the dots that move most are thought wrong. ValueError for
+    dots or numbers that cannot be, and for more than MOST_COMPARED dots to compare. Takes about a millisecond per
+    dot.
     """
     rest = np.array(rest_mm, np.float64)
     if rest.ndim != 2 or rest.shape[1] != 2:
@@ -170,8 +175,10 @@ def start(
     check_range("common_mm", noise.common_mm, 0.0, 10.0, "mm")
     check_range("model_share", noise.model_share, 0.0, 1.0)
     check_range("stiffness_error", stiffness_error, 0.0, 2.0)
+    if compares and len(rest) > MOST_COMPARED:
+        raise ValueError(f"rest_mm: expected up to {MOST_COMPARED} dots to compare, found {len(rest)}")
     patch.patch_of(np.zeros((KINDS, 1, 1)), 0.0)  # what it loads is then there at the first touch
-    return TouchState(rest, layer, noise, stiffness_error, renews)
+    return TouchState(rest, layer, noise, stiffness_error, renews, compares)
 
 
 def step(state: TouchState, dot_mm: Floats, lost: Flags | None = None) -> TouchReading:

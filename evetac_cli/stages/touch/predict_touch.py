@@ -65,7 +65,7 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
         told = _Told()
-        _write(job.output, recipe, gel, tracks, params.map_every, told, progress)
+        _write(job.output, recipe, gel, tracks, params, told, progress)
     modulus = "adapted" if own is not None else "unknown" if known.shear_modulus_pa is None else "known"
     return outcome(job, made=True, simulated=recipe.simulated, shear_modulus=modulus, **told.row())
 
@@ -128,18 +128,24 @@ class _Told:
 
 
 def _write(
-    output: Path, recipe: Recipe, gel: GelWeights, tracks: StageFile, map_every: int, told: _Told, progress: Progress
+    output: Path,
+    recipe: Recipe,
+    gel: GelWeights,
+    tracks: StageFile,
+    params: PredictTouch,
+    told: _Told,
+    progress: Progress,
 ) -> None:
     from evetac_cli.stages.touch import touch_fold  # brings scipy
 
     slices = tracks.length("dot_xy_px")
-    fold = touch_fold.TouchFold(gel, tracks, map_every)
+    fold = touch_fold.TouchFold(gel, tracks, params.map_every, compares=params.leave_out_wrong)
     cells = fold.state.cells
-    arrays = {"map/x_mm": cells.x_mm, "map/y_mm": cells.y_mm} if map_every else {}
+    arrays = {"map/x_mm": cells.x_mm, "map/y_mm": cells.y_mm} if params.map_every else {}
     lengths = dict.fromkeys(touch_fold.COLUMNS, slices)
-    if map_every:
+    if params.map_every:
         maps = ("slice", *touch_fold.OF_MAP)
-        lengths |= dict.fromkeys((f"map/{name}" for name in maps), -(-slices // map_every))
+        lengths |= dict.fromkeys((f"map/{name}" for name in maps), -(-slices // params.map_every))
 
     def blocks() -> Iterator[dict[str, Any]]:
         for first, stop in row_blocks(slices):

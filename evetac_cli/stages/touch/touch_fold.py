@@ -63,22 +63,31 @@ class Factor(NamedTuple):
 
 
 def start(
-    gel: GelWeights, rest_px: Floats, frame_px: Sequence[int], window_px: Sequence[int] | None, *, renews: bool = True
+    gel: GelWeights,
+    rest_px: Floats,
+    frame_px: Sequence[int],
+    window_px: Sequence[int] | None,
+    *,
+    renews: bool = True,
+    compares: bool = False,
 ) -> TouchState:
     """Begin a touch map of dots at rest (n, 2), of a gel that may be cut; ValueError where they are no such dots."""
     scale = gel.mm_per_px
     rest_mm = (rest_px - np.array(frame_px) / 2) * scale
     shape = at_window(gel.shape, window_px, frame_px, scale, rest_mm)
     noise = DotNoise(TRACKER_PX * scale, DRIFT_PX * scale)
-    return touch_map.start(rest_mm, shape.layer(gel.modulus_pa), noise, renews=renews)
+    return touch_map.start(rest_mm, shape.layer(gel.modulus_pa), noise, renews=renews, compares=compares)
 
 
-def of_tracks(gel: GelWeights, tracks: StageFile) -> TouchState:
-    """Begin a touch map of the dots of a tracks file; InputError where they are no dots of a gel."""
+def of_tracks(gel: GelWeights, tracks: StageFile, *, compares: bool = False) -> TouchState:
+    """Begin a touch map of the dots of a tracks file; InputError where they are no dots of a gel.
+
+    compares: leave out dots that moved otherwise than the others allow.
+    """
     window_px = tracks.read("sensor/window_px").tolist() if tracks.has("sensor/window_px") else None
     try:
         rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
-        return start(gel, rest_px, tracks.read("sensor/frame_px").tolist(), window_px)
+        return start(gel, rest_px, tracks.read("sensor/frame_px").tolist(), window_px, compares=compares)
     except ValueError as error:
         raise InputError(f"no touch can be told of these dots: {error}", where=str(tracks.path)) from error
 
@@ -95,9 +104,9 @@ def is_reference(touched: int) -> bool:
 class TouchFold:
     """Folds touch maps over the slices of a tracks file in turn; map_every: slices between maps, 0 for none."""
 
-    def __init__(self, gel: GelWeights, tracks: StageFile, map_every: int) -> None:
+    def __init__(self, gel: GelWeights, tracks: StageFile, map_every: int, *, compares: bool = False) -> None:
         self.gel, self.map_every = gel, map_every
-        self.state = of_tracks(gel, tracks)
+        self.state = of_tracks(gel, tracks, compares=compares)
         self._tracks = tracks
         self._memory = CreepMemory()
         self._touched = 0  # slices that the touch has lasted

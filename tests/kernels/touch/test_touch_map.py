@@ -271,3 +271,16 @@ def test_a_face_wider_than_the_view_says_that_it_is_told_badly() -> None:
     assert without.shear_sd_n[0] > 0.2 * without.shear_n[0]
     for one in (told, without):
         assert one.normal_sd_n > abs(one.normal_n)
+
+
+def test_a_dot_that_is_wrong_and_not_lost_is_left_out(ball: KnownContact) -> None:
+    """Assert that a dot 5 px from where it is, and not reported lost, is left out where dots are compared, and alone."""
+    wrong = places(ball)
+    wrong[8, 1] += 5 * 0.0329
+    compared, trusting = (touch_map.start(DOTS, compares=compares) for compares in (True, False))
+    for state in (compared, trusting):
+        touch_map.step(state, wrong)
+        touch_map.renew(state)
+    assert np.flatnonzero(~compared.dots.used).tolist() == [8] and trusting.dots.used.all()
+    with pytest.raises(ValueError, match="to compare"):
+        touch_map.start(np.stack(np.meshgrid(np.arange(-5.0, 5), np.arange(-5.0, 5)), -1).reshape(-1, 2), compares=True)
