@@ -14,9 +14,9 @@ from torch import nn
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.force.dot_field import mirrored
 from evetac_cli.kernels.force.gel_forces import LEAST_MM, GelNetwork
 from evetac_cli.kernels.force.models import DenseLayer
+from evetac_cli.kernels.touch.dot_field import mirrored
 
 HIDDEN = (192, 192)
 LEARNING_RATE = 3e-3

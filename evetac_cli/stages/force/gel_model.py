@@ -10,9 +10,9 @@ from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field
 from evetac_cli.kernels.force.gel_forces import ForceErrorModel, Forces, GelNetwork, Scale, Stiffness
 from evetac_cli.kernels.force.models import DenseLayer
+from evetac_cli.kernels.touch.dot_field import LATTICE_MM, lattice_field
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor

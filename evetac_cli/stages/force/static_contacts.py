@@ -13,8 +13,8 @@ from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Floats
 from evetac_cli.jobs import Progress, silent
-from evetac_cli.kernels.force.dot_field import lattice_field
 from evetac_cli.kernels.gel_layer import Squeeze, moved_by, sheet_stiffness
+from evetac_cli.kernels.touch.dot_field import lattice_field
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.gel import contact, dots, gel

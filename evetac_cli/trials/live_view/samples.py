@@ -23,7 +23,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.force.dot_field import lattice_field
+from evetac_cli.kernels.touch.dot_field import lattice_field
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages.force import gel_model
 from evetac_cli.store.calibration import MAKE_GRID

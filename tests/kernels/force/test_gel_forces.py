@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.force.dot_field import LATTICE_MM
 from evetac_cli.kernels.force.gel_forces import ForceErrorModel, GelNetwork, Stiffness
 from evetac_cli.kernels.force.models import DenseLayer
+from evetac_cli.kernels.touch.dot_field import LATTICE_MM
 
 NONE = np.zeros(2)
 TIMES_S = np.array([0.3, 5.0])
