@@ -14,6 +14,7 @@ SCENES = DATA / "scenes"
 SHIPPED = "shipped"  # names the package's model where a flag asks for one
 MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
 FORCE_MODEL = DATA / "models" / "gel.force-model.h5"  # of `predict-force`, likewise
+STICKING_MODEL = DATA / "models" / "sticking.npz"  # of touch maps; what it was trained on lies beside it
 MODELS = {"model": MODEL, "force-model": FORCE_MODEL}
 
 
