@@ -34,6 +34,7 @@ from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.kernels.tracking.tracker import TrackerState
+from evetac_cli.stages.sticking_network import shipped
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
 NAME = "sticking-share"
@@ -156,9 +157,9 @@ def row_of(motion: str, number: int, seed: int) -> Row:
     rng = np.random.default_rng([seed, number, 1])
     if motion == WITH_CAMERA:
         trial, dot_px = tracked_trial(number, seed)
-        return judged(trial, trials.looks_at(trial, dot_px, np.zeros(len(trial.rest_px), np.bool_)))
+        return judged(trial, trials.looks_at(trial, dot_px, np.zeros(len(trial.rest_px), np.bool_), shipped()))
     trial = trials.played(trials.planned(motion, number, seed), seed)
-    return judged(trial, trials.looks_of(trial, rng))
+    return judged(trial, trials.looks_of(trial, rng, shipped()))
 
 
 def summary(motion: str, rows: list[Row]) -> Row:

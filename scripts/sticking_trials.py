@@ -351,14 +351,12 @@ class Looks(NamedTuple):
     fields_mm: Singles
 
 
-def looks_of(
-    trial: Trial, rng: np.random.Generator, network: StickingNetwork | None = None, missing: float = 0.0
-) -> Looks:
+def looks_of(trial: Trial, rng: np.random.Generator, network: StickingNetwork, missing: float = 0.0) -> Looks:
     """What a network tells of a trial as a tracker sees it, of whose dots a share is missing throughout."""
     return looks_at(trial, tracked_px(trial, rng), rng.random(len(trial.rest_px)) < missing, network)
 
 
-def looks_at(trial: Trial, dot_px: Floats, lost: Flags, network: StickingNetwork | None = None) -> Looks:
+def looks_at(trial: Trial, dot_px: Floats, lost: Flags, network: StickingNetwork) -> Looks:
     """What a network tells of tracked dots (slices, dots, 2), of which some (dots,) are lost throughout."""
     dot_mm, rest_mm = trial.in_mm(dot_px), trial.in_mm(trial.rest_px)
     state = sticking.start(rest_mm, network)

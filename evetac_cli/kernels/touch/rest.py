@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from evetac_cli.arrays import Flags, Floats
+from evetac_cli.arrays import Flags, Floats, Ints
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 
@@ -89,7 +89,7 @@ def step(state: RestState, dot_mm: Floats, lost: Flags) -> bool:
 
 
 @njit(cache=True, _nrt=False)
-def _add(dot_mm: Floats, lost: Flags, seen_mm: Floats, sum_mm: Floats, counted: Floats) -> None:
+def _add(dot_mm: Floats, lost: Flags, seen_mm: Floats, sum_mm: Floats, counted: Ints) -> None:
     for dot in range(len(dot_mm)):
         x, y = dot_mm[dot, 0], dot_mm[dot, 1]
         if not lost[dot] and math.isfinite(x) and math.isfinite(y):
@@ -101,7 +101,7 @@ def _add(dot_mm: Floats, lost: Flags, seen_mm: Floats, sum_mm: Floats, counted: 
 
 
 @njit(cache=True, _nrt=False)
-def _end_block(sum_mm: Floats, counted: Floats, block_mm: Floats, tracked: Flags) -> int:
+def _end_block(sum_mm: Floats, counted: Ints, block_mm: Floats, tracked: Flags) -> int:
     """Mean of a block, and which dots were tracked in all of it; begins the next. Returns how many were."""
     count = 0
     for dot in range(len(sum_mm)):

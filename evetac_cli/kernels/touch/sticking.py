@@ -10,10 +10,8 @@ Why a network: a push on an object that is held well moves dots as far as one th
 them apart is which dots stay behind which, and that depends on the shape of the contact.
 """
 
-import functools
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,6 @@ from evetac_cli.kernels.touch import rest
 from evetac_cli.kernels.touch.dot_field import LATTICE_MM, LEAST_DOTS, lattice_weights
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.rest import RestState
-from evetac_cli.resources import STICKING_MODEL
 
 LOOKS_BACK = (4, 20)  # of 5 ms
 KEPT_LOOKS = LOOKS_BACK[-1] + 1
@@ -55,17 +52,17 @@ class StickingNetwork(NamedTuple):
     share_sd: Singles  # at shares that are evenly spaced from 0 to 1
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], where: str) -> "StickingNetwork":
+    def of_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "StickingNetwork":
         """A network from named arrays; ValueError where they make none."""
         missing = sorted(set(cls._fields) - set(arrays))
         if missing:
-            raise ValueError(f"{where}: expected an array {missing[0]}, found {sorted(arrays)}")
+            raise ValueError(f"expected an array {missing[0]}, found {sorted(arrays)}")
         network = cls(**{name: np.ascontiguousarray(arrays[name], np.float32) for name in cls._fields})
         wide, narrow, points = len(network.first_bias), len(network.second_bias), max(len(network.share_sd), 2)
         expected = ((INPUTS, wide), (wide,), (wide, narrow), (narrow,), (narrow, 2), (2,), (points,))
         for name, array, shape in zip(cls._fields, network, expected, strict=True):
             if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"{where}: {name}: expected finite numbers {shape}, found {array.shape}")
+                raise ValueError(f"{name}: expected finite numbers {shape}, found {array.shape}")
         return network
 
 
@@ -110,31 +107,19 @@ class StickingState:
         self._weights: dict[bytes, tuple[Singles, int]] = {}
 
 
-@functools.cache
-def shipped_network() -> StickingNetwork:
-    """The package's network."""
-    return read_network(STICKING_MODEL)
-
-
-def read_network(path: Path) -> StickingNetwork:
-    """A network from a file of named arrays (.npz); ValueError where it holds none."""
-    with np.load(path, allow_pickle=False) as held:
-        return StickingNetwork.of_arrays({name: held[name] for name in held.files}, str(path))
-
-
 def start(
     rest_mm: Floats,
-    network: StickingNetwork | None = None,
+    network: StickingNetwork,
     noise: DotNoise = DotNoise(),  # noqa: B008 - it is constant
 ) -> StickingState:
     """Begin with dots at rest (dots, 2) in mm from the middle of the image, NaN where one is missing.
 
-    network: the package's by default. ValueError for dots that cannot be.
+    network: such as the package's (stages/sticking_network.py). ValueError for dots that cannot be.
     """
     rest_mm = np.asarray(rest_mm, np.float64)
     if rest_mm.ndim != 2 or rest_mm.shape[1] != 2 or np.isfinite(rest_mm).all(axis=1).sum() < LEAST_DOTS:
         raise ValueError(f"rest_mm: expected (dots, 2), {LEAST_DOTS} not missing or more, found {rest_mm.shape}")
-    return StickingState(rest_mm, shipped_network() if network is None else network, noise)
+    return StickingState(rest_mm, network, noise)
 
 
 def step(state: StickingState, dot_mm: Floats, lost: Flags, touches: bool) -> StickingReading:
