@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import sticking_trials as trials
 import torch
+from scipy.linalg import block_diag
 from sticking_trials import Trial
 
 from evetac_cli.arrays import Flags, Floats, Singles
@@ -29,6 +30,7 @@ RESHAPED = {"slip": 12, "slip-varied": 14, "pushes": 16, "jerks": 6, "lifting": 
 CHOOSING_COUNT = 4
 OTHER_SENSOR = 3  # every third trial of an object and motion
 WIDTHS = (64, 32)
+NETWORKS = 2  # of these widths, trained by themselves: the mean of their log odds is told
 EPOCHS, BATCH, RATE, DECAY = 30, 256, 2e-3, 0.05
 SLIPS, KEPT = 0.03, 0.5  # looks with less slip are thinned out to so many of them
 MISSING = (0.0, 0.0, 0.0, 0.1)  # shares of dots that a trial may lack
@@ -157,6 +159,15 @@ def trained(learnt: Samples, seed: int) -> tuple[Singles, ...]:
     return tuple(np.ascontiguousarray(array, np.float32) for array in whole)
 
 
+def as_one(networks: list[tuple[Singles, ...]]) -> tuple[Singles, ...]:
+    """One network that tells the mean of the log odds of several."""
+    first, first_bias, second, second_bias, third, third_bias = zip(*networks, strict=True)
+    beside = np.asarray(block_diag(*second), np.float32)
+    mean = np.concatenate(third) / len(networks), sum(third_bias) / len(networks)
+    joint = (np.concatenate(first, axis=1), np.concatenate(first_bias), beside, np.concatenate(second_bias), *mean)
+    return tuple(np.ascontiguousarray(array, np.float32) for array in joint)
+
+
 def told(weights: tuple[Singles, ...], inputs: Singles) -> Singles:
     """The share that slips and the probability that slip has begun (n, 2), of many samples at once."""
     first, first_bias, second, second_bias, third, third_bias = weights
@@ -187,7 +198,7 @@ def main() -> None:
     made = training_trials(chosen.trials)
     learnt = samples(made, rng)
     kept = learnt.of((learnt.share > SLIPS) | (rng.random(len(learnt.share)) < KEPT))
-    weights = trained(kept, chosen.seed)
+    weights = as_one([trained(kept, NETWORKS * chosen.seed + number) for number in range(NETWORKS)])
     held_back = joined([samples(some, rng) for some in choosing_trials(chosen.trials).values()])
     said, true = told(weights, held_back.inputs)[:, 0], held_back.share
     between = (true > trials.LOW) & (true < trials.HIGH)
@@ -196,6 +207,7 @@ def main() -> None:
     card: dict[str, Any] = {
         "what": "share of a contact that sticks, by evetac_cli/kernels/touch/sticking.py",
         "parameters": int(sum(array.size for array in weights)),
+        "networks": NETWORKS,
         "training": {
             "seed": chosen.seed,
             "objects": list(trials.TRAINED),

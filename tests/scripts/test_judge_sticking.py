@@ -50,13 +50,16 @@ def test_errors_slips_and_alarms_are_counted() -> None:
     alarm[340:345] = True  # false
     row = judge.judged(trial(share, slips), looks(400, 0.4, alarm))
     assert (row["slips"], row["possible"], row["network_in_time"], row["zero_in_time"]) == (1, 1, 1, 0)
-    assert row["network_false"] == 2 and row["network_after"] == 2 and row["zero_false"] == 0
+    assert row["network_false"] == 2 and row["network_after"] == 2 and row["zero_false"] == row["network_early"] == 0
     assert row["looks_between"] == 30 and row["minutes"] == pytest.approx(2 / 60)
     assert row["network_error_sum"] == pytest.approx(3.0) and row["zero_error_sum"] == pytest.approx(15.0)
     assert row["within_sd"] == 30  # 0.1 off, and the deviation is 0.4
     shown = judge.summary("slip", [row, row])
     assert shown["network_error"] == pytest.approx(0.1) and shown["direction_off_deg"] == pytest.approx(5.73, abs=0.01)
     assert all(results.fill(cell, shown) for cell in judge.COLUMNS.values())
+    early = np.zeros(400, np.bool_)
+    early[170:] = True  # 150 ms before the share is above 0.05
+    assert judge.judged(trial(share, slips), looks(400, 0.4, early))["network_early"] == 1
     late = np.zeros(400, np.bool_)
     late[227:] = True
     assert judge.judged(trial(share, slips), looks(400, 0.4, late))["network_in_time"] == 0
@@ -149,6 +152,21 @@ def test_a_training_learns_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch
     assert all(map(np.array_equal, weights, training.trained(learnt, 3)))
     network = StickingNetwork(*weights, np.ones(11, np.float32))
     assert told(network, inputs[0]) == pytest.approx(said[0], abs=1e-4)
+
+
+def test_networks_as_one_tell_the_mean_of_their_odds() -> None:
+    """Assert that the joint network's log odds are the mean of those of two random ones."""
+    rng = np.random.default_rng(4)
+    shapes = [array.shape for array in training.blank()[:-1]]
+    networks = [tuple(0.1 * rng.normal(size=shape).astype(np.float32) for shape in shapes) for _ in range(2)]
+    inputs = rng.normal(size=(5, INPUTS)).astype(np.float32)
+
+    def odds(weights: tuple[np.ndarray, ...]) -> np.ndarray:
+        share = training.told(weights, inputs)
+        return np.log(share / (1 - share))
+
+    mean = (odds(networks[0]) + odds(networks[1])) / 2
+    assert odds(training.as_one(networks)) == pytest.approx(mean, abs=1e-3)
 
 
 def test_deviations_are_rms_errors_about_an_estimate() -> None:
