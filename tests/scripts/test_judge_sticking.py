@@ -51,6 +51,7 @@ def test_errors_slips_and_alarms_are_counted() -> None:
     row = judge.judged(trial(share, slips), looks(400, 0.4, alarm))
     assert (row["slips"], row["possible"], row["network_in_time"], row["zero_in_time"]) == (1, 1, 1, 0)
     assert row["network_false"] == 2 and row["network_after"] == 2 and row["zero_false"] == row["network_early"] == 0
+    assert row["network_late"] == 1
     assert row["looks_between"] == 30 and row["minutes"] == pytest.approx(2 / 60)
     assert row["network_error_sum"] == pytest.approx(3.0) and row["zero_error_sum"] == pytest.approx(15.0)
     assert row["within_sd"] == 30  # 0.1 off, and the deviation is 0.4
