@@ -20,10 +20,8 @@ def shipped() -> StickingNetwork:
 def read(path: Path) -> StickingNetwork:
     """A network from a file of named arrays (.npz); InputError where it holds none."""
     try:
-        with np.load(path, allow_pickle=False) as held:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             return StickingNetwork.of_arrays({name: held[name] for name in held.files})
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        expected = "named arrays (.npz) as scripts/train_sticking.py writes them"
-        raise InputError(
-            "no network of a sticking share", where=str(path), expected=expected, found=str(error)
-        ) from None
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        expected, found = "named arrays (.npz) as scripts/train_sticking.py writes them", str(error)
+        raise InputError("no network of a sticking share", where=str(path), expected=expected, found=found) from None
