@@ -43,7 +43,7 @@ AHEAD_MS, APART_MS, NEAR_MS = 20, 100, 200
 BEFORE_MS = 1000  # an alarm that early belongs to a slip
 CONSTANT = 0.14  # median share between LOW and HIGH of the trials that weights are fitted to
 METHODS = ("network", "rigid", "zero", "constant")
-CAMERA, WITH_CAMERA = "slip", "slip, with camera"  # the motion that is played with a camera, too,
+CAMERA, WITH_CAMERA = "slip", "slip with camera"  # the motion that is played with a camera, too,
 CAMERA_MINUTES = 0.6  # for so long at most
 
 
@@ -122,17 +122,19 @@ def judged(trial: Trial, looks: Looks) -> Row:
 
 def tracked_trial(number: int, seed: int) -> tuple[Trial, Floats]:
     """A trial that a camera sees, and its dots by the tracker `stable`."""
+    planned = trials.planned(CAMERA, number, seed)
+    constants = PRESETS["stable"].for_dots(planned.plan.sensor.dot_radius_px)
     state: TrackerState | None = None
     seen: list[Floats] = []
 
     def see(rest_px: Floats, events: Events) -> None:
         nonlocal state
         if state is None:
-            state = tracker.start(rest_px, PRESETS["stable"])
+            state = tracker.start(rest_px, constants)
         tracker.step(state, events.x, events.y, events.p)
         seen.append(state.dot_xy_px.copy())
 
-    trial = trials.played(trials.planned(CAMERA, number, seed), seed, see)
+    trial = trials.played(planned, seed, see)
     return trial, np.array(seen)
 
 
