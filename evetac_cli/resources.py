@@ -13,6 +13,7 @@ DATA = PACKAGE / "data"
 SCENES = DATA / "scenes"
 SHIPPED = "shipped"  # names the package's model where a flag asks for one
 MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
+STICKING_MODEL = DATA / "models" / "sticking.npz"  # of touch maps; what it was trained on lies beside it
 
 
 def schemas() -> Path:

@@ -61,7 +61,7 @@ class PredictTouch:
     )
     leave_out_wrong: bool = parameter(
         False,
-        "Leave out dots that moved otherwise than the others allow: better after minutes of pushes, else a little worse.",
+        "Leave out dots that moved otherwise than the others allow: better after minutes of pushes, else a bit worse.",
     )
 
 

@@ -298,14 +298,10 @@ class GelCamera:
         if still and self._looked_at_rest:
             assert isinstance(self._camera, CameraState)
             return camera.step_still(self._camera, t0_us, self._rng)
-        to_px = 1e3 / self.mm_per_px
-        at_rest = self._flat_xy_px.reshape(-1, 2)
-        dots = at_rest + shift_m * to_px
-        path = None if shift_path_m is None else at_rest + shift_path_m * to_px
-        object_px = object_m * to_px
+        dots = self.seen_px(shift_m)
+        path = None if shift_path_m is None else self.seen_px(shift_path_m)
+        object_px = object_m * (1e3 / self.mm_per_px)
         if self._lens is not None:
-            dots = self._lens.seen(dots)
-            path = None if path is None else self._lens.seen(path)
             object_px = self._lens.seen(self._object_at_px + object_px) - self._lens.seen(self._object_at_px)
         begin = self.dot_xy_px if path is None else path[0]
         seen = (begin, dots, self.object_xy_px, object_px)
@@ -324,6 +320,11 @@ class GelCamera:
         # the last scan of a slice is before its end: only after one at rest has the camera seen where all came to lie
         self._looked_at_rest = still and self._is_settled and bool((dots == begin).all())
         return events
+
+    def seen_px(self, shift_m: Floats) -> Floats:
+        """Where dots that are displaced by shift_m (..., dots, 2) are seen."""
+        dots: Floats = self._flat_xy_px.reshape(-1, 2) + shift_m * (1e3 / self.mm_per_px)
+        return dots if self._lens is None else self._lens.seen(dots)
 
     @property
     def _is_settled(self) -> bool:

@@ -274,7 +274,7 @@ def test_a_face_wider_than_the_view_says_that_it_is_told_badly() -> None:
 
 
 def test_a_dot_that_is_wrong_and_not_lost_is_left_out(ball: KnownContact) -> None:
-    """Assert that a dot 5 px from where it is, and not reported lost, is left out where dots are compared, and alone."""
+    """Assert that a dot 5 px off, and not reported lost, is left out where dots are compared, and it alone."""
     wrong = places(ball)
     wrong[8, 1] += 5 * 0.0329
     compared, trusting = (touch_map.start(DOTS, compares=compares) for compares in (True, False))

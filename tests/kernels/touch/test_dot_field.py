@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.kernels.force import dot_field
-from evetac_cli.kernels.force.dot_field import LATTICE_MM, lattice_field, mirrored
+from evetac_cli.kernels.touch import dot_field
+from evetac_cli.kernels.touch.dot_field import LATTICE_MM, lattice_field, mirrored
 
 
 def grid(pitch_mm: float = 2.0, *, seed: int = 0, offset_mm: float = 0.0) -> Floats:

@@ -1,0 +1,134 @@
+"""Whether the field of dots rests: for REST_MS no dot has moved by more than what its tracker errs by.
+
+`start`, then `step` with each slice's dots. Means of BLOCK_MS are compared with an anchor, the mean of the rest before,
+or the first block after motion. All dots together may be off by more than each of them against the others, as a
+tracker's common error drifts.
+
+An object that slides at an even speed moves no dot: this is a rest, too.
+"""
+
+import math
+
+import numpy as np
+
+from evetac_cli.arrays import Flags, Floats, Ints
+from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.touch.dot_modes import DotNoise
+
+BLOCK_MS = 5
+REST_MS = 200
+REST_BLOCKS = REST_MS // BLOCK_MS
+# Changes in so many deviations of the tracker's error that are none. In 200 ms the errors of scripts/sticking_trials.py
+# change by 0.6 deviations, of which the largest of 40 blocks is to stay below in most rests: judgement.
+OWN, COMMON = 1.6, 2.0
+LEAST_DOTS = 4  # that are tracked: with fewer nothing rests
+
+
+class RestState:
+    """What is known after the slices so far; `step` changes it.
+
+    seen_mm: (dots, 2), where each dot was last tracked. block_mm: mean of the last whole block. rest_mm: mean of the
+    last rest, at whose end `rested` was (slices, -1 before the first); rests: whether it goes on.
+    """
+
+    def __init__(self, at_mm: Floats, noise: DotNoise) -> None:
+        """For dots that are expected at (dots, 2)."""
+        self.noise = noise
+        self.slices = 0
+        self.seen_mm = np.where(np.isfinite(at_mm), at_mm, 0.0)
+        self.block_mm = self.seen_mm.copy()
+        self.rest_mm = self.seen_mm.copy()
+        self.rested = -1
+        self.rests = False
+        self.tracked: Flags = np.zeros(len(at_mm), np.bool_)  # in all of the last whole block
+        self._sum_mm = np.zeros_like(self.seen_mm)
+        self._counted = np.zeros(len(at_mm), np.int64)
+        self._anchor_mm = self.seen_mm.copy()
+        self._since_anchor_mm = np.zeros_like(self.seen_mm)
+        self._blocks = 0  # within the tolerance of the anchor
+
+
+def start(at_mm: Floats, noise: DotNoise = DotNoise()) -> RestState:  # noqa: B008 - it is constant
+    """Begin with dots that are expected at (dots, 2) in mm, a row of NaN where one is missing; ValueError else."""
+    if at_mm.ndim != 2 or at_mm.shape[1] != 2 or np.isinf(at_mm).any():
+        raise ValueError(f"at_mm: expected finite numbers (dots, 2) or NaN, found shape {at_mm.shape}")
+    return RestState(np.array(at_mm, np.float64), noise)
+
+
+def step(state: RestState, dot_mm: Floats, lost: Flags) -> bool:
+    """Take in the dots (dots, 2) of one more slice; returns whether a block has ended with it.
+
+    Dots that are lost (dots,), or not finite, stay where they were last seen. ValueError for other numbers of dots.
+    """
+    if dot_mm.shape != state.seen_mm.shape or lost.shape != state.tracked.shape:
+        expected = f"{state.seen_mm.shape} and {state.tracked.shape}"
+        raise ValueError(f"dot_mm, lost: expected shapes {expected}, found {dot_mm.shape} and {lost.shape}")
+    _add(dot_mm, lost, state.seen_mm, state._sum_mm, state._counted)
+    state.slices += 1
+    if state.slices % BLOCK_MS:
+        return False
+    tracked = _end_block(state._sum_mm, state._counted, state.block_mm, state.tracked)
+    own, common = _change(state.block_mm, state._anchor_mm, state.tracked)
+    noise = state.noise
+    near = tracked >= LEAST_DOTS and own <= OWN * noise.own_mm and common <= COMMON * noise.common_mm
+    if not near:
+        state._anchor_mm[:] = state.block_mm
+        state._since_anchor_mm[:] = 0.0
+        state._blocks = 0
+        state.rests = False
+    state._since_anchor_mm += state.block_mm
+    state._blocks += 1
+    if state._blocks == REST_BLOCKS:
+        np.divide(state._since_anchor_mm, REST_BLOCKS, out=state.rest_mm)
+        state._anchor_mm[:] = state.rest_mm
+        state._since_anchor_mm[:] = 0.0
+        state._blocks = 0
+        state.rests = tracked >= LEAST_DOTS
+        state.rested = state.slices - 1 if state.rests else state.rested
+    return True
+
+
+@njit(cache=True, _nrt=False)
+def _add(dot_mm: Floats, lost: Flags, seen_mm: Floats, sum_mm: Floats, counted: Ints) -> None:
+    for dot in range(len(dot_mm)):
+        x, y = dot_mm[dot, 0], dot_mm[dot, 1]
+        if not lost[dot] and math.isfinite(x) and math.isfinite(y):
+            seen_mm[dot, 0] = x
+            seen_mm[dot, 1] = y
+            counted[dot] += 1
+        sum_mm[dot, 0] += seen_mm[dot, 0]
+        sum_mm[dot, 1] += seen_mm[dot, 1]
+
+
+@njit(cache=True, _nrt=False)
+def _end_block(sum_mm: Floats, counted: Ints, block_mm: Floats, tracked: Flags) -> int:
+    """Mean of a block, and which dots were tracked in all of it; begins the next. Returns how many were."""
+    count = 0
+    for dot in range(len(sum_mm)):
+        for axis in range(2):
+            block_mm[dot, axis] = sum_mm[dot, axis] / BLOCK_MS
+            sum_mm[dot, axis] = 0.0
+        tracked[dot] = counted[dot] == BLOCK_MS
+        count += tracked[dot]
+        counted[dot] = 0
+    return count
+
+
+@njit(cache=True, _nrt=False)
+def _change(now_mm: Floats, before_mm: Floats, tracked: Flags) -> tuple[float, float]:
+    """How far dots moved against each other, rms per axis, and all together, the farther axis."""
+    count = 0
+    x = y = square = 0.0
+    for dot in range(len(now_mm)):
+        if tracked[dot]:
+            away_x = now_mm[dot, 0] - before_mm[dot, 0]
+            away_y = now_mm[dot, 1] - before_mm[dot, 1]
+            count += 1
+            x += away_x
+            y += away_y
+            square += away_x * away_x + away_y * away_y
+    if count == 0:
+        return 0.0, 0.0
+    x /= count
+    y /= count
+    return math.sqrt(max(0.5 * (square / count - x * x - y * y), 0.0)), max(abs(x), abs(y))

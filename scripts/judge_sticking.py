@@ -1,0 +1,276 @@
+"""How well the sticking share is told, motion by motion, on objects, and in part on motions, that were not trained on.
+
+`python scripts/judge_sticking.py --seeds 60000-60999 --minutes 20 --rows FOLDER` plays each motion until something has
+touched the gel for so many simulated minutes (docs/results/sticking-share.json). Rows, one a trial, are kept in the
+folder, and what is there is not simulated again; --motions does some of them, without writing the table. Dots come
+without a camera, with a drawn error of the tracker (sticking_trials.py); the last rows are with camera and tracker.
+
+- Error: of the share that slips where the truth lies between 0.05 and 0.95, mean over looks, every 5 ms.
+- In time: of all gross slips those before which an alarm was raised by 20 ms or more; possible are those by so much
+  before which 0.8 or less stuck in truth.
+- False alarms: alarms that begin, or are still on, where the truth has been below 0.05 for AFTER_MS. Just before and
+  just after a slip are those less than NEAR_MS before and after which it is above. Those within AFTER_MS count apart.
+"""
+
+import argparse
+import itertools
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import sticking_trials as trials
+from likeness_trials import commit_in_words
+from results import ranges
+from sticking_trials import AFTER_MS, HIGH, LOW, Looks, Trial
+
+from evetac_cli.arrays import Flags, Floats, Singles
+from evetac_cli.events import Events
+from evetac_cli.jobs import Row
+from evetac_cli.kernels.touch.rest import BLOCK_MS
+from evetac_cli.kernels.touch.rigid_motion import rigid_slip_share
+from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.presets import PRESETS
+from evetac_cli.kernels.tracking.tracker import TrackerState
+from evetac_cli.stages.sticking_network import shipped
+
+RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
+NAME = "sticking-share"
+SLIPS = 0.2
+AHEAD_MS, APART_MS, NEAR_MS = 20, 100, 200
+BEFORE_MS = 1000  # an alarm that early belongs to a slip
+CONSTANT = 0.14  # median share between LOW and HIGH of the trials that weights are fitted to
+METHODS = ("network", "rigid", "zero", "constant")
+CAMERA, WITH_CAMERA = "slip", "slip with camera"  # the motion that is played with a camera, too,
+CAMERA_MINUTES = 0.6  # for so long at most
+
+
+def method_shares(trial: Trial, looks: Looks) -> dict[str, Singles]:
+    """What each method says slips, at each look."""
+    at_mm = trial.in_mm(trial.rest_px)
+    rigid = [rigid_slip_share(held, now, at_mm) for held, now in looks.fields_mm]
+    none = np.zeros(len(looks.slices), np.float32)
+    return {"network": looks.told, "rigid": np.array(rigid, np.float32), "zero": none, "constant": none + CONSTANT}
+
+
+def alarms_of(share: Singles) -> Flags:
+    """At which looks a share that slips has been above that of an alarm for PATIENCE looks."""
+    slipping = share > 1 - ALARM
+    alarm = slipping.copy()
+    for back in range(1, PATIENCE):
+        alarm[back:] &= slipping[:-back]
+        alarm[:back] = False
+    return alarm
+
+
+def at_slices(looks: Looks, values: Flags, slices: int) -> Flags:
+    """What looks said, held until the next, for every slice; nothing where nothing touches."""
+    whole = np.zeros(slices, np.bool_)
+    for at, value in zip(looks.slices.tolist(), values.tolist(), strict=True):
+        whole[at : at + BLOCK_MS] = value
+    return whole
+
+
+def onsets(flags: Flags, apart: int) -> list[int]:
+    """Where flags begin to be set after they were not for so many slices."""
+    found, last = [], -apart - 1
+    for at in np.flatnonzero(flags).tolist():
+        if at - last > apart:
+            found.append(at)
+        last = at
+    return found
+
+
+def judged(trial: Trial, looks: Looks) -> Row:
+    """Sums of errors and counts of slips and alarms of a trial, by method."""
+    truth = trial.slip_share
+    at_looks = truth[looks.slices]
+    between = (at_looks > LOW) & (at_looks < HIGH)
+    slips = onsets(trial.slips, 3 * APART_MS)
+    recently = trials.recent_largest(truth, AFTER_MS)
+    row: Row = {
+        "minutes": len(looks.slices) * BLOCK_MS / 60_000,
+        "looks_between": int(between.sum()),
+        "slips": len(slips),
+        "possible": sum(bool((truth[max(on - BEFORE_MS, 0) : max(on - AHEAD_MS, 0)] >= SLIPS).any()) for on in slips),
+    }
+    for name, share in method_shares(trial, looks).items():
+        alarm = at_slices(looks, looks.alarm if name == "network" else alarms_of(share), len(truth))
+        if name == "constant":
+            alarm[:] = False
+        wrong = onsets(alarm & (recently < LOW), APART_MS)
+        row |= {
+            f"{name}_error_sum": float(np.abs(share - at_looks)[between].sum()),
+            f"{name}_in_time": sum(bool(alarm[max(on - BEFORE_MS, 0) : max(on - AHEAD_MS, 0)].any()) for on in slips),
+            f"{name}_false": len(wrong),
+            f"{name}_early": sum(bool((truth[on : on + NEAR_MS] >= LOW).any()) for on in wrong),
+            f"{name}_late": sum(bool((truth[max(on - NEAR_MS, 0) : on] >= LOW).any()) for on in wrong),
+            f"{name}_after": len(onsets(alarm & (truth < LOW), APART_MS)),
+        }
+    shear = trial.shear_n[looks.slices]
+    off = np.angle(np.exp(1j * (looks.direction_rad - np.arctan2(shear[:, 1], shear[:, 0]))))
+    known = np.isfinite(off) & (at_looks > SLIPS)
+    within = (np.abs(looks.told - at_looks) < looks.sd)[between]
+    return row | {
+        "directions": int(known.sum()),
+        "direction_error_sum_rad": float(np.abs(off[known]).sum()),
+        "within_sd": int(within.sum()),
+    }
+
+
+def tracked_trial(number: int, seed: int) -> tuple[Trial, Floats]:
+    """A trial that a camera sees, and its dots by the tracker `stable`."""
+    planned = trials.planned(CAMERA, number, seed)
+    constants = PRESETS["stable"].for_dots(planned.plan.sensor.dot_radius_px)
+    state: TrackerState | None = None
+    seen: list[Floats] = []
+
+    def see(rest_px: Floats, events: Events) -> None:
+        nonlocal state
+        if state is None:
+            state = tracker.start(rest_px, constants)
+        tracker.step(state, events.x, events.y, events.p)
+        seen.append(state.dot_xy_px.copy())
+
+    trial = trials.played(planned, seed, see)
+    return trial, np.array(seen)
+
+
+def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row]:
+    """The rows of a motion until its trials last so long, from the folder as far as they are there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{motion.replace(' ', '-').replace(',', '')}.jsonl"
+    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    by_trial = {(row["object"], row["seed"]): row for row in known}
+    rows: list[Row] = []
+    for seed, number in itertools.product(seeds, trials.JUDGED):
+        if sum(row["minutes"] for row in rows) >= minutes:
+            return rows
+        row = by_trial.get((number, seed))
+        if row is None:
+            row = {"object": number, "seed": seed, **row_of(motion, number, seed)}
+            with path.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+        rows.append(row)
+    raise SystemExit(f"{motion}: {len(seeds)} seeds are too few for {minutes:g} minutes")
+
+
+def row_of(motion: str, number: int, seed: int) -> Row:
+    """One trial, judged."""
+    rng = np.random.default_rng([seed, number, 1])
+    if motion == WITH_CAMERA:
+        trial, dot_px = tracked_trial(number, seed)
+        return judged(trial, trials.looks_at(trial, dot_px, np.zeros(len(trial.rest_px), np.bool_), shipped()))
+    trial = trials.played(trials.planned(motion, number, seed), seed)
+    return judged(trial, trials.looks_of(trial, rng, shipped()))
+
+
+def summary(motion: str, rows: list[Row]) -> Row:
+    """What is shown of the rows of a motion, or of several."""
+
+    def total(name: str) -> float:
+        return float(sum(row[name] for row in rows))
+
+    def part(of: str, by: str) -> float | None:
+        return total(of) / total(by) if total(by) else None
+
+    shown: Row = {"motion": motion, "trials": len(rows), "minutes": total("minutes"), "slips": int(total("slips"))}
+    shown["possible"] = part("possible", "slips")
+    for name in METHODS:
+        shown[f"{name}_error"] = part(f"{name}_error_sum", "looks_between")
+        shown[f"{name}_in_time"] = part(f"{name}_in_time", "slips")
+        shown[f"{name}_false_per_min"] = part(f"{name}_false", "minutes")
+        shown[f"{name}_early_per_min"] = part(f"{name}_early", "minutes")
+        shown[f"{name}_late_per_min"] = part(f"{name}_late", "minutes")
+        shown[f"{name}_after_per_min"] = part(f"{name}_after", "minutes")
+    off = part("direction_error_sum_rad", "directions")
+    shown["direction_off_deg"] = None if off is None else math.degrees(off)
+    return shown | {"within_sd": part("within_sd", "looks_between")}
+
+
+COLUMNS = {
+    "motion": "{motion}",
+    "minutes": "{minutes:.1f}",
+    "error, network": "{network_error:.3f}",
+    "model-free": "{rigid_error:.3f}",
+    "always 0": "{zero_error:.3f}",
+    "constant": "{constant_error:.3f}",
+    "within its deviation": "{within_sd:.0%}",
+    "direction off [deg]": "{direction_off_deg:.0f}",
+    "slips": "{slips}",
+    "in time, network": "{network_in_time:.0%}",
+    "in time, model-free": "{rigid_in_time:.0%}",
+    "possible": "{possible:.0%}",
+    "false alarms per minute, network": "{network_false_per_min:.2f}",
+    "of these just before, just after a slip": "{network_early_per_min:.2f}, {network_late_per_min:.2f}",
+    "false, model-free": "{rigid_false_per_min:.2f}",
+    "all alarms below 0.05": "{network_after_per_min:.2f}",
+}
+
+
+def result(rows: list[Row], seeds: range, minutes: float) -> Row:
+    """The table as results.py shows it."""
+    made = commit_in_words()
+    return {
+        "name": NAME,
+        "title": "The share of a contact that sticks, by motion",
+        "simulated": True,
+        "made": f"commit {made}",
+        "commit": made.partition(",")[0],
+        "uncommitted_changes": "," in made,
+        "commands": [
+            f"python scripts/judge_sticking.py --seeds {seeds[0]}-{seeds[-1]} --minutes {minutes:g} --rows sticking"
+        ],
+        "methods": {},
+        "recipe_ids": [],
+        "sizes": {"objects": list(trials.JUDGED), "minutes_of_each_motion": minutes},
+        "columns": [{"heading": heading, "cell": cell} for heading, cell in COLUMNS.items()],
+        "across": None,
+        "notes": [NOTE],
+        "rows": rows,
+    }
+
+
+NOTE = (
+    f"Error, where 0.05 to 0.95 slip. In time: an alarm {AHEAD_MS} ms or more before gross slip; possible: 0.8 or less"
+    f" stuck by then. False alarms: where less than 0.05 slipped for {AFTER_MS} ms; just before and"
+    f" after a slip: within {NEAR_MS} ms of one. All alarms below 0.05: with those in these {AFTER_MS} ms."
+    " *: a motion that was not trained on. Objects " + ranges(trials.JUDGED) + ", of which none was trained on."
+)
+
+
+def main() -> None:
+    """Measure and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", required=True, help="FIRST-LAST; trials of each object per seed")
+    parser.add_argument("--minutes", type=float, default=20.0, help="of touch, for each motion")
+    parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; no table is written")
+    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file a motion")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
+    chosen = parser.parse_args()
+    first, _, last = chosen.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    asked = [name for name in chosen.motions.split(",") if name]
+    shown, every = [], []
+    for motion in asked or (*trials.MOTIONS, WITH_CAMERA):
+        rows = rows_of(
+            motion, seeds, min(chosen.minutes, CAMERA_MINUTES) if motion == WITH_CAMERA else chosen.minutes, chosen.rows
+        )
+        if motion != WITH_CAMERA:
+            every += rows
+        name = f"{motion} *" if motion in trials.UNSEEN else motion
+        shown.append(summary(name, rows))
+        sys.stdout.write(json.dumps(shown[-1]) + "\n")
+        if motion == trials.MOTIONS[-1] and not asked:
+            shown.append(summary("all", every))
+            sys.stdout.write(json.dumps(shown[-1]) + "\n")
+    if not asked:
+        path = chosen.out / f"{NAME}.json"
+        path.write_text(json.dumps(result(shown, seeds, chosen.minutes), indent=1) + "\n")
+        sys.stdout.write(f"{path}\n")
+
+
+if __name__ == "__main__":
+    main()
