@@ -23,6 +23,8 @@ from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM
+from evetac_cli.kernels.touch.sticking import NO_TOUCH
+from evetac_cli.kernels.touch.sticking import step as sticking_step
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
@@ -35,6 +37,7 @@ from evetac_cli.stages.touch.known_gel import (
     GelShape,
     at_window,
 )
+from evetac_cli.stages.touch.touch_fold import sticking_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.record import SCENE_KINDS, simulated
@@ -258,6 +261,8 @@ class TouchMap:
     ...         reading = touch.step(tracker.step(events), tracker.lost)
     >>> reading.pressure_pa.shape == (len(touch.y_mm), len(touch.x_mm)) == reading.patch.shape
     True
+    >>> touch.sticking.alarm in (True, False)      # beside sticking_share, its sd and slip_direction_rad
+    True
     """
 
     def __init__(
@@ -288,10 +293,17 @@ class TouchMap:
         layer = shape.layer(modulus or SHEAR_MODULUS_PA)
         self._state = touch_map.start(rest_mm, layer, noise, stiffness_error, compares=leave_out_wrong)
         self.x_mm, self.y_mm = self._state.cells  # middles of the columns and rows of cells
+        self._sticking = sticking_of(self._state)
+        self.sticking = NO_TOUCH  # of the last slice: share that sticks, its sd, direction of slip, and an alarm
 
     def step(self, dot_xy_px: NDArray[np.float64], lost: NDArray[np.bool_] | None = None) -> touch_map.TouchReading:
         """What one more slice tells: dots (n, 2) in px as of `DotTracker`, and which of them are lost."""
-        return touch_map.step(self._state, (dot_xy_px - self._middle_px) * self._scale, lost)
+        dot_mm = (dot_xy_px - self._middle_px) * self._scale
+        reading = touch_map.step(self._state, dot_mm, lost)
+        if self._sticking is not None:
+            none_lost = np.zeros(len(dot_mm), np.bool_)
+            self.sticking = sticking_step(self._sticking, dot_mm, none_lost if lost is None else lost, reading.touches)
+        return reading
 
     def hold(self) -> None:
         """Count what is `since` in readings from now on: when a grip has closed and shear is to come."""

@@ -212,9 +212,11 @@ def step(state: TouchState, dot_mm: Floats, lost: Flags | None = None) -> TouchR
 
 
 def hold(state: TouchState) -> None:
-    """Count what is `since` from the dots as they are now, for instance when a grip has closed."""
+    """Count what is `since` from the dots as they are now, for instance when a grip has closed.
+
+    Before the first, and until the patch is next renewed, nothing is told of it.
+    """
     state.held_mm = state.moved_mm.copy()
-    state.held = None
 
 
 def renew(state: TouchState) -> None:

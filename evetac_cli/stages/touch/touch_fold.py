@@ -4,7 +4,7 @@ A touch map is made with the modulus that is expected of the gel; `GelWeights` s
 multiplied, and how sure that is, of a gel that creeps or to which known forces were applied.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,14 +14,14 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import CreepMemory, Forces
-from evetac_cli.kernels.touch import touch_map
+from evetac_cli.kernels.touch import dot_field, sticking, touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState
-from evetac_cli.stages import row_blocks
+from evetac_cli.kernels.touch.sticking import StickingReading, StickingState
+from evetac_cli.kernels.touch.touch_map import TouchState
+from evetac_cli.stages import row_blocks, sticking_network
 from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, GelWeights, at_window
 from evetac_cli.store.files import StageFile
 
-SETTLED_SLICES = 200  # of a touch, after which it is taken to be held: a judgement, grips close within 0.1 s or so
 FLAGS = ("known", "touches")
 SUMS = ("shear_n", "shear_sd_n", "normal_n", "normal_sd_n", "torsion_n_mm", "torsion_sd_n_mm")
 PLACES = ("centre_mm", "centre_sd_mm", "area_mm2", "area_sd_mm2")
@@ -29,8 +29,8 @@ SINCE = ("shear_since_n", "shear_since_sd_n")
 OF_READING = (*FLAGS, *SUMS, *PLACES, *SINCE)
 PAIRS = ("shear_n", "shear_sd_n", "centre_mm", "centre_sd_mm", *SINCE)  # x and y
 OF_MAP = ("patch", "shear_pa", "shear_sd_pa", "pressure_pa", "pressure_sd_pa")
-NOT_TOLD = ("sticking_share", "sticking_share_sd", "slip_direction_rad")
-COLUMNS = (*OF_READING, "reference_slice", *NOT_TOLD)
+STICKING = ("sticking_share", "sticking_share_sd", "slip_direction_rad")
+COLUMNS = (*OF_READING, "reference_slice", *STICKING)
 
 Columns = dict[str, NDArray[Any]]
 
@@ -92,51 +92,50 @@ def of_tracks(gel: GelWeights, tracks: StageFile, *, compares: bool = False) -> 
         raise InputError(f"no touch can be told of these dots: {error}", where=str(tracks.path)) from error
 
 
-def is_reference(touched: int) -> bool:
-    """Whether what is `since` counts from the slice that is the last of so many with a touch.
-
-    Why so: where the field of the dots rests is not known here yet; a touch that has lasted a while is taken to be
-    held.
-    """
-    return touched == SETTLED_SLICES
-
-
 class TouchFold:
-    """Folds touch maps over the slices of a tracks file in turn; map_every: slices between maps, 0 for none."""
+    """Folds touch maps over the slices of a tracks file in turn; map_every: slices between maps, 0 for none.
+
+    What is `since` counts from where the field of the dots last came to rest.
+    """
 
     def __init__(self, gel: GelWeights, tracks: StageFile, map_every: int, *, compares: bool = False) -> None:
         self.gel, self.map_every = gel, map_every
         self.state = of_tracks(gel, tracks, compares=compares)
+        self._sticking = sticking_of(self.state)
         self._tracks = tracks
         self._memory = CreepMemory()
-        self._touched = 0  # slices that the touch has lasted
         self._reference = -1
 
     def block(self, first: int, stop: int) -> Columns:
         """Columns of a touch file, and its maps, for the slices [first, stop), which follow those before."""
         readings: list[tuple[Any, ...]] = []
-        references: list[int] = []
+        sticks: list[StickingReading] = []
         maps: list[tuple[Any, ...]] = []
-
-        def keep(number: int, reading: TouchReading) -> None:
-            self._touched = self._touched + 1 if reading.touches else 0
-            if not reading.touches:
-                self._reference = -1
-            elif is_reference(self._touched):
-                touch_map.hold(self.state)
-                self._reference = number
-            references.append(self._reference)
+        slices = _slices(self._tracks, self.gel.mm_per_px, first, stop)
+        for number, (dot_mm, lost) in enumerate(slices, start=first):
+            reading = touch_map.step(self.state, dot_mm, lost)
+            sticks.append(self._step_sticking(dot_mm, lost, reading.touches))
             readings.append(tuple(getattr(reading, name) for name in OF_READING))
             if self.map_every and number % self.map_every == 0:
                 maps.append((number, *(getattr(reading, name) for name in OF_MAP)))
-
-        _fold(self.state, self._tracks, self.gel.mm_per_px, first, stop, keep)
         told = {
             name: np.array([row[place] for row in readings]).reshape(-1, *((2,) if name in PAIRS else ()))
             for place, name in enumerate(OF_READING)
         }
-        columns = self._scaled(told, np.array(references, np.int64))
+        reference = np.array([one.reference_slice for one in sticks], np.int64)
+        columns = self._scaled(told, reference)
+        columns |= {name: np.array([getattr(one, name) for one in sticks], np.float32) for name in STICKING}
         return columns | (self._maps(maps) if self.map_every else {})
+
+    def _step_sticking(self, dot_mm: Floats, lost: Flags, touches: bool) -> StickingReading:
+        """What sticks in one more slice; where the reference is another, the touch map counts from it, too."""
+        if self._sticking is None:
+            return sticking.NO_TOUCH
+        told = sticking.step(self._sticking, dot_mm, lost, touches)
+        if told.reference_slice not in (-1, self._reference):
+            touch_map.hold(self.state)
+        self._reference = told.reference_slice
+        return told
 
     def _scaled(self, told: Columns, reference: NDArray[np.int64]) -> Columns:
         """What readings of a block tell, with the weights of the gel; nothing is `since` before there is a reference.
@@ -159,7 +158,6 @@ class TouchFold:
             "area_mm2": told["area_mm2"],
             "area_sd_mm2": np.hypot(told["area_sd_mm2"], 2 * unsure * told["area_mm2"]),
             **{name: np.where(counts, values, np.nan) for name, values in zip(SINCE, since, strict=True)},
-            **dict.fromkeys(NOT_TOLD, np.full(len(touches), np.nan)),
         }
         return {
             **{name: told[name].astype(np.uint8) for name in FLAGS},
@@ -191,19 +189,17 @@ class TouchFold:
         }
 
 
-def _fold(
-    state: TouchState,
-    tracks: StageFile,
-    mm_per_px: float,
-    first: int,
-    stop: int,
-    keep: Callable[[int, TouchReading], None],
-) -> None:
-    """Step a touch map over some slices of its tracks, and hand over the number and the reading of each."""
+def sticking_of(state: TouchState) -> StickingState | None:
+    """Begin to tell what sticks, of the dots of a touch map; None with too few of them."""
+    if np.count_nonzero(state.there) < dot_field.LEAST_DOTS:
+        return None
+    return sticking.start(state.rest_mm, sticking_network.shipped(), state.noise)
+
+
+def _slices(tracks: StageFile, mm_per_px: float, first: int, stop: int) -> Iterator[tuple[Floats, Flags]]:
+    """The dots (n, 2) in mm of some slices of a tracks file, and which of them are lost (n,)."""
     dot_mm = (tracks.read("dot_xy_px", first, stop) - _middle_px(tracks)) * mm_per_px
-    lost = tracks.read("lost", first, stop) != 0
-    for place, (where, gone) in enumerate(zip(dot_mm, lost, strict=True)):
-        keep(first + place, touch_map.step(state, where, gone))
+    return zip(dot_mm, tracks.read("lost", first, stop) != 0, strict=True)
 
 
 def _middle_px(tracks: StageFile) -> Floats:
@@ -217,12 +213,11 @@ def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
     slices = tracks.length("dot_xy_px")
     told = {name: np.empty((slices, 2) if name in PAIRS else slices) for name in (*SUMS, "touches")}
 
-    def keep(number: int, reading: TouchReading) -> None:
-        for name, values in told.items():
-            values[number] = getattr(reading, name)
-
     for first, stop in row_blocks(slices):
-        _fold(state, tracks, gel.mm_per_px, first, stop, keep)
+        for number, (dot_mm, lost) in enumerate(_slices(tracks, gel.mm_per_px, first, stop), start=first):
+            reading = touch_map.step(state, dot_mm, lost)
+            for name, values in told.items():
+                values[number] = getattr(reading, name)
     return _over_modulus(gel, told)
 
 

@@ -13,7 +13,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.touch import touch_map
+from evetac_cli.kernels.touch import sticking, touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.dot_motion import GelLayer
 from evetac_cli.sim.setup.plan import sensor_ranges
@@ -55,28 +55,35 @@ def predicted(path: Path, chosen: PredictTouch, out: Path) -> dict[str, Any]:
 
 
 def test_offline_is_online(pressed: Path, tmp_path: Path) -> None:
-    """Assert that a file holds what a touch map tells that is stepped slice by slice and held after 200 ms of touch."""
+    """Assert that a file holds what a touch map tells that is stepped slice by slice, and held where its dots rest."""
     told = predicted(pressed, replace(known(pressed), map_every=31), tmp_path)
     layer, noise = GelLayer(shear_modulus_pa=MODULUS_PA), DotNoise(0.05 * MM_PER_PX, 0.2 * MM_PER_PX)
     state = touch_map.start(rest_mm(), layer, noise)
     with StageFile(pressed) as tracks:
         dot_mm = (tracks.read("dot_xy_px") - [320, 240]) * MM_PER_PX
-    held = TOUCHED + touch_fold.SETTLED_SLICES - 1
+    sticks, reference = touch_fold.sticking_of(state), -1
+    assert sticks is not None
     names = [name for name in touch_fold.OF_READING if name not in touch_fold.SINCE]
+    nothing = np.zeros(len(dot_mm[0]), np.bool_)
     for number, where in enumerate(dot_mm):
         reading = touch_map.step(state, where)
-        if number == held:
-            touch_map.hold(state)
-        for name in [*names, *(touch_fold.SINCE if number > held else ())]:
+        of_sticks = sticking.step(sticks, where, nothing, reading.touches)
+        for name in [*names, *(touch_fold.SINCE if of_sticks.reference_slice >= 0 else ())]:
             np.testing.assert_allclose(told[name][number], getattr(reading, name), rtol=1e-5, atol=1e-6, err_msg=name)
+        if of_sticks.reference_slice not in (-1, reference):
+            touch_map.hold(state)
+        reference = of_sticks.reference_slice
+        assert told["reference_slice"][number] == reference
+        for name in touch_fold.STICKING:
+            np.testing.assert_allclose(told[name][number], getattr(of_sticks, name), rtol=1e-5, err_msg=name)
         if number % 31 == 0:
             for name in touch_fold.OF_MAP:
                 at = told[f"map/{name}"][number // 31]
                 np.testing.assert_allclose(at, getattr(reading, name), rtol=1e-5, atol=1e-3, err_msg=name)
     assert told["map/slice"].tolist() == list(range(0, SLICES, 31))
-    assert told["reference_slice"].tolist() == [-1] * held + [held] * (SLICES - held)
-    assert np.isnan(told["shear_since_n"][:held]).all()
-    assert np.isnan(told["sticking_share"]).all()
+    assert told["reference_slice"][0] == -1 and TOUCHED + 190 < told["reference_slice"][SHEARED - 1] < SHEARED
+    assert np.isnan(told["shear_since_n"][:TOUCHED]).all()
+    assert (told["sticking_share"][TOUCHED + 10 :] >= 0).all()
     true = contact().net_since_pressed_n
     assert told["shear_since_n"][-1] == pytest.approx(true, abs=0.05 * np.hypot(*true))
     assert np.abs(told["shear_since_n"][SHEARED - 5]).max() < 0.02
