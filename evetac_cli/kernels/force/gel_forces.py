@@ -30,6 +30,7 @@ SHEAR_SHARE, NORMAL_SHARE = 0.02, 0.05
 # sd of the factor by which a touch map's normal force is to be multiplied: it is 4 % low in the median of these
 # contacts, 10 % for the worst shape, and contacts of another gel or camera may have another.
 NORMAL_FACTOR_SD = 0.1
+MOST_SHARE = 0.5
 NOT_TOLD_SD = 2.5  # sd of the weight of its deviation: 2.3 by 219 contacts of 1 to 20 N (seeds 6200-6227)
 
 
@@ -114,8 +115,12 @@ def shear_terms(
 
 
 def normal_terms(normal_mm2: Floats, normal_sd_mm2: Floats) -> Floats:
-    """Terms (n, 3) of the normal force: force over modulus (n,), the map's own deviation of it, and 1."""
-    return np.column_stack([normal_mm2, normal_sd_mm2, np.ones(len(normal_mm2))])
+    """Terms (n, 3) of the normal force: force over modulus (n,), the map's own deviation of it, and 1.
+
+    The deviation counts up to MOST_SHARE of the force: of what lies beyond the dots it is larger, and tells nothing.
+    """
+    not_told = np.minimum(normal_sd_mm2, MOST_SHARE * np.abs(normal_mm2))
+    return np.column_stack([normal_mm2, not_told, np.ones(len(normal_mm2))])
 
 
 def scale_of(gel: Stiffness) -> Scale:
