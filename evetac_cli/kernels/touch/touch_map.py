@@ -33,11 +33,11 @@ RENEWAL_SLICES = 20
 # Dots that move otherwise than all together by so many times their own error (rms) are touched, and no longer. Between
 # the two, a touch that lasts goes on and none begins. Judgement: 0.2 and 0.125 px; 1 N moves dots by 0.4 px or more.
 BEGINS, ENDS = 4.0, 2.5
-# The gel about a patch tells its normal force, as even pressure moves no dot: where no dots show it, badly. Relative sd
-# where none is shown, and with the third power of the share that is not: of simulated faces and discs as wide as the
-# view a third to two thirds is told. Of shear, where the gel's edges are not told: 1.3 times too much is told. By such
-# contacts of seeds 100-102 and 6001 (scenes slip and shear, disc of 16 mm).
-NORMAL_BEYOND, SHEAR_BEYOND = 1.5, 0.3
+# The gel about a patch tells its normal force, as even pressure moves no dot. Where no dots show that gel, an even
+# pressure of this size may be there or not: that of simulated grips and presses, 35 to 57 kPa. The sd goes with the
+# third power of the share that is not shown. Of shear, where the gel's edges are not told, 1.3 times too much is told
+# then. By faces, discs and objects as wide as the view, of seeds 100-102 and 6001.
+EVEN_PA, SHEAR_BEYOND = 50e3, 0.3
 RING_CELLS = 3
 MOST_CELLS = 4000  # of a grid
 MOST_DOTS = 1024
@@ -92,11 +92,12 @@ class DotsInUse(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A fit, the dots that it is for, and the relative sd of its sums (sums,) for what lies beyond the dots."""
+    """A fit, the dots that it is for, and further sd for what no dots show: of shear, relative, and of normal force."""
 
     dots: DotsInUse
     fit: PatchFit
-    beyond: Floats
+    shear_beyond: float
+    normal_beyond_n: float
 
 
 class TouchState:
@@ -284,10 +285,8 @@ def _fitted(state: TouchState, moved_mm: Floats, kinds: int) -> Fitted:
     dots, moved = state.dots, moved_mm[state.dots.used]
     variance = dots.modes.variance_mm2(state.noise, moved)
     told = fit(dots.modes, state.cell_mm, state.found_pa, dots.modes.of(moved), variance, kinds)
-    normal, shear = _shares_beyond(state, told.patch)
-    beyond = np.zeros(len(told.sum_sd))
-    beyond[:OF_SHEAR], beyond[NORMAL:MOMENT_X] = SHEAR_BEYOND * shear**3, NORMAL_BEYOND * normal**3
-    return Fitted(dots, told, beyond)
+    hidden, shear = _shares_beyond(state, told.patch)
+    return Fitted(dots, told, SHEAR_BEYOND * shear**3, EVEN_PA * told.area_mm2 * 1e-6 * hidden**3)
 
 
 def _shares_beyond(state: TouchState, touched: Flags) -> tuple[float, float]:
@@ -332,13 +331,16 @@ def _on_grid(state: TouchState, of: PatchFit, values: Singles) -> Floats:
 
 def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
     """What the dots tell with the patch as it was last found."""
-    dots, now, beyond = fitted
+    dots, now, shear_beyond, normal_beyond_n = fitted
     error = state.stiffness_error
     told = now.gain @ dots.modes.of(state.moved_mm[dots.used]).astype(np.float32)
     count = KINDS * len(now.cells)
     field = _on_grid(state, now, told[:count].reshape(KINDS, -1))
     sums = told[count:].astype(np.float64)
-    sd = np.sqrt(now.sum_sd**2 + (error**2 + beyond**2) * sums**2)
+    relative = np.full(len(sums), error)
+    relative[:OF_SHEAR] = math.hypot(error, shear_beyond)
+    sd = np.hypot(now.sum_sd, relative * sums)
+    sd[NORMAL] = math.hypot(float(sd[NORMAL]), normal_beyond_n)
     field_sd = now.traction_sd_pa if not error else np.hypot(now.traction_sd_pa, error * field)
     # Of the pressure that is above 0, so that it lies in the patch even where dots hardly tell the normal force.
     pushes = np.maximum(told[count - len(now.cells) : count], 1e-6)
@@ -371,13 +373,13 @@ def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
 
 def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Shear on the grid and net, with deviations, that moved the dots (all of them) since they were held."""
-    dots, held, beyond = fitted
+    dots, held, shear_beyond, _ = fitted
     told = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
     count = PRESSURE * len(held.cells)
     field, net = _on_grid(state, held, told[:count].reshape(PRESSURE, -1)), told[count : count + 2].astype(np.float64)
     error = state.stiffness_error
     field_sd = held.traction_sd_pa if not error else np.hypot(held.traction_sd_pa, error * field)
-    net_sd = np.sqrt(held.sum_sd[:2] ** 2 + (error**2 + beyond[:2] ** 2) * net**2)
+    net_sd = np.hypot(held.sum_sd[:2], math.hypot(error, shear_beyond) * net)
     return field, field_sd, net, net_sd
 
 
