@@ -243,6 +243,7 @@ def main() -> None:
     used = [*seeds, *own]
     write(
         chosen.out,
+        chosen.seeds,
         result("touch-adapted", "Errors after two minutes under known forces", ADAPTED_COLUMNS, rows, used, []),
         result(
             "touch-published",
@@ -261,10 +262,10 @@ def loaded_seeds(first_seed: int) -> Iterable[int]:
     return [first_seed + 100 * number + one for number in range(2) for one in range(each)]
 
 
-def write(folder: Path, *tables: Row) -> None:
+def write(folder: Path, seeds: str, *tables: Row) -> None:
     """Write tables, and say where."""
     for table in tables:
-        table["commands"] = [one.replace("touch_contacts", "touch_adapted") for one in table["commands"]]
+        table["commands"] = [f"python scripts/touch_adapted.py --seeds {seeds}"]
         path = folder / f"{table['name']}.json"
         path.write_text(json.dumps(table, indent=1) + "\n")
         sys.stdout.write(f"{path}\n")
