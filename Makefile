@@ -136,8 +136,11 @@ film: $(READY)  ## a short film of a catch: docs/catch.gif
 results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
+# Threads of BLAS that wait for each other's cores make small matrices ten times as dear.
+ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
+
 test: $(ALL)  ## the test suite; first installs what it needs, if anything is missing
-	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
+	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
 test-all: $(ALL)  ## the test suite with its longer cases
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile

@@ -90,7 +90,7 @@ def test_numbers_of_the_page() -> None:
 def test_commands_and_flags_of_the_table() -> None:
     """Assert that what is named in the table are commands, networks or flags of calibrate."""
     commands = {command.name for command in PIPELINE} | {f"evaluate {command.name}" for command in EVALUATE}
-    commands |= {"view", "report", "export", "share", "train --adapt shipped", "train-force --adapt shipped"}
+    commands |= {"view", "report", "export", "share", "train --adapt shipped", "train-force --method touch"}
     flags = {"--gel cut", "--rows M --columns N", "--irregular", "--gel"}
     for first, cells in ROWS.items():
         assert names(first) <= commands | set(ARCHITECTURES)

@@ -19,13 +19,14 @@ that dots 2 mm apart show.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Flags, Floats
+
+if TYPE_CHECKING:  # it takes 0.2 s to load, and who asks what a gel is needs none of it
+    from scipy import sparse
 
 SPRING = 8.25
 ALONG = 1.675
@@ -89,20 +90,22 @@ def compliance(
     return Compliance(*(scale * part for part in (across, along[:, 0], along[:, 1], -up[:, 1], up[:, 0])))
 
 
-def sheet_stiffness(node_xy_m: Floats, height_m: float) -> sparse.csr_matrix:
+def sheet_stiffness(node_xy_m: Floats, height_m: float) -> "sparse.csr_matrix":
     """Stiffness over the shear modulus, in m, of a pad of nodes (rows, columns, 2) and its sheet; their edges are free.
 
     (4 n, 4 n) for n nodes: displacements of the surface along x, along y, then those of the sheet.
     """
+    from scipy import sparse
+
     rows, columns, _ = node_xy_m.shape
     pitch_x, pitch_y = node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0], node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]
     one = sparse.eye(rows * columns)
 
-    def step(count: int) -> sparse.csr_matrix:
+    def step(count: int) -> "sparse.csr_matrix":
         """Differences of neighbours along a line."""
         return sparse.diags([-np.ones(count), np.ones(count - 1)], [0, 1], shape=(count - 1, count))
 
-    def middle(count: int) -> sparse.csr_matrix:
+    def middle(count: int) -> "sparse.csr_matrix":
         """Means of neighbours along a line."""
         return sparse.diags([np.full(count, 0.5), np.full(count - 1, 0.5)], [0, 1], shape=(count - 1, count))
 
@@ -152,6 +155,8 @@ def moved_by(node_xy_m: Floats, height_m: float, sticks: Flags, squeezed_m2: Flo
     sticks: (rows, columns). squeezed_m2: (rows, columns, 2), force of pressure over the shear modulus, see `Squeeze`.
     The last index is: the object at rest while pressure squeezes, in m; the object moved by 1 along x; and along y.
     """
+    from scipy.sparse.linalg import splu
+
     rows, columns = sticks.shape
     count = rows * columns
     stiffness = sheet_stiffness(node_xy_m, height_m).tocsc()
