@@ -143,7 +143,7 @@ test: $(ALL)  ## the test suite; first installs what it needs, if anything is mi
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
 test-all: $(ALL)  ## the test suite with its longer cases
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
 	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/numba $(LOWEST)/bin/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 import sticking_trials as trials
-from likeness_trials import commit_in_words
 from results import ranges
+from script_tables import RESULTS, table_of, write
 from sticking_trials import AFTER_MS, HIGH, LOW, Looks, Trial
 
 from evetac_cli.arrays import Flags, Floats, Singles
@@ -34,9 +34,8 @@ from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.kernels.tracking.tracker import TrackerState
-from evetac_cli.stages.sticking_network import shipped
+from evetac_cli.stages.touch.sticking_network import shipped
 
-RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
 NAME = "sticking-share"
 SLIPS = 0.2
 AHEAD_MS, APART_MS, NEAR_MS = 20, 100, 200
@@ -210,29 +209,6 @@ COLUMNS = {
 }
 
 
-def result(rows: list[Row], seeds: range, minutes: float) -> Row:
-    """The table as results.py shows it."""
-    made = commit_in_words()
-    return {
-        "name": NAME,
-        "title": "The share of a contact that sticks, by motion",
-        "simulated": True,
-        "made": f"commit {made}",
-        "commit": made.partition(",")[0],
-        "uncommitted_changes": "," in made,
-        "commands": [
-            f"python scripts/judge_sticking.py --seeds {seeds[0]}-{seeds[-1]} --minutes {minutes:g} --rows sticking"
-        ],
-        "methods": {},
-        "recipe_ids": [],
-        "sizes": {"objects": list(trials.JUDGED), "minutes_of_each_motion": minutes},
-        "columns": [{"heading": heading, "cell": cell} for heading, cell in COLUMNS.items()],
-        "across": None,
-        "notes": [NOTE],
-        "rows": rows,
-    }
-
-
 NOTE = (
     f"Error, where 0.05 to 0.95 slip. In time: an alarm {AHEAD_MS} ms or more before gross slip; possible: 0.8 or less"
     f" stuck by then. False alarms: where less than 0.05 slipped for {AFTER_MS} ms; just before and"
@@ -267,9 +243,10 @@ def main() -> None:
             shown.append(summary("all", every))
             sys.stdout.write(json.dumps(shown[-1]) + "\n")
     if not asked:
-        path = chosen.out / f"{NAME}.json"
-        path.write_text(json.dumps(result(shown, seeds, chosen.minutes), indent=1) + "\n")
-        sys.stdout.write(f"{path}\n")
+        command = f"python scripts/judge_sticking.py --seeds {seeds[0]}-{seeds[-1]} --minutes {chosen.minutes:g}"
+        sizes = {"objects": list(trials.JUDGED), "minutes_of_each_motion": chosen.minutes}
+        title = "The share of a contact that sticks, by motion"
+        write(chosen.out, table_of(NAME, title, COLUMNS, shown, f"{command} --rows sticking", sizes, notes=(NOTE,)))
 
 
 if __name__ == "__main__":

@@ -13,9 +13,6 @@ Seeds beside those of --seeds follow them by the hundred. Minutes; simulated.
 """
 
 import argparse
-import json
-import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,16 +21,15 @@ from evetac_cli.cli.workers import compute_on_one_thread
 compute_on_one_thread()  # before numpy is loaded
 
 import numpy as np  # noqa: E402
+from script_tables import RESULTS, table_of, write  # noqa: E402
 from touch_contacts import (  # noqa: E402
     KNOWN,
-    RESULTS,
     SETTINGS,
     Setting,
     contacts_of,
     dots_of,
     judged,
     read,
-    result,
 )
 
 from evetac_cli.arrays import Floats  # noqa: E402
@@ -240,35 +236,20 @@ def main() -> None:
     }
     rows = [adapted_row(setting, *of_depth[setting.print_depth_mm], rest_mm, mm_per_px) for setting in SETTINGS]
     published = published_rows(makers[0.0], seeds[0] + 200, rest_mm, mm_per_px)
-    used = [*seeds, *own]
-    write(
-        chosen.out,
-        chosen.seeds,
-        result("touch-adapted", "Errors after two minutes under known forces", ADAPTED_COLUMNS, rows, used, []),
-        result(
-            "touch-published",
-            "Mean absolute errors of net force over 4, 4 and 20 N",
-            PUBLISHED_COLUMNS,
-            published,
-            list(loaded_seeds(seeds[0] + 200)),
-            [],
-        ),
+    command = f"python scripts/touch_adapted.py --seeds {chosen.seeds}"
+    title, sizes = "Errors after two minutes under known forces", {"contact_seeds": [*seeds, *own]}
+    write(chosen.out, table_of("touch-adapted", title, ADAPTED_COLUMNS, rows, command, sizes))
+    title, sizes = (
+        "Mean absolute errors of net force over 4, 4 and 20 N",
+        {"contact_seeds": loaded_seeds(seeds[0] + 200)},
     )
+    write(chosen.out, table_of("touch-published", title, PUBLISHED_COLUMNS, published, command, sizes))
 
 
-def loaded_seeds(first_seed: int) -> Iterable[int]:
+def loaded_seeds(first_seed: int) -> list[int]:
     """Seeds of the contacts of `published_rows`."""
     each = -(-CALIBRATION // len(SHAPES))
     return [first_seed + 100 * number + one for number in range(2) for one in range(each)]
-
-
-def write(folder: Path, seeds: str, *tables: Row) -> None:
-    """Write tables, and say where."""
-    for table in tables:
-        table["commands"] = [f"python scripts/touch_adapted.py --seeds {seeds}"]
-        path = folder / f"{table['name']}.json"
-        path.write_text(json.dumps(table, indent=1) + "\n")
-        sys.stdout.write(f"{path}\n")
 
 
 if __name__ == "__main__":

@@ -24,8 +24,8 @@ from evetac_cli.cli.workers import compute_on_one_thread
 compute_on_one_thread()  # before numpy is loaded: times are those of one core
 
 import numpy as np  # noqa: E402
-from likeness_trials import commit_in_words  # noqa: E402
 from results import ranges  # noqa: E402
+from script_tables import RESULTS, table_of, write  # noqa: E402
 
 from evetac_cli.arrays import Flags, Floats  # noqa: E402
 from evetac_cli.evaluate.touch_contacts import SHAPES, ContactMaker, KnownContact, on_coarse_cells  # noqa: E402
@@ -38,7 +38,6 @@ from evetac_cli.sim.camera.gel_camera import dot_grid  # noqa: E402
 from evetac_cli.sim.setup.plan import named_sensor  # noqa: E402
 from evetac_cli.sim.setup.sensor import Sensor  # noqa: E402
 
-RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
 OWN_PX, COMMON_PX = 0.05, 0.2  # the tracker's error, see kernels/touch/dot_modes.py
 TOUCHED = 0.05  # of the largest pressure: cells that truth counts to the patch
 WIDE = ("flat", "ball", "cylinder", "off centre", "twisted", "partial slip")  # at least 5 mm both ways
@@ -265,28 +264,6 @@ def cost_rows(sensor: Sensor) -> list[Row]:
     return rows
 
 
-def result(name: str, title: str, columns: dict[str, str], rows: list[Row], seeds: list[int], notes: list[str]) -> Row:
-    """A table as results.py shows it."""
-    made = commit_in_words()
-    given = f" --seeds {ranges(seeds)}" if seeds else ""
-    return {
-        "name": name,
-        "title": title,
-        "simulated": True,
-        "made": f"commit {made}",
-        "commit": made.partition(",")[0],
-        "uncommitted_changes": "," in made,
-        "commands": [f"python scripts/touch_contacts.py{given}"],
-        "methods": {},
-        "recipe_ids": [],
-        "sizes": {"contact_seeds": seeds},
-        "columns": [{"heading": heading, "cell": cell} for heading, cell in columns.items()],
-        "across": None,
-        "notes": notes,
-        "rows": rows,
-    }
-
-
 ERROR_COLUMNS = {
     "contacts": "{what}",
     "n": "{n}",
@@ -361,22 +338,12 @@ def main() -> None:
     ]
     rows += [summary(shape, [row for row in known if row["shape"] == shape]) for shape in SHAPES]
     costs = cost_rows(sensor)
-    tables = (
-        result("touch-contacts", "Errors of touch maps on known contacts", ERROR_COLUMNS, rows, seeds, []),
-        result(
-            "touch-coverage",
-            "Errors within one and 1.96 deviations",
-            COVERAGE_COLUMNS,
-            rows[: len(SETTINGS)],
-            seeds,
-            [],
-        ),
-        result("touch-map-cost", "What a slice and a patch cost", COST_COLUMNS, costs, [], []),
-    )
-    for table in tables:
-        path = chosen.out / f"{table['name']}.json"
-        path.write_text(json.dumps(table, indent=1) + "\n")
-        sys.stdout.write(f"{path}\n")
+    command, sizes = f"python scripts/touch_contacts.py --seeds {ranges(seeds)}", {"contact_seeds": seeds}
+    errors = ("touch-contacts", "Errors of touch maps on known contacts", ERROR_COLUMNS, rows)
+    covered = ("touch-coverage", "Errors within one and 1.96 deviations", COVERAGE_COLUMNS, rows[: len(SETTINGS)])
+    write(chosen.out, *(table_of(*one, command, sizes) for one in (errors, covered)))
+    about = ("touch-map-cost", "What a slice and a patch cost", COST_COLUMNS, costs)
+    write(chosen.out, table_of(*about, "python scripts/touch_contacts.py", {}))
 
 
 if __name__ == "__main__":

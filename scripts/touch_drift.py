@@ -10,7 +10,6 @@ touch map of these dots against one of the true dots. All simulated, in about ha
 """
 
 import argparse
-import json
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -19,8 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from likeness_trials import commit_in_words
 from numpy.typing import NDArray
+from script_tables import RESULTS, table_of, write
 
 import evetac_cli as evetac
 from evetac_cli.arrays import Flags, Floats
@@ -36,7 +35,6 @@ from evetac_cli.kernels.tracking.tracker import TrackerState
 from evetac_cli.sim.setup.plan import named_sensor
 from evetac_cli.sim.setup.sensor import Sensor
 
-RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
 OBJECT = 8
 MINUTE_S = 60
 BLOCK = 500  # slices that are tracked together; a look at the end of each
@@ -377,25 +375,18 @@ def wrong_rows(course: str, judge: Judge) -> list[Row]:
     return rows
 
 
-def result(name: str, title: str, columns: dict[str, str], across: str | None, rows: list[Row], about: Row) -> Row:
-    """A table as results.py shows it."""
-    commit = commit_in_words()
-    return {
-        "name": name,
-        "title": title,
-        "simulated": True,
-        "made": f"commit {commit}",
-        "commit": commit.partition(",")[0],
-        "uncommitted_changes": "," in commit,
-        "commands": [about["command"]],
-        "methods": {},
-        "recipe_ids": [],
-        "sizes": {"trial_seeds": about["seeds"]},
-        "columns": [{"heading": heading, "cell": cell} for heading, cell in columns.items()],
-        "across": None if across is None else {"heading": "{after}", "cell": across},
-        "notes": [],
-        "rows": rows,
-    }
+DRIFT_COLUMNS = {"course": "{course}", "dots": "{remedy}"}
+DRIFT_CELLS = {
+    "heading": "{after}",
+    "cell": "{rms_px:.2f}, {common_px:.2f}, {worst_px:.1f} px; {rms_n:.2f} N",
+}
+WRONG_COLUMNS = {
+    "course": "{course}",
+    "after": "{after}",
+    "off by 1 px or more: found of": "{found_1} of {there_1}",
+    "by 2 px or more: found of": "{found_2} of {there_2}",
+    "others called wrong": "{false:.1%}",
+}
 
 
 def main() -> None:
@@ -412,39 +403,12 @@ def main() -> None:
         rows += rows_of(course, judge)
         wrong += wrong_rows(course, judge)
         sys.stderr.write(f"{course}: done\n")
-    about = {
-        "command": f"python scripts/touch_drift.py --seed {chosen.seed} --minutes {chosen.minutes}",
-        "seeds": list(range(chosen.seed, chosen.seed + chosen.minutes)),
-    }
-    cell = "{rms_px:.2f}, {common_px:.2f}, {worst_px:.1f} px; {rms_n:.2f} N"
-    tables = (
-        result(
-            "touch-drift",
-            "Drift under pushes: error of a dot (rms), of all together (rms), of the worst, and of net shear (rms)",
-            {"course": "{course}", "dots": "{remedy}"},
-            cell,
-            rows,
-            about,
-        ),
-        result(
-            "touch-wrong-dots",
-            "Dots of the tracker `stable` that are off, and that are called wrong",
-            {
-                "course": "{course}",
-                "after": "{after}",
-                "off by 1 px or more: found of": "{found_1} of {there_1}",
-                "by 2 px or more: found of": "{found_2} of {there_2}",
-                "others called wrong": "{false:.1%}",
-            },
-            None,
-            wrong,
-            about,
-        ),
-    )
-    for table in tables:
-        path = chosen.out / f"{table['name']}.json"
-        path.write_text(json.dumps(table, indent=1) + "\n")
-        sys.stdout.write(f"{path}\n")
+    command = f"python scripts/touch_drift.py --seed {chosen.seed} --minutes {chosen.minutes}"
+    sizes = {"trial_seeds": list(range(chosen.seed, chosen.seed + chosen.minutes))}
+    title = "Drift under pushes: error of a dot (rms), of all together (rms), of the worst, and of net shear (rms)"
+    drift = table_of("touch-drift", title, DRIFT_COLUMNS, rows, command, sizes, across=DRIFT_CELLS)
+    title = "Dots of the tracker `stable` that are off, and that are called wrong"
+    write(chosen.out, drift, table_of("touch-wrong-dots", title, WRONG_COLUMNS, wrong, command, sizes))
 
 
 if __name__ == "__main__":

@@ -9,13 +9,11 @@ are called wrong. Simulated; the constants of kernels/touch/wrong_dots.py were c
 """
 
 import argparse
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
+from script_tables import RESULTS, table_of, write
 from touch_contacts import contacts_of, dots_of
-from touch_drift import RESULTS, result
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.evaluate.touch_contacts import SHAPES, ContactMaker, KnownContact, on_coarse_cells
@@ -118,11 +116,9 @@ def main() -> None:
     assert isinstance(sensor, Sensor)
     rest_mm = dots_of(sensor)
     rows = rows_of(contacts_of(ContactMaker(rest_mm), seeds), rest_mm, sensor.mm_per_px)
-    about = {"command": f"python scripts/touch_wrong_dots.py --seeds {chosen.seeds}", "seeds": seeds}
+    command = f"python scripts/touch_wrong_dots.py --seeds {chosen.seeds}"
     title = "Dots that are wrong on purpose; errors are medians over contacts"
-    path = chosen.out / "touch-wrong-injected.json"
-    path.write_text(json.dumps(result(path.stem, title, COLUMNS, None, rows, about), indent=1) + "\n")
-    sys.stdout.write(f"{path}\n")
+    write(chosen.out, table_of("touch-wrong-injected", title, COLUMNS, rows, command, {"contact_seeds": seeds}))
 
 
 if __name__ == "__main__":

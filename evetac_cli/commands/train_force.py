@@ -14,7 +14,7 @@ class TrainForce:
     method: str = parameter(
         "paper",
         "paper: shear force by a linear regression and the paper's network, for the dot grid of one sensor; touch:"
-        " stiffness, creep and offset of your sensor, with which predict-touch --model tells forces. Known forces of"
+        " stiffness and creep of your sensor, with which predict-touch --model tells forces. Known forces of"
         " touch lie beside the tracks as NAME.force.csv, or are the truth of a simulation.",
         choices=("paper", "touch"),
         needs=(TouchOption.PAPER, TouchOption.TOUCH),

@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results
 import touch_drift as study
 import touch_wrong_dots
+from script_tables import table_of
 from touch_contacts import dots_of
 
 
@@ -73,12 +74,9 @@ def test_a_short_run(flash: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if flash:
         assert rows["as the flash alone shows them"]["rms_px"] < 0.2
     else:
-        table = study.result("t", "T", {"dots": "{remedy}"}, "{rms_px:.1f} px", list(rows.values()), study_about())
+        across = {"heading": "{after}", "cell": "{rms_px:.1f} px"}
+        table = table_of("t", "T", {"dots": "{remedy}"}, list(rows.values()), "nothing", {}, across=across)
         assert "put back when nothing touches" in results.text(table)
-
-
-def study_about() -> dict[str, object]:
-    return {"command": "nothing", "seeds": [5]}
 
 
 def test_injected_errors_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,12 +108,14 @@ def dot_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
 def _images(layer: GelLayer, cells: CellGrid) -> list[tuple[int, int]]:
     """How many cells beyond the grid's low and high end, along x and along y, stand for the images of cells inside."""
     count = math.ceil(IMAGES_HEIGHTS * layer.height_mm / CELL_MM)
-    images = []
-    for line, low, high in zip(cells, layer.edges_mm[:2], layer.edges_mm[2:], strict=True):
-        ends = abs(line[0] - CELL_MM / 2 - low), abs(line[-1] + CELL_MM / 2 - high)
-        most = min(count, len(line))
-        images.append(tuple(most if off <= CELL_MM / 2 + 1e-9 else 0 for off in ends))
-    return images  # type: ignore[return-value]
+
+    def beyond(line: Floats, end_mm: float, edge_mm: float) -> int:
+        return min(count, len(line)) if abs(end_mm - edge_mm) <= CELL_MM / 2 + 1e-9 else 0
+
+    return [
+        (beyond(line, line[0] - CELL_MM / 2, low), beyond(line, line[-1] + CELL_MM / 2, high))
+        for line, low, high in zip(cells, layer.edges_mm[:2], layer.edges_mm[2:], strict=True)
+    ]
 
 
 def _motion_by_cells(layer: GelLayer, cells: CellGrid, dot_mm: Floats, images: list[tuple[int, int]]) -> Floats:

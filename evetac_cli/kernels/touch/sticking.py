@@ -115,7 +115,7 @@ def start(
 ) -> StickingState:
     """Begin with dots at rest (dots, 2) in mm from the middle of the image, NaN where one is missing.
 
-    network: such as the package's (stages/sticking_network.py). ValueError for dots that cannot be.
+    network: such as the package's (stages/touch/sticking_network.py). ValueError for dots that cannot be.
     """
     rest_mm = np.asarray(rest_mm, np.float64)
     if rest_mm.ndim != 2 or rest_mm.shape[1] != 2 or np.isfinite(rest_mm).all(axis=1).sum() < LEAST_DOTS:

@@ -18,7 +18,8 @@ from evetac_cli.kernels.touch import dot_field, sticking, touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.sticking import StickingReading, StickingState
 from evetac_cli.kernels.touch.touch_map import TouchState
-from evetac_cli.stages import row_blocks, sticking_network
+from evetac_cli.stages import row_blocks
+from evetac_cli.stages.touch import sticking_network
 from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, GelWeights, at_window
 from evetac_cli.store.files import StageFile
 

@@ -8,7 +8,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.resources import STICKING_MODEL
-from evetac_cli.stages import sticking_network
+from evetac_cli.stages.touch import sticking_network
 
 
 def test_the_package_s_network_says_what_it_saw() -> None:
