@@ -65,8 +65,8 @@ NETWORKS = (
     *("no-hist-img", "hist10-img", "no-hist-img-6x6", "hist10-img-6x6", "disp-xy"),
 )
 RECORDED_SCENES = (
-    *("slip", "slip-varied", "handling", "data-rate", "grip-steps", "shear", "press", "rest", "edge", "vibration"),
-    "vibration-randomized",
+    *("slip", "slip-varied", "slip-speeds", "handling", "data-rate", "grip-steps", "shear", "press", "rest", "edge"),
+    *("vibration", "vibration-randomized"),
 )
 GRASPED_SCENES = ("lift", "sideways", "drop-20g", "drop-100g")
 SENSORS = (

@@ -17,13 +17,17 @@ import itertools
 import json
 import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import motions
 import numpy as np
 import sticking_trials as trials
+from motions import Trial
 from results import ranges
 from script_tables import RESULTS, table_of, write
-from sticking_trials import AFTER_MS, HIGH, LOW, Looks, Trial
+from sticking_trials import AFTER_MS, HIGH, LOW, Looks
 
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.events import Events
@@ -121,19 +125,19 @@ def judged(trial: Trial, looks: Looks) -> Row:
 
 def tracked_trial(number: int, seed: int) -> tuple[Trial, Floats]:
     """A trial that a camera sees, and its dots by the tracker `stable`."""
-    planned = trials.planned(CAMERA, number, seed)
+    planned = motions.planned(CAMERA, number, seed)
     constants = PRESETS["stable"].for_dots(planned.plan.sensor.dot_radius_px)
     state: TrackerState | None = None
     seen: list[Floats] = []
 
-    def see(rest_px: Floats, events: Events) -> None:
+    def see(sensor: Mapping[str, Any], events: Events, row: Mapping[str, Any]) -> None:
         nonlocal state
         if state is None:
-            state = tracker.start(rest_px, constants)
+            state = tracker.start(np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2), constants)
         tracker.step(state, events.x, events.y, events.p)
         seen.append(state.dot_xy_px.copy())
 
-    trial = trials.played(planned, seed, see)
+    trial = motions.played(planned, seed, see)
     return trial, np.array(seen)
 
 
@@ -144,7 +148,7 @@ def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row
     known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     by_trial = {(row["object"], row["seed"]): row for row in known}
     rows: list[Row] = []
-    for seed, number in itertools.product(seeds, trials.JUDGED):
+    for seed, number in itertools.product(seeds, motions.JUDGED):
         if sum(row["minutes"] for row in rows) >= minutes:
             return rows
         row = by_trial.get((number, seed))
@@ -162,7 +166,7 @@ def row_of(motion: str, number: int, seed: int) -> Row:
     if motion == WITH_CAMERA:
         trial, dot_px = tracked_trial(number, seed)
         return judged(trial, trials.looks_at(trial, dot_px, np.zeros(len(trial.rest_px), np.bool_), shipped()))
-    trial = trials.played(trials.planned(motion, number, seed), seed)
+    trial = motions.played(motions.planned(motion, number, seed), seed)
     return judged(trial, trials.looks_of(trial, rng, shipped()))
 
 
@@ -213,7 +217,7 @@ NOTE = (
     f"Error, where 0.05 to 0.95 slip. In time: an alarm {AHEAD_MS} ms or more before gross slip; possible: 0.8 or less"
     f" stuck by then. False alarms: where less than 0.05 slipped for {AFTER_MS} ms; just before and"
     f" after a slip: within {NEAR_MS} ms of one. All alarms below 0.05: with those in these {AFTER_MS} ms."
-    " *: a motion that was not trained on. Objects " + ranges(trials.JUDGED) + ", of which none was trained on."
+    " *: a motion that was not trained on. Objects " + ranges(motions.JUDGED) + ", of which none was trained on."
 )
 
 
@@ -230,7 +234,7 @@ def main() -> None:
     seeds = range(int(first), int(last or first) + 1)
     asked = [name for name in chosen.motions.split(",") if name]
     shown, every = [], []
-    for motion in asked or (*trials.MOTIONS, WITH_CAMERA):
+    for motion in asked or (*motions.MOTIONS, WITH_CAMERA):
         rows = rows_of(
             motion, seeds, min(chosen.minutes, CAMERA_MINUTES) if motion == WITH_CAMERA else chosen.minutes, chosen.rows
         )
@@ -239,12 +243,12 @@ def main() -> None:
         name = f"{motion} *" if motion in trials.UNSEEN else motion
         shown.append(summary(name, rows))
         sys.stdout.write(json.dumps(shown[-1]) + "\n")
-        if motion == trials.MOTIONS[-1] and not asked:
+        if motion == motions.MOTIONS[-1] and not asked:
             shown.append(summary("all", every))
             sys.stdout.write(json.dumps(shown[-1]) + "\n")
     if not asked:
         command = f"python scripts/judge_sticking.py --seeds {seeds[0]}-{seeds[-1]} --minutes {chosen.minutes:g}"
-        sizes = {"objects": list(trials.JUDGED), "minutes_of_each_motion": chosen.minutes}
+        sizes = {"objects": list(motions.JUDGED), "minutes_of_each_motion": chosen.minutes}
         title = "The share of a contact that sticks, by motion"
         write(chosen.out, table_of(NAME, title, COLUMNS, shown, f"{command} --rows sticking", sizes, notes=(NOTE,)))
 

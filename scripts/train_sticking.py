@@ -12,11 +12,12 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import motions
 import numpy as np
 import sticking_trials as trials
 import torch
+from motions import Trial
 from scipy.linalg import block_diag
-from sticking_trials import Trial
 
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.kernels.touch.dot_field import X_MM, Y_MM
@@ -42,7 +43,7 @@ DROPPED = 0.02  # share of the inputs that are left out at random
 
 def sensor_of(count: int, number: int, seed: int) -> str:
     """The sensor of the count-th trial of an object and a motion."""
-    return trials.EVETAC if count % OTHER_SENSOR != OTHER_SENSOR - 1 else f"randomized:{20 * seed + number}"
+    return motions.EVETAC if count % OTHER_SENSOR != OTHER_SENSOR - 1 else f"randomized:{20 * seed + number}"
 
 
 def training_trials(folder: Path) -> list[Trial]:
@@ -51,7 +52,7 @@ def training_trials(folder: Path) -> list[Trial]:
         trials.kept(folder, motion, number, seed + count, sensor_of(count, number, seed + count), reshaped)
         for seed, counts, reshaped in ((FIRST_SEED, COUNTS, False), (RESHAPED_SEED, RESHAPED, True))
         for count in range(max(counts.values()))
-        for number in trials.TRAINED
+        for number in motions.TRAINED
         for motion, most in counts.items()
         if count < most
     ]
@@ -62,10 +63,10 @@ def choosing_trials(folder: Path) -> dict[str, list[Trial]]:
     return {
         motion: [
             trials.kept(folder, motion, number, CHOOSING_SEED + count)
-            for number in trials.CHOSEN_BY
+            for number in motions.CHOSEN_BY
             for count in range(CHOOSING_COUNT)
         ]
-        for motion in trials.MOTIONS
+        for motion in motions.MOTIONS
         if motion not in trials.UNSEEN
     }
 
@@ -210,7 +211,7 @@ def main() -> None:
         "networks": NETWORKS,
         "training": {
             "seed": chosen.seed,
-            "objects": list(trials.TRAINED),
+            "objects": list(motions.TRAINED),
             "motions": COUNTS,
             "motions_of_reshaped_objects": RESHAPED,
             "trial_seeds": [FIRST_SEED, RESHAPED_SEED + max(RESHAPED.values()) - 1],
@@ -218,11 +219,11 @@ def main() -> None:
             "camera": "none: true dots with a drawn error of a tracker",
         },
         "deviations": {
-            "objects": list(trials.CHOSEN_BY),
+            "objects": list(motions.CHOSEN_BY),
             "trial_seeds": [CHOOSING_SEED, CHOOSING_SEED + CHOOSING_COUNT - 1],
             "mean_error_between_0.05_and_0.95": float(np.abs(said - true)[between].mean()),
         },
-        "never_trained_on": {"objects": list(trials.JUDGED), "motions": list(trials.UNSEEN)},
+        "never_trained_on": {"objects": list(motions.JUDGED), "motions": list(trials.UNSEEN)},
         "simulated": True,
     }
     chosen.out.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n")

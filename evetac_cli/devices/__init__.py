@@ -123,6 +123,7 @@ class Rig:
     slices: int = 0  # how many there are at most; 0 where nobody knows. Simulations only, for the progress shown
     slips_at_ma: float = nan  # about this current lets the object go, which ends the trial earlier
     sampled: str = ""  # JSON of the parameters that a simulation sampled for this trial
+    fall_factor: float = 1.0  # on how fast a ramp lets the current fall
     sensor: Mapping[str, Any] = field(default_factory=dict)  # what is known beyond what the camera says of itself
     setup: Mapping[str, Any] = field(default_factory=dict)  # what the devices are and how they are set; JSON
     simulated: bool = True  # what the camera sees comes from a simulation

@@ -102,6 +102,7 @@ def open_rig(
         driver,
         holding_ma=world.holding_ma if world else 0.0,
         sampled=world.sampled if world else "",
+        fall_factor=world.fall_factor if world else 1.0,
         sensor=world.sensor if world else {},
         setup={"camera": camera_setup, "gripper": gripper_setup},
         simulated=camera.has(Capability.SIMULATED),

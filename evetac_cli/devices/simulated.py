@@ -109,4 +109,5 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
         slices,
         simulation.slips_at_ma(),
         sampled,
+        simulation.sampled.fall_factor,
     )

@@ -14,10 +14,12 @@ from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, PATIENCE, Sticking
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import judge_sticking as judge
+import motions
 import results
 import sticking_trials as trials
 import train_sticking as training
-from sticking_trials import Looks, Trial
+from motions import Trial
+from sticking_trials import Looks
 
 REST_PX = np.stack(np.meshgrid(np.linspace(50, 500, 8), np.linspace(40, 440, 7)), -1).reshape(-1, 2)
 
@@ -28,7 +30,7 @@ def trial(share: np.ndarray, slips: np.ndarray) -> Trial:
     dots = np.repeat(pressed[None], len(share), axis=0).astype(np.float32)
     one = np.ones(len(share), np.float32)
     shear = np.stack([one, 0 * one], axis=1)
-    return Trial(dots, REST_PX, 0.0329, share.astype(np.float32), slips, one, shear, (640, 480))
+    return Trial(dots, REST_PX, 0.0329, share.astype(np.float32), slips, one, shear, 0 * one, (640, 480))
 
 
 def looks(count: int, share: float, alarm: np.ndarray) -> Looks:
@@ -75,15 +77,15 @@ def test_alarms_of_shares_have_the_same_patience() -> None:
 
 def test_a_trial_without_camera_is_that_with_one() -> None:
     """Assert that dots and truth are the same numbers whether or not a camera looks, and that it saw something."""
-    short = trials.planned("slip", 8, 9000)
+    short = motions.planned("slip", 8, 9000)
     seen = 0
 
     class Enough(Exception):
         pass
 
     def rows(see: Any) -> list[dict[str, Any]]:
-        timer = trials.untimed if see else trials.without_camera
-        devices, slices = trials.slices_of(short, 0, 9000, timer)
+        timer = motions.untimed if see else motions.without_camera
+        devices, slices = motions.slices_of(short, 0, 9000, timer)
         kept = [row for (_, row), _ in zip(slices, range(320), strict=False)]
         devices.close()
         return kept
@@ -95,22 +97,22 @@ def test_a_trial_without_camera_is_that_with_one() -> None:
     assert seen == 320
 
 
-@pytest.mark.parametrize("motion", trials.MOTIONS)
+@pytest.mark.parametrize("motion", motions.MOTIONS)
 def test_a_motion_is_always_the_same(motion: str) -> None:
     """Assert that a seed plans the same trial again, and another seed another one where anything is drawn."""
-    one, again, other = (trials.planned(motion, 7, seed) for seed in (5, 5, 6))
+    one, again, other = (motions.planned(motion, 7, seed) for seed in (5, 5, 6))
     assert one == again
-    assert (one != other) == (motion in trials.CHANGES)
-    reshaped = trials.planned(motion, 7, 5, reshaped=True)
+    assert (one != other) == (motion in motions.CHANGES or motion == "opening")
+    reshaped = motions.planned(motion, 7, 5, reshaped=True)
     assert reshaped.plan.touched != one.plan.touched
 
 
 def test_what_is_judged_is_not_trained_on() -> None:
     """Assert that objects, motions and seeds of training, choosing and judging are apart, and all objects are used."""
-    objects = (trials.TRAINED, trials.CHOSEN_BY, trials.JUDGED)
+    objects = (motions.TRAINED, motions.CHOSEN_BY, motions.JUDGED)
     assert sorted(number for some in objects for number in some) == list(range(1, 21))
     assert not set(training.COUNTS) & set(trials.UNSEEN) and not set(training.RESHAPED) & set(trials.UNSEEN)
-    assert not set(trials.JERKS_MM_S) & set(trials.FAST_JERKS_MM_S)
+    assert not set(motions.JERKS_MM_S) & set(motions.FAST_JERKS_MM_S)
     seeds = (training.FIRST_SEED, training.RESHAPED_SEED, training.CHOOSING_SEED)
     assert max(seeds) + 100 < 10_000
 
@@ -190,6 +192,6 @@ def test_rows_are_kept_and_not_made_again(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(judge.rows_of("fast jerks", range(9000, 9003), 3.0, tmp_path)) == 6 == len(made)
     assert len(made) == len(set(made))
     lines = (tmp_path / "fast-jerks.jsonl").read_text().splitlines()
-    assert [json.loads(line)["object"] for line in lines] == list(trials.JUDGED)
+    assert [json.loads(line)["object"] for line in lines] == list(motions.JUDGED)
     with pytest.raises(SystemExit, match="seeds are too few"):
         judge.rows_of("fast jerks", range(9000, 9003), 20.0, tmp_path)

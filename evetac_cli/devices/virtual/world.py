@@ -116,6 +116,7 @@ class VirtualWorld:
         self.sensor: Mapping[str, Any] = reply["sensor"]
         self.holding_ma: float = reply["holding_ma"]
         self.sampled: str = reply["sampled"]
+        self.fall_factor: float = reply["fall_factor"]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_process": None, "truths": None}
@@ -292,6 +293,7 @@ class _RunningWorld:
             "sensor": dict(self._rig.camera.sensor),
             "holding_ma": self._rig.holding_ma,
             "sampled": self._rig.sampled,
+            "fall_factor": self._rig.fall_factor,
         }
 
     def run(self, on: bool) -> None:

@@ -148,6 +148,16 @@ class GripperSettings:
     friction_factor: tuple[float, float] = between(
         "factor on the gear's friction, or its range", None, 1000, above=0, or_one=True, default=(1.0, 1.0)
     )
+    fall_factor: tuple[float, float] = between(
+        "factor on how fast the ramp lets the current fall, or its range, from which each trial draws one, uniform in"
+        " its logarithm",
+        None,
+        1000,
+        above=0,
+        or_one=True,
+        default=(1.0, 1.0),
+        only_in=("ramp", "hold"),
+    )
     backlash_ticks: float | None = number(
         "lost motion between motor and finger, in ticks of the gripper: after a reversal the finger stays until the"
         " motor has gone so far",

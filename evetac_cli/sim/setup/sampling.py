@@ -40,6 +40,7 @@ class SampledTrial:
     tilt_rad: float
     gear_friction_factor: float
     start_factor: float
+    fall_factor: float  # on how fast the ramp lets the current fall
     texture_log_sd: float
     texture_half_correlation_px: float
     touch_m: tuple[float, float]  # middle of the object from that of the pad where it is touched: along gravity, across
@@ -61,7 +62,7 @@ def sample_trial(
     Where the sensor's gel names one, it moves the middle of the range, and objects still differ.
     """
     placement = rng.spawn(1)[0]  # a stream of its own, so that these keys shift no others
-    of_memory, of_pressure = placement.spawn(2)
+    of_memory, of_pressure, of_fall = placement.spawn(3)
     varied, texture, own_friction = scene.randomise, scene.texture or Texture(), sensor.friction
 
     def drawn(ends: tuple[float, float]) -> float:
@@ -102,6 +103,7 @@ def sample_trial(
         tilt_rad=float(np.deg2rad(tilt_deg)),
         gear_friction_factor=drawn(scene.gripper.friction_factor),
         start_factor=drawn(scene.gripper.start_factor),
+        fall_factor=float(np.exp(of_fall.uniform(*np.log(scene.gripper.fall_factor)))),
         texture_log_sd=drawn(texture.log_sd),
         texture_half_correlation_px=drawn(texture.half_correlation_px),
         touch_m=(float(touch_m[0]), float(touch_m[1])),

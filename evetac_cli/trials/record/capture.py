@@ -45,7 +45,10 @@ from evetac_cli.trials.trial import OUTPUT
 NEWS_SLICES = 100  # after so many slices it is asked what was lost, and said
 METHOD = 1  # of recordings from devices
 SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
-OWN_PARAMETERS = ("trial", "trajectory", "object", "object_row", "sensor_row", "sampled_holding_ma")  # of each trial
+OWN_PARAMETERS = (  # of each trial
+    *("trial", "trajectory", "object", "object_row", "sensor_row"),
+    *("sampled_holding_ma", "sampled_fall_factor"),
+)
 
 
 def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> Outcome:
@@ -120,6 +123,8 @@ def _begin(
     asked_ma = None if trial.hold is None else trial.hold.holding_ma
     # A current that every trial draws for itself belongs to the trial, not to how the series is set up.
     drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
+    if hold is not None and hold.fall_factor != 1.0:
+        drawn["sampled_fall_factor"] = hold.fall_factor
     recipe = session.make_recipe(
         METHOD,
         {**({} if trial.plan is None else trial.plan.parameters()), **trajectory, "trial": trial.number},
@@ -143,7 +148,7 @@ def _set_up(hold: Hold, asked_ma: float | None) -> dict[str, Any]:
     if hold.course is not None:
         return {"course": asdict(hold.course)}
     ramp = {**asdict(hold), "holding_ma": asked_ma}
-    del ramp["course"]
+    del ramp["course"], ramp["fall_factor"]
     return ramp
 
 
@@ -198,7 +203,7 @@ def _finish(recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[st
 
 def _hold(trial: DeviceRecording, rig: Rig) -> Hold | None:
     """How the object is handled; None without a gripper, as beside a second camera."""
-    return None if rig.gripper is None or trial.hold is None else trial.hold.hold(rig.holding_ma)
+    return None if rig.gripper is None or trial.hold is None else trial.hold.hold(rig.holding_ma, rig.fall_factor)
 
 
 def _write(

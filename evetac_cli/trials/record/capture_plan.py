@@ -42,8 +42,8 @@ class HoldRequest:
             request.hold(asked_ma)
         return request
 
-    def hold(self, sampled_ma: float) -> Hold:
-        """The hold of one trial; sampled_ma: what its scene draws. InputError for a current that cannot fall."""
+    def hold(self, sampled_ma: float, fall_factor: float = 1.0) -> Hold:
+        """The hold of one trial; both are what its scene draws. InputError for a current that cannot fall."""
         holding_ma = sampled_ma if self.holding_ma is None else self.holding_ma
         if self.course is None and self.lowest_ma >= holding_ma:
             raise InputError(
@@ -52,7 +52,7 @@ class HoldRequest:
                 expected=f"less than the holding current, {holding_ma:g} mA (--holding-ma)",
                 found=f"{self.lowest_ma:g} mA",
             )
-        return Hold(self.closing_ma, holding_ma, self.hold_s, self.lowest_ma, self.course)
+        return Hold(self.closing_ma, holding_ma, self.hold_s, self.lowest_ma, self.course, fall_factor)
 
     def __str__(self) -> str:
         if self.course is not None:

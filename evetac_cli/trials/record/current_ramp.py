@@ -50,7 +50,7 @@ class RampPhase(IntEnum):
 class Hold:
     """How an object is gripped and let go, in motor current; closing is positive.
 
-    course: what the current follows instead, from the first command on.
+    course: what the current follows instead, from the first command on; fall_factor: on how fast the current falls.
     """
 
     closing_ma: int
@@ -58,6 +58,7 @@ class Hold:
     hold_s: float
     lowest_ma: float  # the recording ends where the target falls below
     course: GripperCurrent | None = None
+    fall_factor: float = 1.0
 
 
 @dataclass
@@ -80,8 +81,8 @@ def start(hold: Hold) -> HoldState:
 def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.Generator) -> float:
     """One command: returns the target current in mA, and sets `state.ended` in words once there is nothing left to do.
 
-    The target falls by U(-0.025, -0.0025) mA a command (paper); what is written to the gripper is its whole number.
-    DeviceError if the fingers meet nothing.
+    The target falls by fall_factor times U(-0.025, -0.0025) mA per command (paper, with a factor of 1); what is written
+    to the gripper is its whole number. DeviceError if the fingers meet nothing.
     """
     if hold.course is not None:
         time_s = state.held * COMMAND_MS * 1e-3
@@ -100,7 +101,7 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
         if state.held * COMMAND_MS > 1000 * hold.hold_s:
             state.phase = RampPhase.FALLING
     elif state.phase is RampPhase.FALLING:
-        state.target_ma += rng.uniform(*RAMP_MA)
+        state.target_ma += hold.fall_factor * rng.uniform(*RAMP_MA)
         if state.target_ma <= hold.lowest_ma:
             state.ended = "the current reached its lower limit"
         elif reading.position_ticks <= state.touch_ticks - OPENED_TICKS:

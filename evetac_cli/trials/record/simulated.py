@@ -131,7 +131,8 @@ def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:
     """How many slices a trial will have, for the progress shown: where the object slips out, about so many."""
     if math.isnan(devices.slips_at_ma):
         return devices.slices
-    ramp_ms = COMMAND_MS * (devices.slips_at_ma - devices.holding_ma) / np.mean(RAMP_MA)
+    a_command_ma = devices.fall_factor * np.mean(RAMP_MA)
+    ramp_ms = COMMAND_MS * (devices.slips_at_ma - devices.holding_ma) / a_command_ma
     return min(devices.slices, round(schedule.ramp_ms + ramp_ms + GONE_MS))
 
 
@@ -153,7 +154,7 @@ def _slices(
             written_ma = round(target_ma)
         if devices.gripper is not None and due:
             if course is None and number > schedule.ramp_ms and not schedule.opens:
-                target_ma += rng.uniform(*RAMP_MA)
+                target_ma += devices.fall_factor * rng.uniform(*RAMP_MA)
             now_us = devices.camera.now_us()
             rows |= _command(devices.gripper, now_us, target_ma, number, schedule, open_ticks)
         yield events, rows

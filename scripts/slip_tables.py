@@ -1,0 +1,219 @@
+"""Thresholds and tables from rows of judged trials (slip_trials.py): timing, warning ahead, and their price."""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from script_tables import table_of
+from slip_alarms import AFTER_MS, BEFORE_MS, FOLLOWS_MS, IN_A_ROW, LEADS_MS, RULES
+from slip_alarms import SLIPS as SLIP_SHARE
+from slip_trials import SLIPS, THRESHOLDS
+
+from evetac_cli.jobs import Row
+from evetac_cli.kernels.slip.metrics import Counts, timing
+
+HERE = Path(__file__).resolve().parent
+THRESHOLD_FILE = HERE / "slip-thresholds.json"
+PER_MINUTE = 1.0  # false alarms that a warning may cost, in the mean over motions
+DRAWS, BOOTSTRAP_SEED = 2000, 0
+SPEEDS_N_S = (1.5, 4.0)  # slower, between and faster: the paper's ramp makes 2.4 to 3.3 N/s
+Rows = dict[str, list[Row]]  # by motion
+
+
+def names_of(rows: Rows) -> list[str]:
+    """The scores that the rows are of."""
+    first = next(row for of_motion in rows.values() for row in of_motion)
+    return list(first["scores"])
+
+
+def slip_rows(rows: Rows) -> list[Row]:
+    """Trials with an onset that timing is judged by."""
+    return [row for motion in SLIPS for row in rows.get(motion, []) if "unloading_n_s" in row]
+
+
+def false_per_minute(of_motion: Sequence[Row], score: str, rule: str) -> NDArray[np.float64]:
+    """False alarms per minute of contact, by threshold."""
+    minutes = sum(row["minutes"] for row in of_motion)
+    counts = np.sum([row["scores"][score]["false"][rule] for row in of_motion], axis=0)
+    rate: NDArray[np.float64] = counts / minutes
+    return rate
+
+
+def mean_false(rows: Rows, score: str, rule: str) -> NDArray[np.float64]:
+    """The same, in the mean over motions; never rising with the threshold."""
+    every = [false_per_minute(of_motion, score, rule) for of_motion in rows.values() if of_motion]
+    mean = np.mean(every, axis=0)
+    lowest: NDArray[np.float64] = np.maximum.accumulate(mean[::-1])[::-1]
+    return lowest
+
+
+def f1(of_slips: Iterable[Row], score: str, at: int) -> float:
+    """F1 over the slices of all trials, at a threshold's place."""
+    return Counts(*np.sum([row["scores"][score]["counts"][at] for row in of_slips], axis=0).tolist()).f1
+
+
+def timings(of_slips: Sequence[Row], score: str, at: int) -> NDArray[np.str_]:
+    """Whether each first detection is early, correct or late, by the paper's rule."""
+    # a trial's onset is taken as far along as the earliest detection is ahead
+    first = [row["scores"][score]["first_ms"][at] for row in of_slips]
+    ahead = 100_000
+    return np.array([timing(-1 if ms is None else ahead + ms, ahead) for ms in first])
+
+
+def choose_thresholds(rows: Rows, seed: int) -> None:
+    """Write for every score the threshold of its timing, by the paper's rule, and those of PER_MINUTE, by rule."""
+    of_slips = slip_rows(rows)
+    known = json.loads(THRESHOLD_FILE.read_text()) if THRESHOLD_FILE.exists() else {}
+    for score in names_of(rows):
+        merits = [
+            float((timings(of_slips, score, at) == "correct").mean()) + f1(of_slips, score, at)
+            for at in range(len(THRESHOLDS))
+        ]
+        chosen: Row = {"timing": THRESHOLDS[int(np.argmax(merits))]}
+        for rule in RULES:
+            within = np.flatnonzero(mean_false(rows, score, rule) <= PER_MINUTE)
+            chosen[rule] = THRESHOLDS[int(within[0])] if len(within) else THRESHOLDS[-1]
+        trials = {motion: len(of_motion) for motion, of_motion in rows.items()}
+        known[score] = {**chosen, "seed": seed, "trials": trials}
+    THRESHOLD_FILE.write_text(json.dumps(known, indent=1) + "\n")
+
+
+def thresholds() -> dict[str, Row]:
+    """What `choose_thresholds` wrote."""
+    loaded: dict[str, Row] = json.loads(THRESHOLD_FILE.read_text())
+    return loaded
+
+
+def interval(
+    values: Sequence[float], clusters: Sequence[Any], of: Callable[[NDArray[np.float64]], float] = np.mean
+) -> tuple[float, float]:
+    """95 % interval of a mean by drawing clusters with replacement."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    groups = [
+        np.array([v for v, c in zip(values, clusters, strict=True) if c == one]) for one in dict.fromkeys(clusters)
+    ]
+    drawn = [of(np.concatenate([groups[i] for i in rng.integers(len(groups), size=len(groups))])) for _ in range(DRAWS)]
+    low, high = np.quantile(drawn, [0.025, 0.975]).tolist()
+    return low, high
+
+
+def clusters_of(of_slips: Sequence[Row]) -> list[str]:
+    """What trials share: their sensor where it is a random one, else their object, another in each."""
+    return [row["sensor"] if row["sensor"] != "evetac" else str(row["seed"]) for row in of_slips]
+
+
+def _share(flags: NDArray[np.bool_]) -> float | None:
+    return float(flags.mean()) if len(flags) else None
+
+
+def timing_table(name: str, rows: Rows, command: str) -> Row:
+    """Timing and F1 of every score at its threshold, over all slips and by how fast the grip was unloaded."""
+    of_slips, chosen = slip_rows(rows), thresholds()
+    speed = np.array([row["unloading_n_s"] for row in of_slips])
+    slow, fast = SPEEDS_N_S
+    shown = []
+    for score in names_of(rows):
+        at = THRESHOLDS.index(chosen[score]["timing"])
+        told = timings(of_slips, score, at)
+        right = told == "correct"
+        first = [row["scores"][score]["first_ms"][at] for row in of_slips]
+        low, high = interval(right.astype(float).tolist(), clusters_of(of_slips))
+        shown.append(
+            {
+                "score": score,
+                "slips": len(of_slips),
+                "threshold": THRESHOLDS[at],
+                "correct": float(right.mean()),
+                "correct_low": low,
+                "correct_high": high,
+                "early": float((told == "early").mean()),
+                "late": float((told == "late").mean()),
+                "f1": f1(of_slips, score, at),
+                "first_ms_median": float(np.median([ms for ms in first if ms is not None] or [math.nan])),
+                "correct_slow": _share(right[speed < slow]),
+                "correct_usual": _share(right[(speed >= slow) & (speed < fast)]),
+                "correct_fast": _share(right[speed >= fast]),
+            }
+        )
+    columns = {
+        "knows, ahead": "{score}",
+        "slips": "{slips}",
+        "threshold": "{threshold:g}",
+        "timing correct": "{correct:.3f} ({correct_low:.2f} to {correct_high:.2f})",
+        "early": "{early:.3f}",
+        "late": "{late:.3f}",
+        "F1": "{f1:.3f}",
+        "first detection, median [ms]": "{first_ms_median:.0f}",
+        f"correct, below {slow:g} N/s": "{correct_slow:.2f}",
+        f"{slow:g} to {fast:g} N/s": "{correct_usual:.2f}",
+        f"above {fast:g} N/s": "{correct_fast:.2f}",
+    }
+    note = (
+        "Timing and F1 as in the paper; thresholds chosen on other trials"
+        f" ({chosen[shown[0]['score']]['seed']} is the first seed of each motion). Intervals by sensor and object."
+    )
+    return table_of(name, "Timing of slip", columns, shown, command, sizes_of(rows), notes=(note,))
+
+
+def sizes_of(rows: Rows) -> Row:
+    """What tables were made of."""
+    return {
+        "seeds": f"{min(row['seed'] for of in rows.values() for row in of)}-"
+        f"{max(row['seed'] for of in rows.values() for row in of)}",
+        "trials": {motion: len(of_motion) for motion, of_motion in rows.items()},
+        "minutes": {motion: round(sum(row["minutes"] for row in of), 2) for motion, of in rows.items()},
+    }
+
+
+def leads(of_slips: Sequence[Row], score: str, rule: str, at: int) -> NDArray[np.float64]:
+    """How far ahead each slip was warned of, in ms; minus infinity where it was not."""
+    found = [ms for row in of_slips for ms in row["scores"][score]["leads_ms"][rule][at]]
+    return np.array([-math.inf if ms is None else ms for ms in found])
+
+
+def warned_at(rows: Rows, score: str, rule: str, per_minute: float, least_ms: int) -> float:
+    """Share of slips warned of at least so far ahead, where false alarms come so often, between thresholds."""
+    of_slips = slip_rows(rows)
+    rates = mean_false(rows, score, rule)
+    shares = [float((leads(of_slips, score, rule, at) >= least_ms).mean()) for at in range(len(THRESHOLDS))]
+    order = np.argsort(rates, kind="stable")
+    return float(np.interp(per_minute, rates[order], np.array(shares)[order]))
+
+
+def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
+    """One table for each rule: share of slips warned of in time, and false alarms per minute of each motion."""
+    chosen = thresholds()
+    means = {
+        "unmoved": f"less than {SLIP_SHARE:.0%} of the visible contact slips from {BEFORE_MS} ms before it to"
+        f" {AFTER_MS} ms after",
+        "unfollowed": f"no gross slip follows within {FOLLOWS_MS} ms",
+    }
+    tables = []
+    for rule in RULES:
+        shown = []
+        for score in names_of(rows):
+            at = THRESHOLDS.index(chosen[score][rule])
+            row: Row = {"score": score, "threshold": THRESHOLDS[at]}
+            ahead = leads(slip_rows(rows), score, rule, at)
+            row |= {f"warned_{ms}_ms": float((ahead >= ms).mean()) for ms in LEADS_MS}
+            row |= {f"warned_{ms}_ms_at_one": warned_at(rows, score, rule, PER_MINUTE, ms) for ms in LEADS_MS}
+            row["false_per_min"] = float(np.mean([false_per_minute(of, score, rule)[at] for of in rows.values()]))
+            for motion, of_motion in rows.items():
+                row[motion] = float(false_per_minute(of_motion, score, rule)[at])
+            shown.append(row)
+        columns = {"knows, ahead": "{score}", "threshold": "{threshold:g}"}
+        columns |= {f"warned {ms} ms ahead": f"{{warned_{ms}_ms:.2f}}" for ms in LEADS_MS}
+        columns["false alarms per minute"] = "{false_per_min:.2f}"
+        columns["warned 10 ms ahead where that is 1"] = "{warned_10_ms_at_one:.2f}"
+        columns |= {f"in {motion}": f"{{{motion}:.2f}}" for motion in rows}
+        note = (
+            f"A false alarm: {means[rule]}. An alarm is {IN_A_ROW} slices on end; the next counts after 200 ms without."
+            f" Thresholds: about {PER_MINUTE:g} per minute in the mean over motions, on other trials."
+        )
+        title = f"Slip warned of ahead, and false alarms: {means[rule]}"
+        tables.append(table_of(f"{name}-{rule}", title, columns, shown, command, sizes_of(rows), notes=(note,)))
+    return tables

@@ -1,0 +1,112 @@
+"""One trial judged: alarms, leads, timing and F1 of every score at every threshold, as one row.
+
+A score is an oracle's, or the probability of a slip detector that sees the trial through camera and tracker.
+"""
+
+import itertools
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import motions
+import numpy as np
+import slip_alarms
+import slip_oracles
+from motions import EVETAC, Planned, Trial
+from slip_alarms import RULES
+
+from evetac_cli.arrays import Singles
+from evetac_cli.jobs import Row
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip.labels import is_slip, shift_labels
+
+# Where the rare scores near 0 and 1 differ, thresholds are closer.
+THRESHOLDS = (
+    *(0.005, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9),
+    *(0.925, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999),
+)
+SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset that timing is judged by
+RAMP_MS = 900  # in these, what comes before is not examined: the weight is handed over
+SENSORS = 20
+SPEED_MS = 300  # before slip, over which the speed of unloading is taken
+Scores = Mapping[str, tuple[Singles, int]]  # probability of each slice by name, and its horizon in ms
+
+
+def oracle_scores(trial: Trial) -> dict[str, tuple[Singles, int]]:
+    """The scores of the oracles, each for each horizon."""
+    pairs = itertools.product(slip_oracles.ORACLES, slip_oracles.HORIZONS_MS)
+    return {f"{name} {ms} ms": (slip_oracles.score(trial, name, ms), ms) for name, ms in pairs}
+
+
+def planned_at(motion: str, objects: tuple[int, ...], seed: int, place: int, sensors: int) -> tuple[int, Planned]:
+    """The object and the plan of the place-th trial of a motion; every second one has a randomised sensor.
+
+    Objects are of other shape, width, weight and friction than the table's, another in each trial.
+    """
+    number = objects[place % len(objects)]
+    sensor = EVETAC if place % 2 == 0 else f"randomized:{sensors + place // 2 % SENSORS}"
+    trial = motions.planned(motion, number, seed + place, sensor, reshaped=motion != "data-rate")
+    scene = replace(trial.plan.scene, gel=replace(trial.plan.scene.gel, cut=True))
+    return number, trial._replace(plan=replace(trial.plan, scene=scene))
+
+
+def judged(motion: str, trial: Trial, scores: Scores) -> Row:
+    """What every score did in a trial: counts by threshold."""
+    held = trial.normal_n > 0.0
+    slips = trial.slips & held
+    row: Row = {"minutes": round(float(held.sum()) / 60_000, 5), "slips": len(slip_alarms.slip_begins(slips))}
+    begins = slip_alarms.slip_begins(slips)
+    if motion in SLIPS and begins:
+        before = trial.normal_n[max(begins[0] - SPEED_MS, 0) : begins[0]]
+        row["unloading_n_s"] = round(float(before[0] - before[-1]) / (1e-3 * len(before)), 3)
+    row["scores"] = {
+        name: _counted(motion, trial, score, horizon_ms, slips) for name, (score, horizon_ms) in scores.items()
+    }
+    return row
+
+
+def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> Row:
+    held = trial.normal_n > 0.0
+    every = [slip_alarms.judge(is_slip(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
+    counted: Row = {
+        "false": {rule: [one.false[rule] for one in every] for rule in RULES},
+        "leads_ms": {rule: [one.leads_ms[rule] for one in every] for rule in RULES},
+    }
+    begins = slip_alarms.slip_begins(slips)
+    if motion not in SLIPS or not begins:
+        return counted
+    onset = begins[0]
+    label = np.where(np.arange(len(slips)) < RAMP_MS, np.int8(-1), trial.slips.astype(np.int8))
+    shifted = shift_labels(label, horizon_ms)
+    counted |= {"first_ms": [], "counts": []}
+    for at in THRESHOLDS:
+        on = is_slip(score, at)
+        on[:RAMP_MS] = False
+        first = metrics.onset(on)
+        counted["first_ms"].append(None if first < 0 else first - onset)
+        counted["counts"].append(list(metrics.counts(shifted, on, onset)))
+    return counted
+
+
+def rows_of(
+    path: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, minutes: float, most: int,
+    play: Callable[[Planned, int], tuple[Trial, Scores]],
+) -> list[Row]:  # fmt: skip
+    """The rows of a motion until its trials last so long or are so many; from the file as far as they are there."""
+    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    for place, (number, planned) in enumerate(trials):
+        if sum(row["minutes"] for row in rows) >= minutes or place >= most:
+            return rows
+        if place < len(known):
+            rows.append(known[place])
+            continue
+        trial, scores = play(planned, seed + place)
+        about = {"object": number, "seed": seed + place, "sensor": planned.plan.sensor_name}
+        rows.append({**about, **judged(motion, trial, scores)})
+        with path.open("a") as file:
+            file.write(json.dumps(rows[-1]) + "\n")
+    return rows
