@@ -1,4 +1,4 @@
-"""The ceiling of slip detection: how well oracles do that know what no sensor does, on slips and on motion without slip.
+"""The ceiling of slip detection: how well oracles do that know what no sensor does, on slips and other motion.
 
 `python scripts/slip_ceiling.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
 thresholds are chosen by, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200

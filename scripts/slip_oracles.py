@@ -34,7 +34,7 @@ LEAST_N = 0.02  # of a force, in a logarithm
 
 
 def known(trial: Trial) -> Floats:
-    """What `force` knows of each slice: (slices, 4) share, log of grip over load, their product, opening in ticks/ms."""
+    """What `force` knows of each slice: (slices, 4) share, log grip over load, their product, opening in ticks/ms."""
     share = trial.slip_share.astype(np.float64)
     load_n = np.hypot(*trial.shear_n.T.astype(np.float64))
     grip = np.log((trial.normal_n + LEAST_N) / (load_n + LEAST_N))

@@ -45,7 +45,7 @@ def planned_at(motion: str, objects: tuple[int, ...], seed: int, place: int, sen
 
     Objects are of other shape, width, weight and friction than the table's, another in each trial.
     """
-    number = objects[place % len(objects)]
+    number = objects[place // 2 % len(objects)]
     sensor = EVETAC if place % 2 == 0 else f"randomized:{sensors + place // 2 % SENSORS}"
     trial = motions.planned(motion, number, seed + place, sensor, reshaped=motion != "data-rate")
     scene = replace(trial.plan.scene, gel=replace(trial.plan.scene.gel, cut=True))
