@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,17 @@ def test_ramp_is_the_papers(seed: int, lowest_ma: float) -> None:
     assert "lower limit" in state.ended
     if len(changes) > 200:
         assert abs(changes.mean() - np.mean(RAMP_MA)) < 5 * (RAMP_MA[1] - RAMP_MA[0]) / np.sqrt(12 * len(changes))
+
+
+def test_a_factor_makes_the_ramp_faster() -> None:
+    """Assert that each change of the target is the paper's times the factor."""
+    targets = []
+    for factor in (1.0, 4.0):
+        hold = replace(HOLD, fall_factor=factor)
+        state, _ = after_contact(hold)
+        rng = np.random.default_rng(3)
+        targets.append([step(state, hold, GripperReading(0.0, 400), rng) - 40.0 for _ in range(50)])
+    assert np.allclose(4.0 * np.array(targets[0]), targets[1])
 
 
 def test_open_gripper_ends_it() -> None:

@@ -2,14 +2,18 @@
 
 import itertools
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.store.hdf5 import disk
 from evetac_cli.trials import grasp, record
+from evetac_cli.trials.record import simulated
+from evetac_cli.trials.trial import SimulatedTrial
 from tests.conftest import Made
 from tests.quick import few
 
@@ -67,3 +71,20 @@ def test_what_is_written_depends_on_no_clock(
         seen.append((len(writes), sum(writes)))
         assert [path.name for path in job.output.parent.iterdir()] == [job.output.name]
     assert len(set(seen)) == 1
+
+
+def test_the_current_falls_as_fast_as_the_scene_says() -> None:
+    """Assert that a range of factors is drawn from, and that the current falls so many times as fast as without."""
+    ramps = []
+    for factors in ((1.0, 1.0), (3.0, 3.0), (0.25, 4.0)):
+        plan = first_plan("slip", "8")
+        gripper = replace(plan.scene.gripper, fall_factor=factors)
+        scene = replace(plan.scene, gripper=gripper, time=replace(plan.scene.time, longest_s=1.2))
+        devices, slices = simulated.play(SimulatedTrial((), Path(), 0, 5, replace(plan, scene=scene)))
+        rows = [row for _, row in slices]
+        devices.close()
+        targets = [row["gripper/current_target_ma"] for row in rows if "gripper/current_target_ma" in row]
+        ramps.append((devices.fall_factor, targets[0] - targets[-1]))
+    (once, as_printed), (thrice, faster), (drawn, varied) = ramps
+    assert (once, thrice) == (1.0, 3.0) and 0.25 < drawn < 4.0
+    assert faster == pytest.approx(3 * as_printed) and varied == pytest.approx(drawn * as_printed)

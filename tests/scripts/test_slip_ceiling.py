@@ -1,0 +1,124 @@
+"""What slips are warned of, at which price: alarms, oracles, and the tables made of judged trials."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import results
+import slip_alarms
+import slip_oracles
+import slip_tables
+import slip_trials
+from motions import MOTIONS, Trial
+from slip_alarms import APART_MS, IN_A_ROW, RULES
+
+MS = 3000
+ONSET = 2000
+
+
+def flags(*spans: tuple[int, int]) -> np.ndarray:
+    """Slices that are on."""
+    on = np.zeros(MS, np.bool_)
+    for first, stop in spans:
+        on[first:stop] = True
+    return on
+
+
+def trial() -> Trial:
+    """A contact of which ever more slips in the 100 ms before ONSET, while the fingers open and the load stays."""
+    at = np.arange(MS, dtype=np.float32)
+    share = np.clip((at - (ONSET - 100)) / 100, 0, 1).astype(np.float32)
+    normal = np.clip(3 - at / 1500, 0.5, None).astype(np.float32)
+    dots = np.zeros((MS, 4, 2), np.float32)
+    shear = np.stack([np.ones(MS), np.zeros(MS)], axis=1).astype(np.float32)
+    return Trial(dots, np.zeros((4, 2)), 0.03, share, at >= ONSET, normal, shear, 5 - at / 500, (640, 480))
+
+
+def test_an_alarm_needs_slices_on_end_and_quiet_before_the_next() -> None:
+    """Assert that short spikes raise no alarm, that a flicker is one alarm, and that one after a pause is another."""
+    again = 300 + 2 * APART_MS
+    on = flags((100, 100 + IN_A_ROW - 1), (200, 210), (250, 260), (again, again + 5))
+    assert slip_alarms.begins(on) == [200 + IN_A_ROW - 1, again + IN_A_ROW - 1]
+
+
+def test_alarms_are_false_by_two_rules() -> None:
+    """Assert that motion of a part of the contact makes an alarm true by one rule, and only gross slip by the other."""
+    share, slips = np.zeros(MS, np.float32), flags((ONSET, MS))
+    share[700:760] = 0.5
+    share[ONSET - 60 :] = 1.0
+    judged = slip_alarms.judge(flags((100, 110), (705, 720), (ONSET - 40, ONSET + 30)), share, slips)
+    assert judged.false == {"unmoved": 1, "unfollowed": 2}
+    assert judged.leads_ms == {rule: [40 - IN_A_ROW + 1] for rule in RULES}
+
+
+def test_an_alarm_that_ends_before_slip_warns_of_nothing() -> None:
+    """Assert that slip is warned of neither by an alarm that went off before it, nor by a false or a late one."""
+    share, slips = np.zeros(MS, np.float32), flags((ONSET, MS))
+    share[1000:] = 0.5
+    gone = slip_alarms.judge(flags((1100, 1200)), share, slips)
+    late = slip_alarms.judge(flags((ONSET + 100, ONSET + 200)), share, slips)
+    assert gone.leads_ms["unmoved"] == late.leads_ms["unmoved"] == [None]
+    assert late.false == {"unmoved": 0, "unfollowed": 0}  # it slides, and nobody was warned
+
+
+def test_oracles_know_when_it_slips() -> None:
+    """Assert that each oracle's score rises towards slip, and that nothing of later slices is known."""
+    whole = trial()
+    cut = Trial(*(part[:ONSET] if np.shape(part)[:1] == (MS,) else part for part in whole))
+    for oracle in slip_oracles.ORACLES:
+        for horizon_ms in slip_oracles.HORIZONS_MS:
+            score = slip_oracles.score(whole, oracle, horizon_ms)
+            assert score.shape == (MS,) and score.min() >= 0 and score.max() <= 1
+            assert score[ONSET] > 0.9 > 0.2 > score[1000]
+            assert np.array_equal(score[:ONSET], slip_oracles.score(cut, oracle, horizon_ms))
+
+
+def test_oracles_are_fitted_to_what_they_are_asked() -> None:
+    """Assert that a fit on a trial tells slip from no slip there."""
+    weights = slip_oracles.fit([trial()], "ahead", 10)
+    logit = slip_oracles.columns(trial(), "ahead") @ weights
+    assert logit[ONSET - 5] > 0 > logit[ONSET - 200]
+    fitted = json.loads(slip_oracles.FILE.read_text())["fitted_to"]
+    assert max(fitted["seeds"]) < 10_000
+
+
+def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a judged trial is not played again, and that thresholds and tables follow from the rows."""
+    monkeypatch.setattr(slip_tables, "THRESHOLD_FILE", tmp_path / "thresholds.json")
+    played = []
+
+    def play(planned: slip_trials.Planned, seed: int) -> tuple[Trial, slip_trials.Scores]:
+        played.append(seed)
+        return trial(), slip_trials.oracle_scores(trial())
+
+    rows = {}
+    for motion in ("slip-speeds", "pushes"):
+        plans = [slip_trials.planned_at(motion, (4, 7), 100, place, 100) for place in range(4)]
+        assert [number for number, _ in plans] == [4, 4, 7, 7]
+        for _ in range(2):
+            given = (tmp_path / motion, motion, iter(plans), 100, 99.0, 2, play)
+            rows[motion] = slip_trials.rows_of(*given)
+    assert played == [100, 101, 100, 101]
+    slip_tables.choose_thresholds(rows, 100)
+    timing = slip_tables.timing_table("a", rows, "command")
+    ahead = next(row for row in timing["rows"] if row["score"] == "ahead 10 ms")
+    assert (ahead["slips"], ahead["correct"], ahead["late"]) == (2, 1.0, 0.0)
+    tables = slip_tables.warning_tables("b", rows, "command")
+    assert len(tables) == len(RULES)
+    for table in (timing, *tables):
+        shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
+        assert all(cells[0] for cells in shown) and len(shown) == len(slip_trials.oracle_scores(trial()))
+    exact = next(row for row in tables[0]["rows"] if row["score"] == "share 0 ms")
+    assert exact["warned_10_ms"] == 1.0 and exact["false_per_min"] <= 1.0
+
+
+def test_motions_for_training_leave_some_for_the_judge() -> None:
+    """Assert that detectors are trained on known motions, and that some are kept for the judge alone."""
+    import motion_recordings
+
+    for counts in motion_recordings.COUNTS.values():
+        assert set(counts) < set(MOTIONS) and not {"fast jerks", "weights", "data-rate"} & set(counts)
