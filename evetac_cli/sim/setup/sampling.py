@@ -93,6 +93,7 @@ def sample_trial(
     if touched.shape != "flat":
         lever_m = 0.0  # the weight of a round object acts on its axis, and there it is touched
     lever_m += touched.lever_mm * 1e-3
+    slowest, fastest = scene.gripper.fall_factor
     return SampledTrial(
         mass_kg=mass_kg,
         static_friction=static,
@@ -103,7 +104,7 @@ def sample_trial(
         tilt_rad=float(np.deg2rad(tilt_deg)),
         gear_friction_factor=drawn(scene.gripper.friction_factor),
         start_factor=drawn(scene.gripper.start_factor),
-        fall_factor=float(np.exp(of_fall.uniform(*np.log(scene.gripper.fall_factor)))),
+        fall_factor=slowest * (fastest / slowest) ** float(of_fall.random()),
         texture_log_sd=drawn(texture.log_sd),
         texture_half_correlation_px=drawn(texture.half_correlation_px),
         touch_m=(float(touch_m[0]), float(touch_m[1])),
