@@ -12,6 +12,7 @@ import motions
 from motions import Planned
 from slip_trials import planned_at
 
+from evetac_cli.errors import SceneError
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.grip.control import make_law
 from evetac_cli.trials import grasp, record
@@ -61,7 +62,10 @@ def main() -> None:
             output = folder / f"{folder.name}-obj{number:02d}-s{first + place}.recording.h5"
             trial = trial_of(planned, first + place, output)
             run = grasp.simulated.run if isinstance(trial, SimulatedGrasp) else record.simulated.run
-            run(trial, force=False, progress=silent)  # type: ignore[arg-type]
+            try:
+                run(trial, force=False, progress=silent)  # type: ignore[arg-type]
+            except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
+                sys.stdout.write(f"{output.name} is left out: {error}\n")
         sys.stdout.write(f"{motion}: {count * len(objects)} recordings\n")
 
 

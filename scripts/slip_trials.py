@@ -18,6 +18,7 @@ from motions import EVETAC, Planned, Trial
 from slip_alarms import RULES
 
 from evetac_cli.arrays import Singles
+from evetac_cli.errors import SceneError
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.labels import is_slip, shift_labels
@@ -94,19 +95,26 @@ def rows_of(
     path: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, minutes: float, most: int,
     play: Callable[[Planned, int], tuple[Trial, Scores]],
 ) -> list[Row]:  # fmt: skip
-    """The rows of a motion until its trials last so long or are so many; from the file as far as they are there."""
+    """The rows of a motion until its trials last so long or are so many; from the file as far as they are there.
+
+    A trial that the simulator refuses leaves a row that says so, and is not among those returned.
+    """
     known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     path.parent.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for place, (number, planned) in enumerate(trials):
-        if sum(row["minutes"] for row in rows) >= minutes or place >= most:
-            return rows
+        judged_so_far = [row for row in rows if "refused" not in row]
+        if sum(row["minutes"] for row in judged_so_far) >= minutes or len(judged_so_far) >= most:
+            return judged_so_far
         if place < len(known):
             rows.append(known[place])
             continue
-        trial, scores = play(planned, seed + place)
-        about = {"object": number, "seed": seed + place, "sensor": planned.plan.sensor_name}
-        rows.append({**about, **judged(motion, trial, scores)})
+        row: Row = {"object": number, "seed": seed + place, "sensor": planned.plan.sensor_name}
+        try:
+            row |= judged(motion, *play(planned, seed + place))
+        except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
+            row["refused"] = error.message
+        rows.append(row)
         with path.open("a") as file:
-            file.write(json.dumps(rows[-1]) + "\n")
-    return rows
+            file.write(json.dumps(row) + "\n")
+    raise ValueError(f"{motion}: expected more than {len(rows)} trials for {minutes:g} minutes or {most} trials")

@@ -16,6 +16,8 @@ import slip_trials
 from motions import MOTIONS, Trial
 from slip_alarms import APART_MS, IN_A_ROW, RULES
 
+from evetac_cli.errors import SceneError
+
 MS = 3000
 ONSET = 2000
 
@@ -103,6 +105,16 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
             given = (tmp_path / motion, motion, iter(plans), 100, 99.0, 2, play)
             rows[motion] = slip_trials.rows_of(*given)
     assert played == [100, 101, 100, 101]
+
+    def refuse(planned: slip_trials.Planned, seed: int) -> tuple[Trial, slip_trials.Scores]:
+        if seed == 100:
+            raise SceneError("too heavy")
+        return play(planned, seed)
+
+    plans = [slip_trials.planned_at("grip", (4, 7), 100, place, 100) for place in range(4)]
+    for _ in range(2):
+        left = slip_trials.rows_of(tmp_path / "grip", "grip", iter(plans), 100, 99.0, 2, refuse)
+        assert [row["seed"] for row in left] == [101, 102]
     slip_tables.choose_thresholds(rows, 100)
     timing = slip_tables.timing_table("a", rows, "command")
     ahead = next(row for row in timing["rows"] if row["score"] == "ahead 10 ms")
