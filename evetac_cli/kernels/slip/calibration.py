@@ -18,9 +18,9 @@ from evetac_cli.kernels.slip.metrics import F1_CUT_MS, Prediction
 
 ABOVE = 0.1  # calibration is judged on slices of which so much is said: of most others nothing is
 BINS = np.linspace(0.1, 1.0, 10)  # edges
-# A penalty that matters only where slices that slip and those that do not are told apart without error.
-PENALTY = 1e-3
+PENALTY = 1e-6  # of both numbers; it only keeps the equations solvable where all slices say the same
 NEAREST = 1e-7  # to 0 and 1: float32 has no probability nearer to 1 but 1
+MOST_ODDS = 50.0  # log odds that are certain in float32
 
 
 class Calibration(NamedTuple):
@@ -29,10 +29,14 @@ class Calibration(NamedTuple):
     scale: float
     offset: float
 
+    def inverse(self) -> "Calibration":
+        """The one that takes this one back."""
+        return Calibration(1 / self.scale, -self.offset / self.scale)
+
     def of(self, probability: NDArray[np.floating]) -> NDArray[np.float32]:
         """Calibrated probabilities; NaN stays."""
-        calibrated = 1.0 / (1.0 + np.exp(-(self.scale * _log_odds(probability) + self.offset)))
-        single: NDArray[np.float32] = calibrated.astype(np.float32)
+        odds = np.clip(self.scale * _log_odds(probability) + self.offset, -MOST_ODDS, MOST_ODDS)
+        single: NDArray[np.float32] = (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
         return single
 
 
@@ -45,7 +49,10 @@ def fit(predictions: Sequence[Prediction]) -> Calibration:
     if not 0 < np.count_nonzero(slips) < len(slips):
         raise ValueError("expected slices that slip and others, found one kind")
     columns = np.stack([_log_odds(probability), np.ones(len(probability))], axis=1)
-    scale, offset = logistic.fit(columns, slips.astype(float), np.full(2, PENALTY), np.ones(len(slips))).tolist()
+    # Platt's targets: one more slice of each kind, so that slices told apart without error make nothing certain.
+    count = np.count_nonzero(slips)
+    target = np.where(slips, (count + 1) / (count + 2), 1 / (len(slips) - count + 2))
+    scale, offset = logistic.fit(columns, target, np.full(2, PENALTY), np.ones(len(slips))).tolist()
     if not (np.isfinite([scale, offset]).all() and scale > 0):
         raise ValueError(f"expected more slip where more is said, found a scale of {scale:g}")
     return Calibration(scale, offset)
