@@ -62,7 +62,8 @@ TRACKERS = {
 # Architectures of slip detectors, in the order of the paper's table.
 NETWORKS = (
     *("no-hist", "hist10", "events-only", "disp-only", "hist20", "down5", "fast-slow"),
-    *("no-hist-img", "hist10-img", "no-hist-img-6x6", "hist10-img-6x6", "disp-xy"),
+    *("no-hist-img", "hist10-img", "no-hist-img-6x6", "hist10-img-6x6"),
+    *("disp-xy", "disp-xy-grip"),
 )
 RECORDED_SCENES = (
     *("slip", "slip-varied", "slip-speeds", "handling", "data-rate", "grip-steps", "shear", "press", "rest", "edge"),

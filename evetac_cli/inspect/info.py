@@ -16,7 +16,7 @@ from evetac_cli.inspect import info_slip
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.pages import touch_words
-from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid, streams
 from evetac_cli.store.recordings.read import Recording
@@ -277,10 +277,30 @@ def _model(file: StageFile) -> dict[str, Any]:
             int(np.prod(shape)) for name, (_, shape) in file.contents().items() if name.endswith((".weight", ".bias"))
         ),
         "threshold": float(file.read("threshold")),
+        **_warnings(file),
         **{name.replace("/", "_"): float(file.read(name)) for name in VALIDATED if file.has(name)},
         "steps": int(file.read("curve/step")[-1]),
         "loss": float(file.read("curve/loss")[-1]),
     }
+
+
+def _warnings(file: StageFile) -> dict[str, Any]:
+    """What the warnings of a model cost at its threshold, and what its probabilities were calibrated on."""
+    figures: dict[str, Any] = {}
+    if (curve := read_curve(file)) is not None:
+        false, warned = curve.at(float(file.read("threshold")))
+        figures |= {
+            "false_alarms_per_min": false if curve.minutes else None,
+            "minutes_without_slip": curve.minutes,
+            "warned_10_ms_ahead": warned,
+            "slips_validated_on": curve.slips,
+        }
+    on = (
+        f"{file.read('calibration/slices')} slices of {file.read('calibration/on')}"
+        if file.has("calibration")
+        else None
+    )
+    return figures | {"calibrated_on": on}
 
 
 def _force_model(file: StageFile) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """featurize: the inputs of slip detectors, slice by slice (paper, "Evetac Touch Features").
 
 Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
-may be a folder. Added on request alone: event images, which only the image baselines need and which are half of the
-file, and from the truth of a simulation the share of the contact that slips, for `train --learn-true-slip-share`.
+may be a folder. Where the recording has a gripper, its position and goals are told of each slice. Added on request
+alone: event images, which only the image baselines need and which are half of the file; the share of the contact that
+sticks, from a touch map; and from the truth of a simulation the share that slips, for `train --learn-true-slip-share`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
-METHOD = 5
+METHOD = 6
 TRUE_SLIP_SHARE = TRUE_SLIP_SHARES[0]  # in a simulated recording as well
 COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # a row for every slice
 
@@ -47,18 +48,20 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     for file in files:
         tracks = _named(file, "tracks", params.tracks)
         labels = _named(file, "labels", params.labels)
-        inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
+        inputs = (file, tracks, *([output_path(tracks, "touch", None)] if params.sticking_share else []))
+        inputs = (*inputs, labels) if params.labels or labels.exists() else inputs
         made.append(Job(inputs, output_path(file, OUTPUT, out)))
     return made
 
 
 def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
-    return Recipe(OUTPUT, METHOD, recipe_of(params), parents=tuple(parents))
+    sticking = {"sticking_share": True} if params.sticking_share else {}
+    return Recipe(OUTPUT, METHOD, recipe_of(params) | sticking, parents=tuple(parents))
 
 
 def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
     """The recipe of the features, where an index knows all that they are made from."""
-    kinds = ("recording", "tracks", "labels")
+    kinds = ("recording", "tracks", *(["touch"] if params.sticking_share else []), "labels")
     parents = [known.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
     every = [parent for parent in parents if parent is not None]
     return _recipe(params, every) if len(every) == len(parents) else None
@@ -66,7 +69,8 @@ def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Displacement and events of every dot, events outside the window, and the labels if there are any."""
-    recording_path, tracks_path, *labels_path = job.inputs
+    recording_path, tracks_path, *others = job.inputs
+    touch_path, labels_path = (others[:1], others[1:]) if params.sticking_share else ([], others)
     with ExitStack() as opened:
         recording = opened.enter_context(open_recording(recording_path))
         if not tracks_path.exists():
@@ -87,6 +91,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         arrays |= {f"sensor/{name}": np.float64(value) for name, value in known.items()}
         if params.true_slip_share:
             arrays[TRUE_SLIP_SHARE] = _true_slip_share(recording)
+        for path in touch_path:
+            arrays["sticking_share"] = _sticking_share(path, tracks, recording, parents)
         for path in labels_path:
             with StageFile(path, "labels") as labels:
                 check_made_from(labels, recording)
@@ -98,6 +104,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
         slices = len(recording)
+        arrays |= _gripper(recording)
         arrays["events_total"] = np.diff(recording.starts).astype(np.int32)
         arrays["dot_shape"] = np.array(rest_xy_px.shape[:2], np.int32)
         blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params.images, progress)
@@ -110,8 +117,53 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         simulated=simulated,
         slices=slices,
         labelled="label" in arrays,
+        gripper="gripper_position_ticks" in arrays,
         onset_ms=onset if onset >= 0 else None,
     )
+
+
+def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
+    """Where the gripper of a recording was, and what it was told to do, as each slice began; nothing without one.
+
+    A goal current of a step in position mode, and a goal position where no controller wrote one, are NaN.
+    """
+    from evetac_cli.kernels.slip.extras import known_at_start
+
+    if not recording.has("gripper") or not recording.length("gripper/t_us"):
+        return {}
+    slices, t_us = len(recording), recording.read("gripper/t_us")
+    in_current_mode = ~np.isnan(recording.read("gripper/current_target_ma"))
+    goal_ma = np.where(in_current_mode, recording.read("gripper/current_written_ma"), np.nan)
+    told = {
+        "gripper_position_ticks": known_at_start(t_us, recording.read("gripper/position_ticks"), slices),
+        "gripper_goal_ma": known_at_start(t_us, goal_ma, slices),
+    }
+    if recording.has("control") and recording.length("control/t_us"):
+        steps = recording.read("control/t_us"), recording.read("control/goal_ticks")
+        told["gripper_goal_ticks"] = known_at_start(*steps, slices)
+    return told
+
+
+def _sticking_share(path: Path, tracks: StageFile, recording: Recording, parents: list[Header]) -> NDArray[np.float32]:
+    """The share that sticks by a touch map, (slices,), as it was known when each slice began: of the one before."""
+    if not path.exists():
+        raise InputError(
+            "the touch map of this recording is missing",
+            where=str(recording.path),
+            expected=str(path),
+            hint="evetac predict-touch makes it from the tracks",
+        )
+    with StageFile(path, "touch") as touch:
+        if tracks.header["id"] not in touch.header["parents"] or touch.length("sticking_share") != len(recording):
+            raise InputError(
+                "the touch map was made from other tracks",
+                where=str(path),
+                expected=f"made from {tracks.path}",
+                hint=f"evetac predict-touch --force {tracks.path}",
+            )
+        parents.append(touch.header)
+        share: NDArray[np.float32] = touch.read("sticking_share")
+    return np.concatenate([np.full(min(len(share), 1), np.nan, np.float32), share[:-1]])
 
 
 def _true_slip_share(recording: Recording) -> NDArray[np.float32]:

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.kernels.slip.calibration import Calibration
+from evetac_cli.kernels.slip.warning_curve import WarningCurve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
@@ -42,6 +44,63 @@ def require_useful(model: StageFile) -> None:
 def read_horizon_ms(model: StageFile) -> int:
     """How far ahead a model predicts slip, in ms; 0 for detection."""
     return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
+
+
+def read_calibration(model: StageFile) -> Calibration | None:
+    """What the logits of a model were scaled by after training; None where its probabilities are not calibrated."""
+    if not model.has("calibration"):
+        return None
+    return Calibration(float(model.read("calibration/scale")), float(model.read("calibration/offset")))
+
+
+def read_curve(model: StageFile) -> WarningCurve | None:
+    """What warnings of a model cost, by threshold; None for a model that does not say."""
+    if not model.has("warnings"):
+        return None
+    return WarningCurve(
+        model.read("warnings/threshold"),
+        model.read("warnings/false_alarms_per_min"),
+        model.read("warnings/warned_10_ms_ahead"),
+        float(model.read("warnings/minutes")),
+        int(model.read("warnings/slips")),
+    )
+
+
+def chosen_threshold(
+    model: StageFile, threshold: float | None = None, false_alarms_per_min: float | None = None
+) -> float:
+    """The threshold that a detector is run at: the one given, one with so few false alarms, or the model's own.
+
+    InputError where both are given, the model does not say how often it alarms falsely, or it always does more often.
+    """
+    if threshold is not None and false_alarms_per_min is not None:
+        raise InputError(
+            "a threshold and a number of false alarms are two ways to say one thing",
+            where="--false-alarms-per-min",
+            expected="one of them",
+            found=f"{threshold:g} and {false_alarms_per_min:g} per minute",
+        )
+    if false_alarms_per_min is None:
+        return float(model.read("threshold")) if threshold is None else threshold
+    curve = read_curve(model)
+    if curve is None or not curve.minutes:
+        raise InputError(
+            "the model does not say how often it alarms where nothing slips",
+            where=str(model.path),
+            expected="false alarms per minute by threshold, as `evetac train` stores them",
+            found="none: it is of an older evetac" if curve is None else "no slice 200 ms from slip to count them in",
+            hint="name a threshold instead, or train it anew, with trials without slip in --validate",
+        )
+    chosen = curve.threshold_for(false_alarms_per_min)
+    least = curve.at(chosen)[0]
+    if least > false_alarms_per_min:
+        raise InputError(
+            "no threshold of the model has so few false alarms",
+            where="--false-alarms-per-min",
+            expected=f"at least {least:.3g}",
+            found=f"{false_alarms_per_min:g}",
+        )
+    return chosen
 
 
 def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:

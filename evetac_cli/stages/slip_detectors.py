@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import features, inputs, onnx_graphs, sampling
+from evetac_cli.kernels.slip import extras, features, inputs, onnx_graphs, sampling
 from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
@@ -19,6 +19,8 @@ from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.rules import named_architecture
+
+EXTRA_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_ma", "sticking_share")
 
 
 def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: bool = False) -> Trajectory:
@@ -73,12 +75,16 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
                 hint="they were made by an older evetac; evetac featurize --force",
             )
         displacement_xy_px = file.read("displacement_xy_px", start, stop)
-    return features.series(
+    dots = features.series(
         file.read("displacement_px", start, stop),
         file.read("events_per_dot", start, stop),
         displacement_xy_px,
         architecture.factors(file.sensitivity),
     )
+    if not architecture.extras:
+        return dots
+    told = [file.read(name, start, stop) if file.has(name) else None for name in EXTRA_COLUMNS]
+    return inputs.DotsAndExtras(dots, extras.columns(len(dots), *told))
 
 
 def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> Prediction:

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.sensitivity import Sensitivity
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
+# What a network may be told beside the dots, of every slice: where the fingers are and what they are commanded, in
+# ticks (extras.py), and which share of the contact sticks, 0 to 1.
+EXTRAS = ("position", "command", "sticking")
+IN_TICKS = ("position", "command")
 # Of the sensor `evetac`, to which others are scaled: events of a pixel as a dot's rim passes it, and of its gel.
 EVENTS_A_RIM = 8.0
 SHEAR_MODULUS_PA = 145e3
@@ -49,6 +53,28 @@ class ChannelView(NamedTuple):
         return max(self.recent, self.block * self.means)
 
 
+class ExtraView(NamedTuple):
+    """How a network sees one of EXTRAS: whether it is known, its newest value, and by how much it changed since.
+
+    Known is 1 where the newest value and all that changes are taken from are known; else all are 0. Why changes: where
+    the fingers are tells the object's width, and a network would know by it which object of its training it is.
+    """
+
+    extra: str  # one of EXTRAS
+    newest: bool = False
+    changes_ms: tuple[int, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Inputs."""
+        return 1 + self.newest + len(self.changes_ms)
+
+    @property
+    def history(self) -> int:
+        """Slices that it reaches back, the newest one included."""
+        return 1 + max(self.changes_ms, default=0)
+
+
 class Factors(NamedTuple):
     """What the features of a dot are multiplied by: displacements (distance, x, y), and events."""
 
@@ -69,6 +95,7 @@ class DotArchitecture:
     # a gel of half the modulus moves twice as far under the same force, and a camera of half the threshold gives twice
     # the events for the same motion. The paper's models take what there is.
     like_one_sensor: bool = False
+    extras: tuple[ExtraView, ...] = ()  # given to every dot, after its own inputs; any of them may be unknown
 
     def __post_init__(self) -> None:
         channels = [view.channel for view in self.views]
@@ -82,17 +109,27 @@ class DotArchitecture:
         across = [tuple(view[1:]) for view in self.views if view.channel in ("x", "y")]
         if len(across) == 1 or (across and across[0] != across[1]):
             raise ValueError(f"views: expected x and y seen alike, so that they can be rotated, found {self.views}")
+        seen = [view.extra for view in self.extras]
+        if len(set(seen)) < len(seen) or not set(seen) <= set(EXTRAS):
+            raise ValueError(f"extras: expected different ones of {', '.join(EXTRAS)}, found {seen}")
+        if any(view.width < 2 or min(view.changes_ms, default=1) < 1 for view in self.extras):
+            raise ValueError(f"extras: expected a newest value, or changes over 1 ms or more, found {self.extras}")
         if min(self.fc1, self.fc2, self.every) < 1:
             raise ValueError(f"at least one unit a layer and one slice a prediction are needed, found {self}")
 
     @property
     def history(self) -> int:
         """Slices that one prediction needs."""
-        return max(view.history for view in self.views)
+        return max(*(view.history for view in self.views), *(view.history for view in self.extras), 0)
 
     @property
     def inputs_per_dot(self) -> int:
-        """Length of the vector that describes one dot, l_i in the paper's table."""
+        """Length of the vector that describes one dot, l_i in the paper's table; with what it is told beside."""
+        return self.own_inputs + sum(view.width for view in self.extras)
+
+    @property
+    def own_inputs(self) -> int:
+        """How many of them are of the dot itself: the first."""
         return sum(view.recent + view.means for view in self.views)
 
     @property
@@ -247,6 +284,23 @@ _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
 _POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
 
 
+def last_layer(architecture: Architecture, rows: int, columns: int) -> str:
+    """The name of the layer that gives the logit, of networks over so many dots; of plug-ins it takes torch."""
+    if isinstance(architecture, PluginArchitecture):
+        return list(architecture.modules(rows, columns))[-1]
+    return "fc2" if isinstance(architecture, ImageArchitecture) else "fc5"
+
+
+def with_scaled_logit(weights: Mapping[str, Weights], layer: str, scale: float, offset: float) -> dict[str, Weights]:
+    """Weights of a detector whose logit is scale * logit + offset of this one's; layer: the last of each network."""
+    changed = dict(weights)
+    for prefix in prefixes(weights):
+        weight, bias = f"{prefix}{layer}.weight", f"{prefix}{layer}.bias"
+        changed[weight] = (scale * weights[weight].astype(np.float64)).astype(np.float32)
+        changed[bias] = (scale * weights[bias].astype(np.float64) + offset).astype(np.float32)
+    return changed
+
+
 def _train_cut_ms(history: int) -> int:
     """15 ms for a history of 10 or less, 20 ms to 20, 50 ms beyond (paper, Model Training & Data Selection)."""
     if history <= 10:
@@ -289,6 +343,24 @@ ARCHITECTURES: dict[str, Architecture] = {
             fc1=24,
             fc2=8,
             like_one_sensor=True,
+        ),
+        # The same, and what the gripper does and how much of the contact sticks, where that is known: fingers that
+        # open a tick move the dots as a contact that begins to slip does.
+        DotArchitecture(
+            "disp-xy-grip",
+            (
+                ChannelView("x", 10, 10, 5, change=True),
+                ChannelView("y", 10, 10, 5, change=True),
+                ChannelView("events", 10, 10, 5),
+            ),
+            fc1=24,
+            fc2=8,
+            like_one_sensor=True,
+            extras=(
+                ExtraView("position", changes_ms=(10, 20, 30, 40, 50)),
+                ExtraView("command", changes_ms=(10, 20, 30, 40, 50)),
+                ExtraView("sticking", newest=True, changes_ms=(10, 50)),
+            ),
         ),
     )
 }

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
-from evetac_cli.kernels.slip import dot_network, features, inputs, onnx_graphs
+from evetac_cli.kernels.slip import dot_network, extras, features, inputs, onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
+    EXTRAS,
     GEL_PX,
     Architecture,
     DotArchitecture,
@@ -89,7 +90,9 @@ class Detector:
         """Number of values of one input."""
         if isinstance(self.architecture, ImageArchitecture):
             return int(np.prod(self.architecture.input_shape))
-        return 1 if isinstance(series, EventImages) else int(series.shape[1]) * self.architecture.inputs_per_dot
+        if isinstance(series, EventImages):
+            return 1
+        return int(inputs.dots_of(series).shape[1]) * self.architecture.inputs_per_dot
 
 
 def _session(graph: bytes) -> Any:
@@ -129,16 +132,19 @@ class Live:
         self._window_px = window_px
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
+        self._told = np.full(len(EXTRAS), np.nan)  # what the next slice is told
         if isinstance(architecture, DotArchitecture) and networks is not None:
             seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
             rows, columns = networks.sizes[:2].tolist()
             if len(seen) != rows * columns:
                 raise ValueError(f"expected {rows} x {columns} dots for the network, found {len(seen)}")
             dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
+            self._told = dots.record["extras"][0]
             batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
             # Everything that the compiled call needs and changes, in its order, made once.
             self._dots = (
                 *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
+                *(extras.table(architecture.extras), architecture.own_inputs),
                 *(batch, *networks, np.full(1, np.nan, np.float32)),
             )
             copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
@@ -149,10 +155,18 @@ class Live:
             detector.check_dots(len(self._seen))
             factors = architecture.factors(sensor)
             self._features = features.start(tracking.rest_xy_px[self._seen], architecture.history, factors)
+            self._told = self._features.record["extras"][0]
         self._slices = 0  # of images, or of dots for a network of a plug-in, so far
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=architecture.history)
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
+
+    def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
+        """What is known beside the dots from the next slice on, until it is told anew; NaN for what is not.
+
+        command_ticks: as `extras.command_ticks` has it. A network that is told none of these does not mind.
+        """
+        self._told[:] = position_ticks, command_ticks, sticking_share
 
     def step(self, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> float:
         """Slip probability after the events of one more slice; NaN until the history is full.
@@ -173,8 +187,12 @@ class Live:
             self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         since_full = self._slices - architecture.history
         if since_full >= 0 and since_full % architecture.every == 0:
-            is_other = isinstance(architecture, PluginArchitecture)
-            series = features.latest(self._features) if is_other else self._stack()
+            series: inputs.Series
+            if isinstance(architecture, PluginArchitecture):
+                told = features.latest_extras(self._features.record)
+                series = inputs.DotsAndExtras(features.latest(self._features), told)
+            else:
+                series = self._stack()
             batch = inputs.at(architecture, series, self._newest)
             self._probability = float(self.detector.probability(batch)[0])
         return self._probability
@@ -195,6 +213,8 @@ def _predict_slice(
     seen: NDArray[np.int64],
     every: int,
     views: NDArray[np.int64],
+    extra_views: NDArray[np.int64],
+    own_inputs: int,
     batch: NDArray[np.float32],
     weights: NDArray[np.float32],
     sizes: NDArray[np.int64],
@@ -203,7 +223,7 @@ def _predict_slice(
     """Track the dots, take in the features of those seen, and predict when it is due: `probability` holds it till then.
 
     tracking, dots: records of a `tracker.TrackerState` and a `features.FeatureState`; batch: work space (1, dots,
-    inputs); the rest as `inputs.fill` and `dot_network.predict` take it.
+    inputs); the rest as `inputs.fill`, `extras.fill` and `dot_network.predict` take it.
     """
     tracker.take_slice(tracking, x, y, p)
     all_xy_px, all_events = tracking[0]["centre_xy_px"][:], tracking[0]["events"][:]
@@ -216,5 +236,6 @@ def _predict_slice(
     if since_full >= 0 and since_full % every == 0:
         ends = np.array([dots[0]["history"] - 1])
         inputs.fill(features.latest_slices(dots), ends, views, batch)
+        extras.fill(features.latest_extras(dots), ends, extra_views, own_inputs, batch)
         dot_network.predict(batch, weights, sizes, probability)
     return float(probability[0])

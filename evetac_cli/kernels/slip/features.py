@@ -25,7 +25,7 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.records import check_record
-from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX, Factors
+from evetac_cli.kernels.slip.architectures import CHANNELS, EXTRAS, GEL_PX, Factors
 
 DOT_CAPACITY = MOST_DOTS  # dots that a state has room for
 HISTORY_CAPACITY = 128  # slices
@@ -42,6 +42,8 @@ STATE = np.dtype(
         # (2 * history, n, channels), flat: every slice is written twice, `history` rows apart, so that the last slices
         # always lie in one piece, the newest last.
         ("ring", np.float32, 2 * HISTORY_CAPACITY * DOT_CAPACITY * len(CHANNELS)),
+        ("extras", np.float64, len(EXTRAS)),  # what the next slice is told, NaN where it is not known
+        ("extras_ring", np.float32, (2 * HISTORY_CAPACITY, len(EXTRAS))),  # as the ring
     ],
     align=True,
 )
@@ -94,6 +96,7 @@ def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNS
     record["dots"], record["history"] = len(rest), history
     record["displacement_factor"], record["events_factor"] = factors
     record["rest_xy_px"][0, : len(rest)] = rest
+    record["extras"] = np.nan
     # Compiles or loads the kernel now and not in the first slice; on a copy, which is no slice.
     take_slice(record.copy(), rest, np.zeros(len(rest), np.int32))
     return FeatureState(record)
@@ -326,6 +329,9 @@ def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events
             ring[k], ring[k + 1], ring[k + 2], ring[k + 3] = distance, events, right, down
         first += len(CHANNELS)
         again += len(CHANNELS)
+    told, extras_ring = state["extras"][:], state["extras_ring"][:]
+    for i in range(len(EXTRAS)):
+        extras_ring[row, i] = extras_ring[row + history, i] = np.float32(told[i])
     state["slices"] += 1
 
 
@@ -353,6 +359,15 @@ def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
     first, row = state["slices"] % history, dots * len(CHANNELS)
     latest: NDArray[np.float32] = state["ring"][first * row : (first + history) * row]
     return latest.reshape(history, dots, len(CHANNELS))
+
+
+@njit(cache=True)
+def latest_extras(record: NDArray[np.void]) -> NDArray[np.float32]:
+    """What was told of the slices that `latest` gives, (history, extras); record: of a `FeatureState`."""
+    state = record[0]
+    first, extras_ring = state["slices"] % state["history"], state["extras_ring"][:]
+    latest: NDArray[np.float32] = extras_ring[first : first + state["history"]]
+    return latest
 
 
 @njit(cache=True)

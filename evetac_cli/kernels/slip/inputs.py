@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.slip import features
+from evetac_cli.kernels.slip import extras, features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
+    EXTRAS,
     GEL_PX,
     Architecture,
     ChannelView,
@@ -23,7 +24,15 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.kernels.slip.features import EventImages
 
-Series = NDArray[np.float32] | EventImages
+
+class DotsAndExtras(NamedTuple):
+    """Features of dots (slices, n, channels), and what is known beside them (slices, extras), NaN where it is not."""
+
+    dots: NDArray[np.float32]
+    extras: NDArray[np.float32]
+
+
+Series = NDArray[np.float32] | DotsAndExtras | EventImages
 
 
 class Trajectory(NamedTuple):
@@ -41,6 +50,8 @@ def part(series: Series, first: int, last: int) -> Series:
     if isinstance(series, EventImages):
         images = series.part(first, last)
         return EventImages(images.start.copy(), images.pixel.copy(), images.sign.copy())
+    if isinstance(series, DotsAndExtras):
+        return DotsAndExtras(*(column[first:last].copy() for column in series))
     return series[first:last].copy()
 
 
@@ -76,6 +87,8 @@ def join(parts: Iterable[Series]) -> Series:
     for part in left:
         for column, rows in zip(columns, _columns(part), strict=True):
             column.add(rows)
+    if isinstance(first, DotsAndExtras):
+        return DotsAndExtras(*(column.joined() for column in columns))
     if not isinstance(first, EventImages):
         return columns[0].joined()
     pixels, pixel, sign = (column.joined() for column in columns)
@@ -84,36 +97,54 @@ def join(parts: Iterable[Series]) -> Series:
 
 def _columns(series: Series) -> Sequence[NDArray[Any]]:
     """What of a series can be put end to end: dots, or pixels of each slice, where they are, and their signs."""
-    return (np.diff(series.start), series.pixel, series.sign) if isinstance(series, EventImages) else (series,)
+    if isinstance(series, EventImages):
+        return np.diff(series.start), series.pixel, series.sign
+    return series if isinstance(series, DotsAndExtras) else (series,)
 
 
 def length(series: Series) -> int:
     """Slices in a series."""
-    return len(series.start) - 1 if isinstance(series, EventImages) else len(series)
+    return len(series.start) - 1 if isinstance(series, EventImages) else len(dots_of(series))
+
+
+def dots_of(series: NDArray[np.float32] | DotsAndExtras) -> NDArray[np.float32]:
+    """The features of dots alone, (slices, n, channels)."""
+    return series.dots if isinstance(series, DotsAndExtras) else series
 
 
 def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) -> NDArray[np.float32]:
     """Network inputs of the samples that end at these slices of a series.
 
     Dots: (slices, n, channels) as from `features.series`, which has to hold the channels that are viewed -> (samples,
-    n, inputs_per_dot). Images: `EventImages` ->
+    n, inputs_per_dot); a network that is told extras knows none without them. Images: `EventImages` ->
     (samples, history, height, width), the newest first. ValueError if the series is of the other sort, or if a slice
     is outside of it or has fewer than history - 1 slices before it.
     """
     ends = _checked_ends(slices, architecture.history, length(series))
     if isinstance(architecture, ImageArchitecture):
         if not isinstance(series, EventImages):
-            raise ValueError(f"{architecture.name}: expected event images, found dots {series.shape}")
+            raise ValueError(f"{architecture.name}: expected event images, found dots {dots_of(series).shape}")
         images = np.zeros((len(ends), *architecture.input_shape), np.float32)
         _images(*series, ends, GEL_PX[0], architecture.pool_px, images)
         return images
-    views = view_table(architecture.views)
-    if isinstance(series, EventImages) or series.ndim != 3 or not views[:, 0].max() < series.shape[2] <= len(CHANNELS):
-        given = "event images" if isinstance(series, EventImages) else str(series.shape)
-        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found {given}")
-    dots = np.empty((len(ends), series.shape[1], architecture.inputs_per_dot), np.float32)
-    fill(series, ends, views, dots)
+    if isinstance(series, EventImages):
+        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found event images")
+    views, of_dots = view_table(architecture.views), dots_of(series)
+    if of_dots.ndim != 3 or not views[:, 0].max() < of_dots.shape[2] <= len(CHANNELS):
+        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found {of_dots.shape}")
+    dots = np.empty((len(ends), of_dots.shape[1], architecture.inputs_per_dot), np.float32)
+    fill(of_dots, ends, views, dots)
+    if architecture.extras:
+        told = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
+        if told.shape != (len(of_dots), len(EXTRAS)):
+            raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {told.shape}")
+        extras.fill(told, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
     return dots
+
+
+def _unknown(slices: int) -> NDArray[np.float32]:
+    """Extras (slices, extras) of which none is known; a view, as all are the same."""
+    return np.broadcast_to(extras.UNKNOWN, (slices, len(EXTRAS)))
 
 
 def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
@@ -136,8 +167,8 @@ def turn(
 ) -> NDArray[np.float32]:
     """Turn each sample of a batch by its quarter turns, 0 to 3, and multiply it by its factor; a new array.
 
-    As `features.rotate` does, and the displacements that have a direction with it. Why so: after a quarter turn
-    counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
+    As `features.rotate` does, and the displacements that have a direction with it; extras are the same for each dot.
+    Why so: after a quarter turn counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
     """
     if isinstance(architecture, ImageArchitecture):
         images = batch * factors.reshape(-1, 1, 1, 1)
@@ -148,7 +179,11 @@ def turn(
                 images[chosen] = np.moveaxis(turned, 3, 1)
         return images
     result = np.empty_like(batch)
+    own = architecture.own_inputs
     _turn(batch, turns, factors, *_turning(architecture, rows, columns), result)
+    if architecture.extras:
+        scaled = extras.scaled_inputs(architecture)[own:]
+        result[:, :, own:] = np.where(scaled, batch[:, :, own:] * factors.reshape(-1, 1, 1), batch[:, :, own:])
     return result
 
 
@@ -159,7 +194,7 @@ def _turning(
     """After 0 to 3 turns: which dot each was, -1 for none, (4, n); which input it was, and its sign, (4, inputs)."""
     places = np.arange(1, rows * columns + 1, dtype=np.float32).reshape(1, rows, columns, 1)
     was = np.stack([features.rotate(places, times).reshape(-1) for times in range(4)]).astype(np.int64) - 1
-    column = np.tile(np.arange(architecture.inputs_per_dot), (4, 1))
+    column = np.tile(np.arange(architecture.own_inputs), (4, 1))
     sign = np.ones(column.shape, np.float32)
     right, down = architecture.channel_columns("x"), architecture.channel_columns("y")
     for times in (1, 2, 3):
@@ -240,7 +275,7 @@ def _turn(
         times, factor = turns[sample], factors[sample]
         for dot in range(batch.shape[1]):
             before = was[times, dot]
-            for place in range(batch.shape[2]):
+            for place in range(column.shape[1]):
                 value = batch[sample, before, column[times, place]] if before >= 0 else np.float32(0)
                 result[sample, dot, place] = sign[times, place] * value * factor
 

@@ -206,7 +206,7 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     last = scores[-LAST_CHECKPOINTS:]
     chosen = len(scores) - 1 - int(np.argmax(last[::-1]))  # the last of equals
     threshold = float(thresholds[chosen])
-    detected_share, slip_share = _shares(checkpoints[chosen], threshold)
+    detected_share, slip_share = shares(checkpoints[chosen], threshold)
     return Choice(chosen, threshold, float(scores[chosen]), thresholds, scores, detected_share, slip_share)
 
 
@@ -217,7 +217,7 @@ def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float
     return (row["slip_correct"] + row["f1"]) / 2
 
 
-def _shares(predictions: Sequence[Prediction], threshold: float) -> tuple[float, float]:
+def shares(predictions: Sequence[Prediction], threshold: float) -> tuple[float, float]:
     """Of the slices that have a label and a probability, the share that is detected, and the share that slips."""
     judged = [(one.label >= 0) & ~np.isnan(one.probability) for one in predictions]
     pairs = list(zip(predictions, judged, strict=True))

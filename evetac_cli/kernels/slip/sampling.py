@@ -9,10 +9,14 @@ Selection):
 
 "Events" are those outside the window strip, because a detector must not see the window. A batch of 72 holds
 32, 32 and 8 of them, and an epoch is one pass over the busy pool.
+
+Trajectories in which nothing ever slips, which the paper has none of, are a fourth pool, `still`: fingers that open,
+pushes, shaking, of which most slices are easy. However many there are, a batch holds 16 of it more: of 48 that are
+drawn 8 as they come, and of the others the 8 that the network, as it is by then, takes for slip the most (training.py).
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import NamedTuple
 
@@ -22,12 +26,14 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.inputs import DotsAndExtras, Trajectory
 from evetac_cli.kernels.slip.labels import BUSY_EVENTS, check_labels, shift_labels
 
 SLIP_SHARE = 32  # samples of each pool in a batch
 BUSY_SHARE = 32
 QUIET_SHARE = 8
+STILL_SHARE = 16
+STILL_DRAWN = 48  # of which so many are trained on
 ROTATED_SHARE = 0.5
 NORMALISE_SAMPLES = 2000  # of each pool, enough for a mean and a spread
 NORMALISE_IMAGES = 200  # as many of images, which have some thousand values each
@@ -50,6 +56,7 @@ class SlipSamples:
     busy: NDArray[np.int64]
     quiet: NDArray[np.int64]
     slip_share: NDArray[np.float32]  # (slices,) of the visible contact, as far ahead as the labels; NaN if not known
+    still: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def inputs(self, at: NDArray[np.int64]) -> NDArray[np.float32]:
         """Network inputs (samples, ...) of the samples that end at these slices."""
@@ -63,15 +70,14 @@ def gather(
     columns: int = 8,
     horizon_ms: int = 0,
 ) -> SlipSamples:
-    """Sort the slices of trajectories into the three pools; slices that no sample needs are left out.
+    """Sort the slices of trajectories into the pools; slices that no sample needs are left out.
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
     50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
     labelled as by `shift_labels`. Trajectories are taken one by one, and what is not needed is not kept. ValueError
-    where shapes, values or the onset do not fit, or where the slip or the busy pool would be empty; the quiet pool may
-    be.
+    where shapes, values or the onset do not fit, or where the slip or the busy pool would be empty; the others may be.
     """
-    pools: dict[str, list[NDArray[np.int64]]] = {"slip": [], "busy": [], "quiet": []}
+    pools: dict[str, list[NDArray[np.int64]]] = {name: [] for name in PoolSizes._fields}
     shares: list[NDArray[np.float32]] = []
     series = inputs.join(_sorted(trajectories, architecture, rows * columns, horizon_ms, pools, shares))
     ends = {name: np.concatenate(pool) for name, pool in pools.items()}
@@ -126,11 +132,11 @@ def _members(
     slices = len(shifted) if onset < 0 else min(len(shifted), onset + architecture.train_cut_ms)
     full, shifted = np.arange(slices) >= architecture.history - 1, shifted[:slices]
     busy = events_outside[:slices] > BUSY_EVENTS
-    return {
-        "slip": full & (shifted == 1),
-        "busy": full & (shifted == 0) & busy,
-        "quiet": full & (shifted == 0) & ~busy,
-    }
+    never_slips = onset < 0 and not np.any(label == 1)
+    slips, others, none = full & (shifted == 1), full & (shifted == 0), np.zeros(slices, np.bool_)
+    if never_slips:
+        return {"slip": none, "busy": none, "quiet": none, "still": others}
+    return {"slip": slips, "busy": others & busy, "quiet": others & ~busy, "still": none}
 
 
 class PoolSizes(NamedTuple):
@@ -139,6 +145,7 @@ class PoolSizes(NamedTuple):
     slip: int
     busy: int
     quiet: int
+    still: int = 0
 
     @property
     def steps(self) -> int:
@@ -170,22 +177,23 @@ def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]
 
 
 class Batch(NamedTuple):
-    """One batch, by pool: the slices at which its samples end."""
+    """One batch, by pool: the slices at which its samples end. Of `still` some are then chosen."""
 
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
     quiet: NDArray[np.int64]
+    still: NDArray[np.int64]
 
 
 def steps_per_epoch(samples: SlipSamples) -> int:
     """Batches in one pass over the busy pool."""
-    return PoolSizes(len(samples.slip), len(samples.busy), len(samples.quiet)).steps
+    return PoolSizes(len(samples.slip), len(samples.busy), len(samples.quiet)).steps  # whatever is still
 
 
 def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
     """Draw batches without end; `steps_per_epoch` of them see every busy sample once.
 
-    Each pool is shuffled, dealt out, and shuffled again when it is used up; slip and quiet samples run on over the
+    Each pool is shuffled, dealt out, and shuffled again when it is used up; all but busy samples run on over the
     borders of epochs. The last batch of an epoch holds what is left of the busy pool, and the other shares shrink with
     it (rounded up), so that the proportions hold. An empty quiet pool leaves its share to the busy pool.
     """
@@ -193,6 +201,7 @@ def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
     slip_deck = _deal(samples.slip, rng)
     quiet_deck = _deal(samples.quiet, rng)
     quiet_share = QUIET_SHARE if len(samples.quiet) else 0
+    still_deck, still_drawn = _deal(samples.still, rng), STILL_DRAWN if len(samples.still) else 0
     while True:
         order = rng.permutation(samples.busy)
         for start in range(0, len(order), share):
@@ -201,6 +210,7 @@ def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
                 _take(slip_deck, -(-SLIP_SHARE * len(busy) // share)),
                 busy,
                 _take(quiet_deck, -(-quiet_share * len(busy) // share)),
+                _take(still_deck, -(-still_drawn * len(busy) // share)),
             )
 
 
@@ -225,10 +235,11 @@ def channel_stats(samples: SlipSamples) -> tuple[NDArray[np.float64], NDArray[np
     axes = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
     at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
-    shares = np.array([SLIP_SHARE, _busy_share(len(samples.quiet)), QUIET_SHARE if len(samples.quiet) else 0])
+    pools = pool_shares(samples)
+    whole = sum(share for share, _, _ in pools)
     mean = square = np.zeros(1)
-    for share, pool in zip(shares / shares.sum(), (samples.slip, samples.busy, samples.quiet), strict=True):
-        spaced = pool[:: -(-len(pool) // most)] if len(pool) else pool
+    for share, pool in ((share / whole, pool) for share, pool, _ in pools):
+        spaced = pool[:: -(-len(pool) // most)]
         for begin in range(0, len(spaced), at_once):
             chunk = spaced[begin : begin + at_once]
             values = samples.inputs(chunk).astype(np.float64)
@@ -244,6 +255,7 @@ def pool_shares(samples: SlipSamples) -> list[tuple[int, NDArray[np.int64], floa
         (SLIP_SHARE, samples.slip, 1.0),
         (_busy_share(len(samples.quiet)), samples.busy, 0.0),
         (QUIET_SHARE, samples.quiet, 0.0),
+        (STILL_SHARE, samples.still, 0.0),
     )
     return [pool for pool in pools if len(pool[1])]
 
@@ -278,7 +290,10 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         )
     if isinstance(trajectory.series, EventImages):
         return
-    if trajectory.series.ndim != 3 or trajectory.series.shape[1] != dots:
-        raise ValueError(f"series: expected {dots} dots, found shape {trajectory.series.shape}")
-    if not np.isfinite(trajectory.series).all():
+    of_dots = inputs.dots_of(trajectory.series)
+    if of_dots.ndim != 3 or of_dots.shape[1] != dots:
+        raise ValueError(f"series: expected {dots} dots, found shape {of_dots.shape}")
+    if not np.isfinite(of_dots).all():
         raise ValueError("series: expected finite numbers")
+    if isinstance(trajectory.series, DotsAndExtras) and np.isinf(trajectory.series.extras).any():
+        raise ValueError("series: expected finite extras, NaN for what is not known, found infinite ones")

@@ -13,9 +13,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from evetac_cli.checks import check_range
+from evetac_cli.kernels.slip import extras
+from evetac_cli.kernels.slip.architectures import DotArchitecture
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
 from evetac_cli.kernels.slip.sample_groups import SampleGroups
 from evetac_cli.kernels.slip.sampling import (
+    STILL_DRAWN,
+    STILL_SHARE,
     SlipSamples,
     augment,
     channel_stats,
@@ -27,6 +31,8 @@ CURVE_POINTS = 100
 VALIDATION_SAMPLES = 2000  # of each pool, evenly spaced: a loss that is known to some percent
 VALIDATION_BATCH = 200
 PROGRESS_STEPS = 10
+# Of the gripper, and of the share that sticks, each is left out of so many samples, so that one model does without.
+LEFT_OUT_SHARE = 0.3
 SAVE_STEPS = 50  # steps between two states that a run can be resumed from, see `train`
 
 
@@ -45,12 +51,14 @@ class Preset:
     average: float = 0.0  # keep the running mean of the weights, with this share of the old a step; 0: keep the last
     gain: tuple[float, float] = (1.0, 1.0)  # each sample is multiplied by a factor from this range (log-uniform)
     share_weight: float = 0.0  # of a second loss: how well a second output tells the true share that slips
+    # Whether probabilities are calibrated on what validates, and the threshold chosen by false alarms per minute.
+    calibrated: bool = True
 
 
 PRESETS = {
     preset.name: preset
     for preset in [
-        Preset("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10),
+        Preset("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10, calibrated=False),
         # not the paper's: for trainings of few steps
         Preset("adam", "adam", learning_rate=1e-3, normalise=True, epochs=70, checkpoint_every=10),
         # A single wrong slice spoils a trajectory's timing, and the mean of many late weights makes fewer of them. The
@@ -185,7 +193,8 @@ def train(
         checkpoint_steps = set(_evenly(steps, len(checkpoint_epochs)))
     points = set(_evenly(steps, CURVE_POINTS))
 
-    seeds, draws, turns, gains = rng.spawn(4)
+    seeds, draws, turns, gains, leaves_out = rng.spawn(5)
+    architecture = groups.first.architecture
     network = _network(groups.first, preset, int(seeds.integers(2**63)), start)
     run = _TrainingRun(*network, preset, device, steps, planned)
     if resume_from is not None:
@@ -197,12 +206,15 @@ def train(
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
         factor = factors(preset, len(ends), gains)
+        left_out = leaves_out.random((len(ends), 2)) < LEFT_OUT_SHARE
         if step <= run.step:
             continue  # done before the interruption
         target = torch.zeros(len(ends))
         target[: len(batch.slip)] = 1
         varied = augment(groups.now, groups.now.inputs(ends), turned, factor)
-        run.advance(varied, target, groups.now.slip_share[ends], (step - 1) / steps)
+        if isinstance(architecture, DotArchitecture) and architecture.extras:
+            extras.leave_out(architecture, varied, left_out)
+        run.advance(varied, target, groups.now.slip_share[ends], (step - 1) / steps, len(batch.still))
         if on_progress and (step % PROGRESS_STEPS == 0 or step == steps):
             on_progress(step, steps)
         if step in points:
@@ -269,11 +281,17 @@ class _TrainingRun:
         self.curve_step: list[int] = []
         self.curve_loss: list[float] = []
 
-    def advance(self, batch: NDArray[np.float32], target: Tensor, share: NDArray[np.float32], done: float) -> None:
+    def advance(
+        self, batch: NDArray[np.float32], target: Tensor, share: NDArray[np.float32], done: float, still: int = 0
+    ) -> None:
         """Take one step of the optimiser.
 
-        share: of the contact that slips, NaN where it is not known; done: the part of the run before it, 0 to 1.
+        share: of the contact that slips, NaN where it is not known; done: the part of the run before it, 0 to 1; still:
+        how many at the end of the batch are of trajectories in which nothing slips, to be chosen from.
         """
+        if still:
+            kept = self._chosen(batch, still)
+            batch, target, share = batch[kept], target[torch.from_numpy(kept)], share[kept]
         if self.preset.cosine:
             for group in self.optimiser.param_groups:
                 group["lr"] = self.preset.learning_rate * 0.5 * (1 + math.cos(math.pi * done))
@@ -297,6 +315,15 @@ class _TrainingRun:
             old = min(self.preset.average, (1 + self.step) / (10 + self.step))
             new = [value.detach() for value in self.trained.values()]
             torch._foreach_lerp_(list(self.average.values()), new, 1 - old)
+
+    def _chosen(self, batch: NDArray[np.float32], still: int) -> NDArray[np.int64]:
+        """Which samples of a batch are trained on: of the last `still`, some as they come, and the hardest others."""
+        first, each = len(batch) - still, -(-still * STILL_SHARE // STILL_DRAWN // 2)
+        others = torch.from_numpy(batch[first + each :]).to(self.device)
+        with torch.no_grad():
+            logits = self.network(others).cpu().numpy()
+        hardest = np.sort(np.argsort(-logits, kind="stable")[:each])
+        return np.concatenate([np.arange(first + each), first + each + hardest])
 
     def waits(self, validation: SlipSamples) -> int:
         """Take the loss on samples for validation; how many such losses there were since the least."""

@@ -4,6 +4,9 @@ Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluati
 never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
 network has not seen, by networks that are trained for this alone. --adapt goes on from a trained model.
 
+On the same trajectories probabilities are calibrated, and the threshold is chosen by how often alarms come where
+nothing slips, but for preset paper (validating.py). So trials without slip belong among them.
+
 Beside the model lies the course of its training, NAME.model.csv; with --log tensorboard NAME.model.log, which can be
 watched while it goes on.
 
@@ -29,9 +32,11 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     PluginArchitecture,
     joined,
+    last_layer,
     parted,
+    with_scaled_logit,
 )
-from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction, choose_threshold
+from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
@@ -39,6 +44,7 @@ from evetac_cli.stages.model_files import (
     TRUE_SLIP_SHARES,
     USELESS_HINT,
     learned_true_slip_share,
+    read_calibration,
     read_weights,
     why_useless,
 )
@@ -54,7 +60,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
-METHOD = 7
+METHOD = 8
 VALIDATE_EVERY = 8
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
 
@@ -199,8 +205,12 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
     """A model to adapt, and the settings that this takes unless the flags say otherwise."""
     with StageFile(path, "model") as file:
         rows, columns = (int(size) for size in file.read("dot_shape"))
-        weights = parted(read_weights(file))
         architecture, horizon_ms = str(file.read("architecture")), int(file.read("horizon_ms"))
+        together = read_weights(file)
+        if (calibration := read_calibration(file)) is not None:  # it is no part of what batches of half slip taught
+            layer = last_layer(named_architecture(architecture), rows, columns)
+            together = with_scaled_logit(together, layer, *calibration.inverse())
+        weights = parted(together)
         settings = Settings(architecture, horizon_ms, "adapt", ADAPT_STEPS, len(weights))
         return settings, TrainedModel(path, file.header, (rows, columns), weights)
 
@@ -230,8 +240,9 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     labels = _label_method(job.inputs[:learn], headers[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
-    if params.patience is not None:
-        parameters["patience"] = params.patience
+    for name in ("patience", "false_alarms_per_min"):
+        if getattr(params, name) is not None:
+            parameters[name] = getattr(params, name)
     parameters |= group_parameters(memory_bytes[:learn])
     if isinstance(architecture, PluginArchitecture):
         parameters["model_method"] = architecture.method
@@ -253,6 +264,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     from evetac_cli.kernels.slip.detector import Detector
     from evetac_cli.stages.slip_detectors import predict, read_trajectory
     from evetac_cli.stages.train.networks import Networks
+    from evetac_cli.stages.train.validating import Validated
 
     log = log_folder(output) if params.log is not None else None
     if log is not None:
@@ -298,7 +310,14 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 for detector, of_detector in zip(detectors, predictions, strict=True):
                     of_detector.append(predict(detector, trajectory, headers[index], settings.horizon_ms))
-        choice = choose_threshold(predictions)
+        validated = Validated.of(predictions, networks.preset, params.false_alarms_per_min)
+        choice = validated.choice
+        layer = last_layer(architecture, *shape)
+        last = [
+            weights if each is None else with_scaled_logit(weights, layer, *each)
+            for weights, each in zip(last, validated.calibrations, strict=True)
+        ]
+        graphs = [onnx_graphs.build(architecture, weights, *shape) for weights in last]
     except ValueError as error:
         raise InputError(
             f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
@@ -320,6 +339,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "checkpoint/threshold": choice.thresholds,
         "checkpoint/chosen": np.int64(choice.checkpoint),
         "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
+        **validated.arrays("objects left out in turn" if params.folds else "named or held back"),
     }
     write_stage(job.output, recipe, arrays)
     write_course(job.output)
@@ -347,6 +367,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         resumed_at_step=resumed,
         loss=float(arrays["curve/loss"][-1]),
         threshold=choice.threshold,
+        **validated.figures(),
         validation_score=choice.score,
         detected_share=choice.detected_share,
         warning=_warning(job.output),

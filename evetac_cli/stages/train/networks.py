@@ -28,7 +28,7 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.slip.training import SlipTraining, TrainingState
+    from evetac_cli.kernels.slip.training import Preset, SlipTraining, TrainingState
 
 SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
 
@@ -52,6 +52,15 @@ class Networks:
         """How many there are."""
         return len(self.folds) * int(self.recipe.parameters["networks"])
 
+    @property
+    def preset(self) -> "Preset":
+        """How they are trained."""
+        from evetac_cli.kernels.slip import training
+
+        chosen = self.recipe.parameters
+        preset = training.PRESETS[chosen["preset"]] if self.start is None else training.ADAPT
+        return training.with_true_slip_share(preset) if chosen["learn_true_slip_share"] else preset
+
     def train(self, number: int, progress: Progress) -> tuple["SlipTraining", int | None]:
         """Train one, or go on from its saved state; the step of that is returned too, None without or at the end.
 
@@ -61,9 +70,7 @@ class Networks:
 
         chosen, place = self.recipe.parameters, plan.state_file(self.model, number, self.count)
         start = None if self.start is None else self.start[number % chosen["networks"]]
-        preset = training.ADAPT if start is not None else training.PRESETS[chosen["preset"]]
-        if chosen["learn_true_slip_share"]:
-            preset = training.with_true_slip_share(preset)
+        preset = self.preset
         saved = _read(place, self.recipe)
         if saved is not None and (whole := training.ended(preset, saved)) is not None:
             return whole, None

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from evetac_cli.kernels.slip.architectures import CHANNELS, Architecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import CHANNELS, EXTRAS, Architecture, ImageArchitecture
 from evetac_cli.store.files import StageFile
 
 # Features that are in memory together: 6.7 million slices of 56 dots, without directions, or half as many with them.
@@ -15,7 +15,8 @@ def series_bytes(file: StageFile, architecture: Architecture) -> int:
     if isinstance(architecture, ImageArchitecture):
         return 8 * file.length("image/start") + 5 * file.length("image/pixel") if file.has("image") else 0
     slices, dots = file.contents()["displacement_px"][1]
-    return 4 * slices * dots * (len(CHANNELS) if architecture.sees_direction else 2)
+    values = dots * (len(CHANNELS) if architecture.sees_direction else 2)
+    return 4 * slices * (values + (len(EXTRAS) if architecture.extras else 0))
 
 
 def group_parameters(memory_bytes: Sequence[int]) -> dict[str, int]:

@@ -48,7 +48,7 @@ def test_sizes_of_pools_are_those_that_are_gathered() -> None:
             one.label[40:45] = 1
         samples = sampling.gather([one], HIST10, horizon_ms=ahead)
         sizes = sampling.pool_sizes(one.label, one.onset, one.events_outside, HIST10, ahead)
-        assert sizes == (len(samples.slip), len(samples.busy), len(samples.quiet))
+        assert sizes == (len(samples.slip), len(samples.busy), len(samples.quiet), len(samples.still))
         assert sizes.steps == sampling.steps_per_epoch(samples)
 
 
@@ -128,7 +128,7 @@ def test_groups_hold_all_within_the_memory(given_sizes: list[tuple[int, int, int
     assert sorted(index for group in groups for index in group) == list(range(len(sizes)))
 
     def usable(group: list[int]) -> bool:
-        slip, busy, _ = np.sum([sizes[index].samples for index in group], axis=0)
+        slip, busy, *_ = np.sum([sizes[index].samples for index in group], axis=0)
         return bool(slip and busy)
 
     if len(groups) > 1:

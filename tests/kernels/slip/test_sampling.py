@@ -25,13 +25,11 @@ def trajectory(slices: int, onset: int, busy: NDArray[np.bool_] | None = None, m
     return Trajectory(np.full((slices, 56, 4), mark, np.float32), outside, label, onset)
 
 
-def pools(slip: int, busy: int, quiet: int) -> SlipSamples:
+def pools(slip: int, busy: int, quiet: int, still: int = 0) -> SlipSamples:
     """Give samples of which only the pools matter, with a different slice for each."""
-    ends = np.arange(slip + busy + quiet)
+    parts = np.split(np.arange(slip + busy + quiet + still), np.cumsum([slip, busy, quiet]))
     series = np.zeros((0, 56, 4), np.float32)
-    return SlipSamples(
-        HIST10, 7, 8, series, ends[:slip], ends[slip : slip + busy], ends[slip + busy :], np.zeros(0, np.float32)
-    )
+    return SlipSamples(HIST10, 7, 8, series, *parts[:3], np.zeros(0, np.float32), parts[3])
 
 
 def test_pools_of_a_small_trajectory() -> None:
@@ -164,10 +162,10 @@ def test_last_batch_of_an_epoch_keeps_the_proportions() -> None:
     samples = pools(50, 2 * 32 + 6, 21)
     assert sampling.steps_per_epoch(samples) == 3
     assert [tuple(len(part) for part in batch) for batch in drawn(samples, 4)] == [
-        (32, 32, 8),
-        (32, 32, 8),
-        (6, 6, 2),
-        (32, 32, 8),
+        (32, 32, 8, 0),
+        (32, 32, 8, 0),
+        (6, 6, 2, 0),
+        (32, 32, 8, 0),
     ]
 
 
@@ -202,8 +200,31 @@ def test_empty_quiet_pool_leaves_its_share_to_busy() -> None:
     samples = pools(50, 90, 0)
     assert sampling.steps_per_epoch(samples) == 3
     batches = drawn(samples, 3)
-    assert [tuple(len(part) for part in batch) for batch in batches] == [(32, 40, 0), (32, 40, 0), (8, 10, 0)]
+    assert [tuple(len(part) for part in batch) for batch in batches] == [(32, 40, 0, 0), (32, 40, 0, 0), (8, 10, 0, 0)]
     np.testing.assert_array_equal(np.sort(np.concatenate([batch.busy for batch in batches])), samples.busy)
+
+
+def test_what_never_slips_is_a_pool_of_its_own() -> None:
+    """Assert that a trajectory without slip adds to no other pool, and makes an epoch no longer."""
+    with_slip, without = trajectory(100, 60), trajectory(400, -1)
+    without.label[:20] = -1
+    alone = sampling.gather([with_slip], HIST10)
+    both = sampling.gather([without, with_slip], HIST10)
+    for name in ("slip", "busy", "quiet"):
+        assert len(getattr(both, name)) == len(getattr(alone, name))
+    assert len(both.still) == 380 and len(alone.still) == 0
+    assert sampling.steps_per_epoch(both) == sampling.steps_per_epoch(alone)
+    unmoved = sampling.inputs.at(HIST10, without.series, np.arange(20, 400))
+    np.testing.assert_array_equal(both.inputs(both.still), unmoved)
+
+
+def test_a_batch_draws_48_that_never_slip() -> None:
+    """Assert that all others are drawn as without them, and that the last batch draws as many fewer."""
+    with_still, without = drawn(pools(50, 40, 21, 500), 40), drawn(pools(50, 40, 21), 40)
+    assert [len(batch.still) for batch in with_still[:4]] == [48, 12, 48, 12]
+    assert [len(batch.busy) for batch in with_still] == [len(batch.busy) for batch in without]
+    dealt = np.concatenate([batch.still for batch in with_still])[:500]
+    np.testing.assert_array_equal(np.sort(dealt), np.arange(111, 611))
 
 
 def test_half_of_the_samples_are_rotated() -> None:

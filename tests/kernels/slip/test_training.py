@@ -12,7 +12,7 @@ import torch
 from evetac_cli.kernels.slip import features, sampling, training
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.inputs import DotsAndExtras, Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import SlipSamples
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS, Hooks, SlipTraining, TrainingLimits
@@ -431,3 +431,63 @@ def test_validation_loss_counts_every_pool_by_its_share(problem: SlipSamples) ->
             p = torch.sigmoid(network(torch.from_numpy(problem.inputs(pool)))).numpy().astype(float)
         total += share / 72 * float(np.mean(-np.log(p if wanted else 1 - p)))
     assert training.validation_loss(problem, arrays) == pytest.approx(total, rel=1e-5)
+
+
+def with_stillness(rng: np.random.Generator) -> SlipSamples:
+    """Give the separable trajectories, and one that never slips, a tenth of which looks like slip."""
+    label = (np.arange(200) >= 150).astype(np.int8)
+    made = []
+    for slips in (True, True, False):
+        moves = label if slips else (np.arange(200) % 10 == 0).astype(np.int8)
+        displacement = rng.uniform(0, 0.5, (200, 56)) + 10 * moves[:, None]
+        events = rng.poisson(np.where(moves, 200, 0.45)[:, None], (200, 56)).astype(np.int32)
+        series = features.series(displacement.astype(np.float32), events)
+        made.append(Trajectory(series, events.sum(axis=1), label * slips, 150 if slips else -1))
+    return sampling.gather(made, HIST10)
+
+
+def test_of_what_never_slips_the_hardest_is_trained_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that of 48 drawn a batch keeps the first 8 and the 8 of the others that are the most slip by then."""
+    samples = with_stillness(np.random.default_rng(3))
+    sizes, kept_logits, other_logits = [], [], []
+    chosen = training._TrainingRun._chosen
+
+    def watched(run: Any, batch: Any, still: int) -> Any:
+        kept = chosen(run, batch, still)
+        first = len(batch) - still
+        with torch.no_grad():
+            logits = run.network(torch.from_numpy(batch)).numpy()
+        hard = kept[kept >= first + 8]
+        left = np.setdiff1d(np.arange(first + 8, len(batch)), hard)
+        sizes.append((still, len(kept) - first, kept[first : first + 8].tolist() == [*range(first, first + 8)]))
+        kept_logits.append(logits[hard].min())
+        other_logits.append(logits[left].max())
+        return kept
+
+    monkeypatch.setattr(training._TrainingRun, "_chosen", watched)
+    training.train(samples, ADAM, np.random.default_rng(1), TrainingLimits(epochs=2, max_steps=4))
+    assert {size for size in sizes if size[0] == 48} == {(48, 16, True)}
+    assert np.all(np.array(kept_logits) >= np.array(other_logits))
+
+
+def test_a_run_with_stillness_and_extras_goes_on_to_the_same() -> None:
+    """Assert that choosing samples and leaving out extras are drawn again by a run that is resumed."""
+    grip = ARCHITECTURES["disp-xy-grip"]
+    rng = np.random.default_rng(2)
+    made = []
+    for slips in (True, False):
+        label = (np.arange(200) >= 150).astype(np.int8) * slips
+        dots = rng.normal(0, 1, (200, 56, 4)).astype(np.float32)
+        told = rng.normal(0, 1, (200, 3)).astype(np.float32)
+        told[:90, 2] = np.nan
+        outside = np.full(200, 30, np.int32)
+        made.append(Trajectory(DotsAndExtras(dots, told), outside, label, 150 if slips else -1))
+    samples = sampling.gather(made, grip)
+    saved: list[Any] = []
+    hooks, limits = Hooks(save=lambda state: saved.append(state())), TrainingLimits(max_steps=7)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "SAVE_STEPS", 3)
+        first = training.train(samples, ADAMW, np.random.default_rng(0), limits, hooks)
+    second = training.train(samples, ADAMW, np.random.default_rng(0), limits, resume_from=saved[0])
+    assert same(first, second)
+    assert int(saved[0]["step"]) == 3
