@@ -1,13 +1,13 @@
 """Alarms of a slip detector, or of an oracle, in one trial: which are false, and how far ahead of slip they come.
 
-An alarm begins where a score is at or above a threshold for IN_A_ROW slices, and ends once it has been below for
-APART_MS. Two rules say which alarms are false, as some users want to know of incipient slip and others of gross slip:
+Alarms are those of kernels/slip/alarms.py. Two rules say which are false, as some users want to know of incipient slip
+and others of gross slip:
 
-- `unmoved`: less than SLIPS of the visible contact slips from BEFORE_MS before its begin to AFTER_MS after;
-- `unfollowed`: no gross slip within FOLLOWS_MS after its begin.
+- `unmoved`: less than SLIPS of the visible contact slips from BEFORE_MS before to AFTER_MS after it;
+- `unfollowed`: no gross slip within FOLLOWS_MS after it.
 
-A gross slip is warned of by the last alarm that is no false one by a rule and began before it or up to LATE_MS after;
-an alarm that begins while the object slides warns of nothing and is not counted.
+A gross slip is warned of by the alarm that lasts until it, unless that alarm began as a false one. An alarm while the
+object slides, LATE_MS and more after it began to, warns of nothing and is not counted.
 """
 
 from typing import NamedTuple
@@ -15,27 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Flags, Singles
+from evetac_cli.kernels.slip import alarms
+from evetac_cli.kernels.slip.alarms import APART_MS
 
-IN_A_ROW, APART_MS = 3, 200
 SLIPS, BEFORE_MS, AFTER_MS = 0.3, 20, 60
 FOLLOWS_MS, LATE_MS = 200, 20
 RULES = ("unmoved", "unfollowed")
-LEADS_MS = (0, 5, 10, 20, 40)
-
-
-def begins(on: Flags) -> list[int]:
-    """Slices at which alarms begin: IN_A_ROW slices on end are on, after APART_MS without any alarm."""
-    streak = on.copy()
-    for back in range(1, IN_A_ROW):
-        streak[back:] &= on[:-back]
-        streak[:back] = False
-    found: list[int] = []
-    last = -APART_MS - 1
-    for at in np.flatnonzero(streak).tolist():
-        if at - last > APART_MS:
-            found.append(at)
-        last = at
-    return found
 
 
 def slip_begins(slips: Flags) -> list[int]:
@@ -56,31 +41,26 @@ class Judged(NamedTuple):
     leads_ms: dict[str, list[int | None]]
 
 
-def judge(on: Flags, share: Singles, slips: Flags) -> Judged:
-    """Judge where a score was at or above a threshold, by the true share of the contact that slips and gross slip."""
-    alarms, onsets = begins(on), slip_begins(slips)
-    false = dict.fromkeys(RULES, 0)
-    true: dict[str, list[int]] = {rule: [] for rule in RULES}
-    for at in alarms:
-        if slips[at] and at - max((onset for onset in onsets if onset <= at), default=at) > LATE_MS:
-            continue  # the object slides, and nobody was warned: no alarm is early or false here
+def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
+    """Judge the slices that alarm by the true share of the contact that slips, and by gross slip."""
+    begins = slip_begins(slips)
+    slides = slips.copy()  # long enough for an alarm to be late
+    for begin in begins:
+        slides[begin : begin + LATE_MS + 1] = False
+
+    def truths(at: int) -> dict[str, bool]:
         moves = bool((share[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1] >= SLIPS).any())
         followed = bool(slips[max(at - LATE_MS, 0) : at + FOLLOWS_MS + 1].any())
-        for rule, is_true in (("unmoved", moves), ("unfollowed", followed)):
-            if is_true:
-                true[rule].append(at)
-            else:
-                false[rule] += 1
+        return {"unmoved": moves, "unfollowed": followed}
+
+    false = dict.fromkeys(RULES, 0)
+    for at in alarms.onsets(alarming & ~slides).tolist():
+        for rule, is_true in truths(at).items():
+            false[rule] += not is_true
     leads: dict[str, list[int | None]] = {rule: [] for rule in RULES}
-    for rule in RULES:
-        for number, onset in enumerate(onsets):
-            since = onsets[number - 1] if number else -1
-            warned = [at for at in true[rule] if since < at <= onset + LATE_MS]
-            leads[rule].append(onset - warned[-1] if warned and _lasts(on, warned[-1], onset) else None)
+    for begin in begins:
+        lead = alarms.lead_ms(alarming, begin)
+        first = None if lead is None or lead < -LATE_MS else truths(begin - lead)
+        for rule in RULES:
+            leads[rule].append(lead if first is not None and first[rule] else None)
     return Judged(false, leads)
-
-
-def _lasts(on: Flags, begin: int, onset: int) -> bool:
-    """Whether an alarm is still on at a slip: it has not been below the threshold for APART_MS since it began."""
-    until = np.flatnonzero(on[begin : max(onset, begin) + 1])
-    return bool(len(until)) and max(onset, begin) - (begin + int(until[-1])) <= APART_MS

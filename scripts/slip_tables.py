@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from script_tables import table_of
-from slip_alarms import AFTER_MS, BEFORE_MS, FOLLOWS_MS, IN_A_ROW, LEADS_MS, RULES
+from slip_alarms import AFTER_MS, BEFORE_MS, FOLLOWS_MS, RULES
 from slip_alarms import SLIPS as SLIP_SHARE
 from slip_trials import SLIPS, THRESHOLDS
 
 from evetac_cli.jobs import Row
+from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS
 from evetac_cli.kernels.slip.metrics import Counts, timing
 
 HERE = Path(__file__).resolve().parent
@@ -211,7 +212,7 @@ def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
         columns["warned 10 ms ahead where that is 1"] = "{warned_10_ms_at_one:.2f}"
         columns |= {f"in {motion}": f"{{{motion}:.2f}}" for motion in rows}
         note = (
-            f"A false alarm: {means[rule]}. An alarm is {IN_A_ROW} slices on end; the next counts after 200 ms without."
+            f"A false alarm: {means[rule]}. An alarm is {ALARM_SLICES} slices on end; the next counts 200 ms later."
             f" Thresholds: about {PER_MINUTE:g} per minute in the mean over motions, on other trials."
         )
         title = f"Slip warned of ahead, and false alarms: {means[rule]}"

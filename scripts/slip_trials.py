@@ -20,7 +20,7 @@ from slip_alarms import RULES
 from evetac_cli.arrays import Singles
 from evetac_cli.errors import SceneError
 from evetac_cli.jobs import Row
-from evetac_cli.kernels.slip import metrics
+from evetac_cli.kernels.slip import alarms, metrics
 from evetac_cli.kernels.slip.labels import is_slip, shift_labels
 
 # Where the rare scores near 0 and 1 differ, thresholds are closer.
@@ -70,7 +70,7 @@ def judged(motion: str, trial: Trial, scores: Scores) -> Row:
 
 def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> Row:
     held = trial.normal_n > 0.0
-    every = [slip_alarms.judge(is_slip(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
+    every = [slip_alarms.judge(alarms.alarming(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
     counted: Row = {
         "false": {rule: [one.false[rule] for one in every] for rule in RULES},
         "leads_ms": {rule: [one.leads_ms[rule] for one in every] for rule in RULES},
