@@ -20,6 +20,7 @@ from evetac_cli.kernels.slip.metrics import Counts, timing
 HERE = Path(__file__).resolve().parent
 THRESHOLD_FILE = HERE / "slip-thresholds.json"
 PER_MINUTE = 1.0  # false alarms that a warning may cost, in the mean over motions
+WARNED_MS = 10
 DRAWS, BOOTSTRAP_SEED = 2000, 0
 SPEEDS_N_S = (1.5, 4.0)  # slower, between and faster: the paper's ramp makes 2.4 to 3.3 N/s
 Rows = dict[str, list[Row]]  # by motion
@@ -160,6 +161,52 @@ def timing_table(name: str, rows: Rows, command: str) -> Row:
     return table_of(name, "Timing of slip", columns, shown, command, sizes_of(rows), notes=(note,))
 
 
+def calibration_error(rows: Rows, score: str) -> float | None:
+    """Expected calibration error: mean over slices of what was said less how often it happened, by tenths."""
+    every = [row["scores"][score]["calibration"] for of_motion in rows.values() for row in of_motion]
+    slices, said, happened = np.sum(every, axis=0)
+    return float(np.abs(said - happened).sum() / slices.sum()) if slices.sum() else None
+
+
+def paired_table(name: str, rows: Rows, models: Sequence[str], command: str) -> Row:
+    """Difference of each model from the oracle `ahead` of its horizon, trial by trial, and its calibration."""
+    of_slips, chosen = slip_rows(rows), thresholds()
+    clusters = clusters_of(of_slips)
+    shown = []
+    for model in models:
+        horizon_ms = of_slips[0]["scores"][model]["horizon_ms"]
+        oracle = f"ahead {horizon_ms} ms"
+        right = [
+            timings(of_slips, one, THRESHOLDS.index(chosen[one]["timing"])) == "correct" for one in (oracle, model)
+        ]
+        row: Row = {"model": model, "slips": len(of_slips), "horizon_ms": horizon_ms}
+        row |= _difference("timing", *(one.astype(float) for one in right), clusters)
+        for rule in RULES:
+            warned = [first_leads(of_slips, one, rule, THRESHOLDS.index(chosen[one][rule])) for one in both]
+            row |= _difference(rule, *((one >= WARNED_MS).astype(float) for one in warned), clusters)
+        by_sensor = {sensor: [] for sensor in clusters}
+        for sensor, one in zip(clusters, right[1], strict=True):
+            by_sensor[sensor].append(one)
+        several = {sensor: np.mean(found) for sensor, found in by_sensor.items() if len(found) > 1}
+        row["worst_sensor"] = min(several, key=lambda sensor: several[sensor]) if several else ""
+        row["worst_correct"] = several[row["worst_sensor"]] if several else None
+        row["calibration_error"] = calibration_error(rows, model)
+        shown.append(row)
+    columns = {"detector": "{model}", "slips": "{slips}", "ahead [ms]": "{horizon_ms}"}
+    for heading, key in (("timing", "timing"), *((f"warned {WARNED_MS} ms ahead, {rule}", rule) for rule in RULES)):
+        columns[heading] = f"{{{key}:.3f}}"
+        columns[f"oracle less that, {heading}"] = f"{{{key}_less:.3f}} ({{{key}_low:.2f}} to {{{key}_high:.2f}})"
+    columns |= {"worst sensor": "{worst_sensor}: {worst_correct:.2f}", "calibration error": "{calibration_error:.3f}"}
+    note = "Paired by trial; intervals of 95 % by sensor, and by object where trials share none. Worst: by timing."
+    return table_of(name, "Slip detectors against an oracle", columns, shown, command, sizes_of(rows), notes=(note,))
+
+
+def _difference(key: str, oracle: NDArray[np.float64], model: NDArray[np.float64], clusters: Sequence[str]) -> Row:
+    """Mean of a model, and of the oracle less the model, with its interval."""
+    low, high = interval((oracle - model).tolist(), clusters)
+    return {key: model.mean(), f"{key}_less": (oracle - model).mean(), f"{key}_low": low, f"{key}_high": high}
+
+
 def sizes_of(rows: Rows) -> Row:
     """What tables were made of."""
     return {
@@ -168,6 +215,12 @@ def sizes_of(rows: Rows) -> Row:
         "trials": {motion: len(of_motion) for motion, of_motion in rows.items()},
         "minutes": {motion: round(sum(row["minutes"] for row in of), 2) for motion, of in rows.items()},
     }
+
+
+def first_leads(of_slips: Sequence[Row], score: str, rule: str, at: int) -> NDArray[np.float64]:
+    """How far ahead the first slip of each trial was warned of, in ms; minus infinity where it was not."""
+    found = [row["scores"][score]["leads_ms"][rule][at][0] for row in of_slips]
+    return np.array([-math.inf if ms is None else ms for ms in found])
 
 
 def leads(of_slips: Sequence[Row], score: str, rule: str, at: int) -> NDArray[np.float64]:

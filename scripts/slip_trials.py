@@ -32,6 +32,7 @@ SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset that tim
 RAMP_MS = 900  # in these, what comes before is not examined: the weight is handed over
 SENSORS = 20
 SPEED_MS = 300  # before slip, over which the speed of unloading is taken
+LEAST_SAID, AFTER_MS = 0.1, 60  # calibration counts slices above, and so long after a slip
 Scores = Mapping[str, tuple[Singles, int]]  # probability of each slice by name, and its horizon in ms
 
 
@@ -72,6 +73,8 @@ def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: 
     held = trial.normal_n > 0.0
     every = [slip_alarms.judge(alarms.alarming(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
     counted: Row = {
+        "horizon_ms": horizon_ms,
+        "calibration": _calibration(trial, score, horizon_ms, slips),
         "false": {rule: [one.false[rule] for one in every] for rule in RULES},
         "leads_ms": {rule: [one.leads_ms[rule] for one in every] for rule in RULES},
     }
@@ -89,6 +92,21 @@ def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: 
         counted["first_ms"].append(None if first < 0 else first - onset)
         counted["counts"].append(list(metrics.counts(shifted, on, onset)))
     return counted
+
+
+def _calibration(trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> list[list[float]]:
+    """By tenths of what was said above LEAST_SAID: slices, sum of what was said, and how many slipped that much later.
+
+    Of slices in which the object is held, up to AFTER_MS after its first slip.
+    """
+    begins = slip_alarms.slip_begins(slips)
+    stop = min((begins[0] + AFTER_MS) if begins else len(score), len(score) - horizon_ms)
+    said = np.nan_to_num(score[: max(stop, 0)])
+    counted = (trial.normal_n[: len(said)] > 0.0) & (said >= LEAST_SAID)
+    tenth = np.minimum((10 * said).astype(int), 9)[counted]
+    happened = trial.slips[horizon_ms : horizon_ms + len(said)][counted].astype(np.float64)
+    columns = [np.bincount(tenth, of, 10) for of in (np.ones(len(tenth)), said[counted], happened)]
+    return [[round(float(value), 2) for value in column] for column in columns]
 
 
 def rows_of(

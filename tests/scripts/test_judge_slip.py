@@ -3,6 +3,7 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,6 +49,22 @@ def test_alarms_are_false_by_two_rules() -> None:
     judged = slip_alarms.judge(flags((100, 110), (705, 720), (ONSET - 40, ONSET + 30)), share, slips)
     assert judged.false == {"unmoved": 1, "unfollowed": 2}
     assert judged.leads_ms == dict.fromkeys(RULES, [40])
+
+
+def with_model(row: dict[str, Any]) -> dict[str, Any]:
+    """A row in which a model tells slip as early as the oracle, but never 10 ms ahead."""
+    ahead = row["scores"]["ahead 10 ms"]
+    late = {rule: [[0] * len(ms) for ms in of] for rule, of in ahead["leads_ms"].items()}
+    return {**row, "scores": {**row["scores"], "ours": {**ahead, "leads_ms": late}}}
+
+
+def test_calibration_counts_what_was_said_and_what_happened() -> None:
+    """Assert that a score that says 0.7 of slices of which 0.5 slip is 0.2 off."""
+    told = trial()
+    said = np.full(MS, 0.05, np.float32)
+    said[ONSET - 40 : ONSET + 40] = 0.7
+    row = slip_trials.judged("slip", told, {"a": (said, 0)})
+    assert slip_tables.calibration_error({"slip": [row]}, "a") == pytest.approx(0.2, abs=1e-3)
 
 
 def test_an_alarm_that_ends_before_slip_warns_of_nothing() -> None:
@@ -120,6 +137,10 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     for table in (timing, *tables):
         shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
         assert all(cells[0] for cells in shown) and len(shown) == len(slip_trials.oracle_scores(trial()))
+    rows_of_one = {motion: [with_model(row) for row in of_motion] for motion, of_motion in rows.items()}
+    slip_tables.choose_thresholds(rows_of_one, 100)
+    (paired,) = slip_tables.paired_table("c", rows_of_one, ["ours"], "command")["rows"]
+    assert paired["timing_less"] == 0.0 and paired["unmoved_less"] == 1.0  # it never warns
     exact = next(row for row in tables[0]["rows"] if row["score"] == "share 0 ms")
     assert exact["warned_10_ms"] == 1.0 and exact["false_per_min"] <= 1.0
 

@@ -1,9 +1,11 @@
-"""The ceiling of slip detection: how well oracles do that know what no sensor does, on slips and other motion.
+"""How far ahead slip is told, and at which price: oracles that know what no sensor does, and slip detectors.
 
-`python scripts/slip_ceiling.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
+`python scripts/judge_slip.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
 thresholds are chosen by, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200
---minutes 5 --rows FOLDER` plays others, and writes the tables. Rows, one a trial, are kept in the folder, and what is
-there is not simulated again; --motions does some of them, and writes nothing else. No camera is simulated.
+--minutes 5 --rows FOLDER --name slip-ceiling` plays others, and writes tables of that name. Rows, one a trial, are kept
+in the folder, and what is there is not simulated again; --motions does some of them, and writes nothing else.
+
+Without --model no camera is simulated. With `--model NAME=FILE ...` detectors see the trials through one, too.
 """
 
 import argparse
@@ -15,17 +17,13 @@ import motions
 import slip_trials
 from motions import Planned, Trial
 from script_tables import RESULTS, write
-from slip_tables import choose_thresholds, timing_table, warning_tables
+from seen_trials import seen
+from slip_tables import choose_thresholds, paired_table, timing_table, warning_tables
 from slip_trials import Scores, planned_at
 
-NAME = "slip-ceiling"
+from evetac_cli.evaluate.slip_models import Model
+
 MOST_TRIALS = 100_000
-
-
-def played(planned: Planned, seed: int) -> tuple[Trial, Scores]:
-    """A trial without a camera, and what the oracles say of it."""
-    trial = motions.played(planned, seed)
-    return trial, slip_trials.oracle_scores(trial)
 
 
 def main() -> None:
@@ -37,26 +35,39 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=0, help="of slip-speeds, in place of minutes")
     parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; rows alone are written")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file a motion")
+    parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="trained slip detectors")
+    parser.add_argument("--name", default="slip-ceiling", help="of the tables")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
+    models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in chosen.model)}
     objects = motions.CHOSEN_BY if chosen.what == "choose" else motions.JUDGED
     asked = [name for name in chosen.motions.split(",") if name]
+
+    def play(planned: Planned, seed: int) -> tuple[Trial, Scores]:
+        trial, scores = seen(planned, seed, models) if models else (motions.played(planned, seed), {})
+        return trial, {**slip_trials.oracle_scores(trial), **scores}
+
     rows = {}
     for motion in asked or motions.MOTIONS:
         counted = chosen.trials if motion == "slip-speeds" else 0
         plans = (planned_at(motion, objects, chosen.seed, place, chosen.seed) for place in itertools.count())
         path = chosen.rows / f"{motion.replace(' ', '-')}.jsonl"
         limits = (float("inf"), counted) if counted else (chosen.minutes, MOST_TRIALS)
-        rows[motion] = slip_trials.rows_of(path, motion, plans, chosen.seed, *limits, played)
+        rows[motion] = slip_trials.rows_of(path, motion, plans, chosen.seed, *limits, play)
         sys.stdout.write(f"{motion}: {len(rows[motion])} trials\n")
     if asked:
         return
     if chosen.what == "choose":
         choose_thresholds(rows, chosen.seed)
         return
-    command = f"python scripts/slip_ceiling.py judge --seed {chosen.seed} --minutes {chosen.minutes:g}"
-    command += f" --trials {chosen.trials} --rows FOLDER" if chosen.trials else " --rows FOLDER"
-    write(chosen.out, timing_table(f"{NAME}-timing", rows, command), *warning_tables(f"{NAME}-warning", rows, command))
+    words = ["python scripts/judge_slip.py judge", f"--seed {chosen.seed}", f"--minutes {chosen.minutes:g}"]
+    words += [f"--trials {chosen.trials}"] * bool(chosen.trials)
+    words += [f"--model {' '.join(chosen.model)}"] * bool(models)
+    command = " ".join([*words, f"--rows FOLDER --name {chosen.name}"])
+    tables = [timing_table(f"{chosen.name}-timing", rows, command)]
+    tables += warning_tables(f"{chosen.name}-warning", rows, command)
+    tables += [paired_table(f"{chosen.name}-paired", rows, list(models), command)] * bool(models)
+    write(chosen.out, *tables)
 
 
 if __name__ == "__main__":

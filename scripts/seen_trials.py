@@ -1,0 +1,103 @@
+"""What slip detectors say of a trial that they see through the camera and the tracker `stable`, all of them at once.
+
+The tracker runs once, in place of once for each detector; probabilities are those of `track`, `featurize` and a report.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import motions
+import numpy as np
+from evetac_cli.trials.grasp.online_sticking import OnlineSticking
+from motions import Planned, Trial
+from slip_trials import Scores
+
+from evetac_cli.arrays import Floats, Singles
+from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.events import Events
+from evetac_cli.kernels.sensitivity import sensitivity_of
+from evetac_cli.kernels.slip import extras, features
+from evetac_cli.kernels.slip.architectures import DotArchitecture
+from evetac_cli.kernels.slip.inputs import DotsAndExtras
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.presets import PRESETS
+from evetac_cli.kernels.tracking.tracker import TrackerState
+
+TRACKER = "stable"
+UNKNOWN = float("nan")
+
+
+class Seen:
+    """Tracks, events, gripper and sticking share of a trial, slice by slice; `see` is for `motions.played`."""
+
+    def __init__(self, *, sticks: bool) -> None:
+        """Begin before the first slice; sticks: whether the share that sticks is told."""
+        self.sensor: Mapping[str, Any] = {}
+        self.rest_px: Floats = np.empty((0, 2))
+        self._dot_px: list[Singles] = []
+        self._events: list[Any] = []
+        self._gripper: list[tuple[float, float, float, float]] = []  # time in us, position, goal in ticks, goal in mA
+        self._share: list[float] = []
+        self._sticks = sticks
+        self._tracking: TrackerState | None = None
+        self._sticking: OnlineSticking | None = None
+
+    def see(self, sensor: Mapping[str, Any], events: Events, row: Mapping[str, Any]) -> None:
+        """Take in one more slice."""
+        if self._tracking is None:
+            self.sensor = sensor
+            self.rest_px = np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2)
+            constants = PRESETS[TRACKER].for_dots(float(sensor["sensor/dot_radius_px"]))
+            self._tracking = tracker.start(self.rest_px, constants)
+            width, height = (int(side) for side in sensor["sensor/frame_px"])
+            self._sticking = OnlineSticking(self.rest_px, (width, height)) if self._sticks else None
+        state = self._tracking
+        tracker.step(state, events.x, events.y, events.p)
+        # as what a slice is told: the share of the slice before
+        self._share.append(UNKNOWN if self._sticking is None else self._sticking.share)
+        if self._sticking is not None:
+            self._sticking.step(state.dot_xy_px, state.lost)
+        self._dot_px.append(state.dot_xy_px.astype(np.float32))
+        self._events.append(state.events_per_dot.copy())
+        if "gripper/t_us" in row:
+            in_current_mode = not np.isnan(row["gripper/current_target_ma"])
+            goal_ma = float(row["gripper/current_written_ma"]) if in_current_mode else UNKNOWN
+            goal_ticks = float(row.get("control/goal_ticks", UNKNOWN))
+            self._gripper.append((row["gripper/t_us"], float(row["gripper/position_ticks"]), goal_ticks, goal_ma))
+
+    def extras(self) -> Singles:
+        """What is known beside the dots, (slices, extras)."""
+        slices = len(self._dot_px)
+        share = np.array(self._share, np.float32)
+        if not self._gripper:
+            return extras.columns(slices, sticking_share=share)
+        t_us, *values = (np.array(column) for column in zip(*self._gripper, strict=True))
+        known = [extras.known_at_start(t_us.astype(np.int64), column, slices) for column in values]
+        return extras.columns(slices, *known, share)
+
+    def probabilities(self, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
+        """Of each model by name, with its horizon in ms."""
+        dot_px, events = np.array(self._dot_px), np.array(self._events)
+        moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
+        told, sensitivity = self.extras(), sensitivity_of(self.sensor)
+        said = {}
+        for name, model in models.items():
+            architecture = model.architecture
+            if not isinstance(architecture, DotArchitecture):
+                raise TypeError(f"{name}: expected a network over dots, found {architecture.name}")
+            series = features.series(moved, events, moved_xy, architecture.factors(sensitivity))
+            said[name] = (model.detector().over(DotsAndExtras(series, told)), model.horizon_ms)
+        return said
+
+
+def seen(planned: Planned, seed: int, models: Mapping[str, Model]) -> tuple[Trial, Scores]:
+    """A trial with a camera, and what each model says of it."""
+    sticks = any(
+        view.extra == "sticking"
+        for model in models.values()
+        if isinstance(model.architecture, DotArchitecture)
+        for view in model.architecture.extras
+    )
+    eye = Seen(sticks=sticks)
+    trial = motions.played(planned, seed, eye.see)
+    return trial, eye.probabilities(models)
