@@ -176,9 +176,8 @@ def paired_table(name: str, rows: Rows, models: Sequence[str], command: str) -> 
     for model in models:
         horizon_ms = of_slips[0]["scores"][model]["horizon_ms"]
         oracle = f"ahead {horizon_ms} ms"
-        right = [
-            timings(of_slips, one, THRESHOLDS.index(chosen[one]["timing"])) == "correct" for one in (oracle, model)
-        ]
+        both = (oracle, model)
+        right = [timings(of_slips, one, THRESHOLDS.index(chosen[one]["timing"])) == "correct" for one in both]
         row: Row = {"model": model, "slips": len(of_slips), "horizon_ms": horizon_ms}
         row |= _difference("timing", *(one.astype(float) for one in right), clusters)
         for rule in RULES:
