@@ -19,7 +19,6 @@ from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM
@@ -200,7 +199,7 @@ class DotTracker:
 
 
 class SlipDetector:
-    """Slip probability from events, slice by slice: the tracker and the network that `grasp` runs.
+    """Slip probability from events, slice by slice, and alarms: the tracker and the network that `grasp` runs.
 
     gel: a recording, a simulation or a `Gel`. model: a model file, or `shipped`, the package's, which is the default.
     InputError where the gel's dots are unknown, or the model is for another dot grid. A model that calls every slice
@@ -230,17 +229,24 @@ class SlipDetector:
 
     @property
     def threshold(self) -> float:
-        """Probability from which on it is slip, as chosen in training."""
+        """Probability that three slices on end have to reach, as chosen in training."""
         return self._detector.threshold
 
     @property
     def slip(self) -> bool:
-        """Whether the last slice was slip."""
-        return bool(is_slip(self._detector.probability, self._detector.threshold))
+        """Whether the last slice alarms: the third on end, at least, that reaches the threshold."""
+        return self._detector.slip
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice, NaN until the history of the network is full."""
         return self._detector.step(events)
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """Where the fingers are and are to go, in ticks, for a network that is told of them; others do not mind.
+
+        NaN for what is not known; it holds until it is told anew.
+        """
+        self._detector.tell_gripper(position_ticks, goal_ticks)
 
 
 class TouchMap:

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli import kernel_cache, resources
-from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError, missing_library
 from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
@@ -161,9 +160,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._gripper = devices.gripper
         with StageFile(self._model, "model") as model:
             require_useful(model)
-            self._detector = open_detector(
-                model, devices.camera.sensor, presets.PRESETS["stable"], Grasp.slip_threshold
-            )
+            self._detector = open_detector(model, devices.camera.sensor, presets.PRESETS["stable"])
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
         self._drawn = {"object": called, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}

@@ -147,6 +147,10 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
         "events_outside": np.full(SLICES, EVENTS_A_SLICE, np.int32),
         "sensor/contrast_over_threshold": np.float64(8.0),
         "sensor/shear_modulus_pa": np.float64(145e3),
+        "gripper_position_ticks": np.full(SLICES, 300.0, np.float32),
+        "gripper_goal_ticks": np.full(SLICES, np.nan, np.float32),
+        "gripper_goal_ma": np.full(SLICES, 60.0, np.float32),
+        "sticking_share": np.ones(SLICES, np.float32),
         "truth/visible_slip_share": np.zeros(SLICES, np.float32),
         "visible_slip_share": np.zeros(SLICES, np.float32),  # as older features have it
         "label": _label(),

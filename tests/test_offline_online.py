@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.commands.featurize import Featurize
-from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.track import Track
 from evetac_cli.events import SLICE_US, Events, Slicer, SliceStarts, concatenate, empty, slice_starts
-from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.slip.alarms import alarming, levels
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, open_recording
@@ -95,9 +95,9 @@ def test_live_features_are_those_of_the_files(made: Made, model_path: Path, cuts
         expected_dots, expected_counts = tracks.read("dot_xy_px"), tracks.read("events_per_dot")
         offline = detector.over(read_series(features, detector.architecture))
     # A threshold that a probability just reaches in float32 and misses in float64: both sides must round alike.
-    highest = float(np.nanmax(offline[: len(offline) // 2]))
+    highest = float(np.nanmax(levels(offline)[: len(offline) // 2]))
     online.threshold = highest * (1 + 1e-9)
-    decisions = np.cumsum(is_slip(offline, online.threshold))
+    decisions = np.cumsum(alarming(offline, online.threshold))
     assert decisions[-1] > 0
     slicer = Slicer()
     live = [piece for packet in packets(events, cuts) for piece in slicer.push(packet)] + slicer.close_until(slices)
@@ -128,7 +128,8 @@ def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
         np.testing.assert_array_equal(recording.read("control/probability"), offline)
         last_seen = recording.read("control/t_us") // SLICE_US - 1  # the slice that ended as a control step began
         step_slip = recording.read("control/slip")
-    slips = np.concatenate([[0], np.cumsum(is_slip(offline, Grasp().slip_threshold))])
+        threshold = chosen_threshold(model)
+    slips = np.concatenate([[0], np.cumsum(alarming(offline, threshold))])
     np.testing.assert_array_equal(step_slip, np.diff(slips[last_seen + 1], prepend=0) > 0)
 
 

@@ -34,6 +34,7 @@ from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import train
 from evetac_cli.stages.identify import gripper_rows
+from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.record import capture_plan
@@ -79,6 +80,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",
     ("train", "preset"): lambda: f"{train.USUAL.preset}, or with --adapt, which takes no other, adamw with small steps",
     ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
+    ("train", "false_alarms_per_min"): lambda: f"{validating.FALSE_ALARMS_PER_MIN:g}, and for preset paper the paper's",
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
     ("grasp", "model"): lambda: f"`shipped`, the package's, {_shipped()}",

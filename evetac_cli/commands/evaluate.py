@@ -17,6 +17,14 @@ class EvaluateSlip:
         recipe=False,
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
+    false_alarms_per_min: float | None = parameter(
+        None,
+        "Use the lowest threshold at which a model, by its training, alarms at most so often where nothing slips.",
+        unit="1/min",
+        low=0.0,
+        high=300.0,
+        recipe=False,  # the thresholds are
+    )
     recordings: Path | None = parameter(
         None,
         "Folder of the recordings, if they do not lie beside the features: the truth of simulated ones tells the"

@@ -30,12 +30,21 @@ class Grasp(Devices, Trials):
         "Model file of the slip detector; default: `shipped`, the package's, disp-xy 10 ms ahead.",
         recipe=False,
     )
-    slip_threshold: float = parameter(
-        0.3,
-        "Probability from which on the controller is told of slip. Lower than the package's detector's own, which is"
-        " chosen for timing: a grip is best tightened while the contact begins to slip.",
+    slip_threshold: float | None = parameter(
+        None,
+        "Probability that three slices on end have to reach, for the controller to be told of slip; default: the"
+        " model's own.",
         low=0.0,
         high=1.0,
+        panel=GRIP,
+    )
+    false_alarms_per_min: float | None = parameter(
+        None,
+        "Choose the lowest threshold at which the model, by its training, alarms at most so often where nothing slips.",
+        unit="1/min",
+        low=0.0,
+        high=300.0,
+        recipe=False,  # the threshold is
         panel=GRIP,
     )
     controller: str = parameter(

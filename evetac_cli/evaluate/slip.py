@@ -5,9 +5,14 @@ means over objects and seeds, as in the paper's bars: every object counts the sa
 evaluated at its own threshold, which `train` chose on validation trajectories; slip that is predicted ahead of time is
 counted against shifted labels in F1 and against the unshifted onset in the timing.
 
-The rows are six tables with different columns: the covariates of the slips that are judged on, which decide how far
+Beside the timing, which asks when the first slice reaches the threshold, stands what a controller goes by: alarms,
+three slices on end, how long ahead of slip they begin for good, and how often they come where nothing slips
+(slip_warnings.py).
+
+The rows are eight tables with different columns: the covariates of the slips that are judged on, which decide how far
 the figures of two data sets can be compared (slip_covariates.py); the figures of a setting beside the paper's; how long
-before or after the labels' onset it first detected slip; the figures by object; by model; by trajectory.
+before or after the labels' onset it first detected slip; how often what it said happened; the figures by object; by
+sensor, where there are several; by model; by trajectory.
 """
 
 import math
@@ -30,6 +35,7 @@ from evetac_cli.evaluate import (
     report,
     report_job,
     slip_covariates,
+    slip_warnings,
 )
 from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
 from evetac_cli.evaluate.slip_tables import tables
@@ -42,7 +48,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"
-METHOD = 6
+METHOD = 7
 
 SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
@@ -66,6 +72,8 @@ OF_SETTINGS = {
     "slip_early": "early",
     "slip_correct": "correct",
     "slip_late": "late",
+    "warned_10_ms": "warned_10_ms",
+    "false_alarms_per_min": "false/min",
     "f1": "f1",
     "paper_slip_correct": "paper_correct",
     "paper_f1": "paper_f1",
@@ -145,7 +153,7 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     if isinstance(job, JudgingJob):
         predict_all(models, paths, headers, progress, job.output.parent)
         return Outcome([], simulated=False)
-    thresholds = [model.threshold if params.threshold is None else params.threshold for model in models]
+    thresholds = [model.threshold_for(params.threshold, params.false_alarms_per_min) for model in models]
     # A report with the truth of more or fewer recordings is another report.
     known = sum(slip_covariates.with_truth(paths, params.recordings))
     parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds, "with_truth": known}
@@ -189,7 +197,17 @@ def _verdict(row: dict[str, Any]) -> str:
     f1 = "" if row["f1"] is None else f", F1 {row['f1']:.2f}"
     shares = ", ".join(f"{name} {row[f'slip_{name}']:.0%}" for name in ("early", "late") if row[f"slip_{name}"])
     timing = f"slip timing correct {row['slip_correct']:.0%}" + (f" ({shares})" if shares else "")
-    return f"{row['setting']}: {timing}{f1}; {count}."
+    return f"{row['setting']}: {timing}{f1}{_warned(row)}; {count}."
+
+
+def _warned(row: dict[str, Any]) -> str:
+    """What a setting warns of, and how often it does so in vain."""
+    share = row.get("warned_10_ms")
+    if share is None:
+        return ""
+    false = row["false_alarms_per_min"]
+    price = "" if false is None else f", {false:.2g} false alarms per minute"
+    return f"; warned at least 10 ms ahead {share:.0%}{price}"
 
 
 def _size_in(rows: Rows) -> tuple[float, float]:
@@ -197,16 +215,19 @@ def _size_in(rows: Rows) -> tuple[float, float]:
     return 12.0, sum(_heights_in(len(_settings(rows))))
 
 
-def _heights_in(settings: int) -> tuple[float, float]:
-    """Of the bars, and of the panels below them."""
-    return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS)
+def _heights_in(settings: int) -> tuple[float, float, float]:
+    """Of the bars, of the panels below them, and of warnings and reliability at the end."""
+    return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS), 3.3 + 0.2 * settings
 
 
 def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
-    """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected."""
+    """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected.
+
+    At the end how far ahead it warns, and whether what it says happens.
+    """
     settings = _settings(outcome.rows)
     trajectories = [row for row in outcome.rows if "t_c_ms" in row]
-    above, below = figure.subfigures(2, 1, height_ratios=_heights_in(len(settings)))
+    above, below, last = figure.subfigures(3, 1, height_ratios=_heights_in(len(settings)))
     timing, f1 = above.subplots(1, 2, sharey=True, width_ratios=[3, 2])
     above.suptitle("Timing and F1 of slip detectors" + (" (simulated)" if outcome.simulated else ""))
     names = []
@@ -231,10 +252,11 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
     picture.label_x(panels, "onset by the model minus\nonset in the labels [ms]")
     below.supylabel("share of slips detected by then", fontsize=9)
     picture.legend(below, panels)
+    _draw_warnings(last, settings, [row for row in outcome.rows if "said_from" in row])
 
 
 def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None:
-    """A bar of shares that make up 1, and the interval of the first: as many slips, whatever the number of seeds."""
+    """A bar of shares that make up 1, and the interval of the first."""
     bars = (
         ("slip_correct", "correct", picture.CORRECT),
         ("slip_early", "early", picture.EARLY),
@@ -245,9 +267,38 @@ def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None
         axes.barh(place, row[key] or 0.0, 0.62, left=left, color=colour, label=label)
         left += row[key] or 0.0
     if slips and row["slip_correct"] is not None:
-        reach = picture.wilson(row["slip_correct"], slips)
-        label = "95 % interval of correct, by the number of slips (Wilson)"
+        label = "95 % interval of correct, over objects and sensors"
+        reach = _reach(row, "slip_correct")
         axes.errorbar(row["slip_correct"], place + 0.14, xerr=reach, label=label, **picture.INTERVAL)
+
+
+def _reach(row: dict[str, Any], name: str) -> list[list[float]]:
+    """How far an interval reaches below and above its figure, as matplotlib wants it."""
+    value = row[name]
+    return [[max(value - row[f"{name}_low"], 0.0)], [max(row[f"{name}_high"] - value, 0.0)]]
+
+
+def _draw_warnings(figure: Any, settings: Rows, steps: Rows) -> None:
+    """The share of slips that are warned of so long ahead and longer, and what is said beside what happens."""
+    warned, said = figure.subplots(1, 2, width_ratios=[3, 2])
+    for number, row in enumerate(settings):
+        style, false = picture.series(number), row["false_alarms_per_min"]
+        price = "no slice without slip" if false is None else f"{false:.2g} false alarms per min"
+        label = f"{picture.plain(row['setting'])}, {price}"
+        shares = [row[name] for name in slip_warnings.WARNED.values()]
+        if None not in shares:
+            warned.plot([*slip_warnings.WARNED], shares, label=label, **style)
+            reach = _reach(row, "warned_10_ms")
+            interval = {**picture.INTERVAL, "ecolor": style["color"]}
+            warned.errorbar(10, row["warned_10_ms"], yerr=reach, **interval)
+        of_setting = [step for step in steps if step["setting"] == row["setting"]]
+        said.plot([step["said"] for step in of_setting], [step["happened"] for step in of_setting], **style)
+    said.plot([0, 1], [0, 1], color="0.5", linewidth=0.8, label="as often as it says")
+    warned.set(xlabel="warned at least so long ahead [ms]", ylabel="share of slips", xticks=[*slip_warnings.WARNED])
+    said.set(xlabel="probability of slip that is said", ylabel="share that slips")
+    for axis in (warned.yaxis, said.xaxis, said.yaxis):
+        picture.share_axis(axis)
+    picture.legend(figure, (warned, said))
 
 
 def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:

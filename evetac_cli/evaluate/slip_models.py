@@ -24,13 +24,14 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages.model_files import (
+    chosen_threshold,
     labelled_by,
     learned_true_slip_share,
     read_horizon_ms,
     training_ancestors,
 )
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
-from evetac_cli.stages.splits import check_disjoint, object_name
+from evetac_cli.stages.splits import check_disjoint, object_name, sensor_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header
@@ -86,6 +87,11 @@ class Model:
             return self.over_dots
         with StageFile(self.path, "model") as file:
             return load_detector(file)
+
+    def threshold_for(self, threshold: float | None, false_alarms_per_min: float | None) -> float:
+        """The threshold to judge it at, as `chosen_threshold`."""
+        with StageFile(self.path, "model") as file:
+            return chosen_threshold(file, threshold, false_alarms_per_min)
 
     @property
     def labels(self) -> str:
@@ -161,7 +167,8 @@ def predict_all(
                 label, onset = file.read("label"), int(file.read("onset_slice"))
                 for model, predictions, probability in zip(models, by_model, of_models, strict=True):
                     shifted = shift_labels(label, model.horizon_ms)
-                    predictions.append(Prediction(probability, shifted, onset, object_name(header)))
+                    names = object_name(header), sensor_name(header)
+                    predictions.append(Prediction(probability, shifted, onset, *names))
         progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
 

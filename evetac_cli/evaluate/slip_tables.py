@@ -1,4 +1,4 @@
-"""The tables of a report on slip: timing and F1 by setting, object, model and trajectory."""
+"""The tables of a report on slip: timing, F1 and warnings by setting, object, sensor, model and trajectory."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate import paper, slip_warnings
 from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip_warnings import Judged
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import Prediction
@@ -67,6 +68,12 @@ def tables(
     settings: Rows = []
     timing_bins: Rows = []
     objects: Rows = []
+    sensors: Rows = []
+    steps: Rows = []  # of probability
+    judged = [
+        [Judged.of(prediction, at) for prediction in of_model]
+        for of_model, at in zip(predictions, thresholds, strict=True)
+    ]
     for setting, members in group_by_setting(models).items():
         first = models[members[0]]
         cells = [by_object(predictions[index], thresholds[index]) for index in members]
@@ -76,7 +83,10 @@ def tables(
             for prediction in predictions[index]
             if prediction.onset >= 0
         ]
-        settings.append(setting_row(setting, first, cells))
+        seeds, of_seeds = [judged[index] for index in members], [predictions[index] for index in members]
+        settings.append(setting_row(setting, first, cells) | slip_warnings.columns(seeds, of_seeds))
+        sensors += slip_warnings.sensor_rows(setting, seeds)
+        steps += slip_warnings.reliability_rows(setting, of_seeds)
         timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
         for name in cells[0]:
             of_object = [cell[name] for cell in cells]
@@ -92,6 +102,8 @@ def tables(
                     "slip_late": _mean(_values(of_object, "slip_late")),
                     "f1": _mean(f1),
                     "f1_sd_seeds": _sd(f1),
+                    **_warned(slip_warnings.group(seeds, "object", name)),
+                    **_papers_object(first, name, len(members)),
                 }
             )
     by_model = [
@@ -100,12 +112,40 @@ def tables(
         for index in members
     ]
     trajectories = [
-        _trajectory_row(setting, models[index], thresholds[index], prediction, path)
+        _trajectory_row(setting, models[index], thresholds[index], prediction, path) | _of_judged(one)
         for setting, members in group_by_setting(models).items()
         for index in members
-        for prediction, path in zip(predictions[index], paths, strict=True)
+        for prediction, one, path in zip(predictions[index], judged[index], paths, strict=True)
     ]
-    return [*settings, *timing_bins, *objects, *by_model, *trajectories], _summary(scores, settings)
+    return [*settings, *timing_bins, *steps, *objects, *sensors, *by_model, *trajectories], _summary(scores, settings)
+
+
+def _warned(of_object: dict[str, Any]) -> dict[str, Any]:
+    """Of an object's figures those that its score does not have."""
+    return {name: of_object[name] for name in ("warned_10_ms", "false_alarms_per_min")}
+
+
+def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
+    """What an object's row says of the model, and the paper's timing on objects 12 and 15, where it often fails.
+
+    None where the paper has none, and for an object that was trained on.
+    """
+    chosen = model.header["parameters"]
+    architecture = model.architecture.name
+    seen = name in model.objects
+    return {
+        "model": architecture,
+        "horizon_ms": model.horizon_ms,
+        "preset": chosen.get("preset"),
+        "models": models,
+        "paper_slip_correct_of_object": None
+        if seen
+        else paper.value("correct", "object", architecture, model.horizon_ms, name),
+    }
+
+
+def _of_judged(one: Judged) -> dict[str, Any]:
+    return {"sensor_name": one.sensor, "lead_ms": one.lead_ms, "false_alarms": one.false_alarms}
 
 
 def _seed(model: Model) -> int | None:

@@ -3,6 +3,7 @@
 scipy.stats, which takes half a second to load, is imported where a distribution is asked for.
 """
 
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 LEVEL = 0.95
 BLOCKS = 20  # of time, over which a rate is seen to vary
+ROUNDS = 2000  # of resampling
 
 
 class Estimate(NamedTuple):
@@ -63,3 +65,35 @@ def of_samples(value: float, samples: NDArray[np.float64]) -> Estimate:
     """A value with the interval that resampled values span (percentiles)."""
     low, high = np.percentile(samples, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
     return Estimate(value, float(min(low, value)), float(max(high, value)))
+
+
+def cluster_weights(*factors: Sequence[Hashable]) -> NDArray[np.float64]:
+    """How often each trial counts in each round of resampling, (ROUNDS, trials), where trials share objects, sensors.
+
+    factors: what each trial has of each, such as its object. The levels of a factor are drawn anew, and a trial counts
+    as often as all of its levels do; a factor of one level tells nothing, and without another one trials are drawn.
+    Always the same draws. Source: A. B. Owen, The pigeonhole bootstrap, 2007.
+    """
+    rng = np.random.default_rng(0)
+    trials = len(factors[0])
+    weights = np.ones((ROUNDS, trials))
+    several = [factor for factor in factors if len(set(factor)) > 1] or [range(trials)]
+    for factor in several if trials else []:
+        known = {level: number for number, level in enumerate(dict.fromkeys(factor))}
+        drawn = rng.multinomial(len(known), np.full(len(known), 1 / len(known)), ROUNDS)
+        weights *= drawn[:, [known[level] for level in factor]]
+    return weights
+
+
+def ratio_of_clusters(
+    above: NDArray[np.float64], below: NDArray[np.float64], weights: NDArray[np.float64]
+) -> Estimate | None:
+    """The ratio of two sums over trials, (trials,) each, with its interval from `cluster_weights`; None over nothing.
+
+    A mean of values in which some trials count less is that of values times shares, over shares.
+    """
+    if not below.sum() > 0:
+        return None
+    whole = weights @ below
+    samples = (weights @ above)[whole > 0] / whole[whole > 0]
+    return of_samples(float(above.sum() / below.sum()), samples)

@@ -5,6 +5,8 @@ which the controller recognizes a detector that died and a camera that is silent
 
 A slice with slip that is new rings a bell, for a controller that sleeps until its next step (early_answer.py).
 
+The other way the controller tells where the gripper is and what it was told, for a detector that is given both.
+
 Recorder and controller leave a sign of life each, written by the loop that watches or commands, and by nothing else: a
 thread that did so would hide that the loop hangs.
 """
@@ -18,8 +20,8 @@ from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
 
 REMEMBERED = 32  # slices with slip whose time is known
-_SIZE = 1024
-_STOP_AT, _RECORDER_AT, _CONTROLLER_AT, _OPEN_AT = 768, 832, 896, 960
+_SIZE = 1088
+_STOP_AT, _RECORDER_AT, _CONTROLLER_AT, _OPEN_AT, _GRIPPER_AT = 768, 832, 896, 960, 1024
 
 
 class DetectorStatus(NamedTuple):
@@ -57,6 +59,7 @@ class SharedStatus:
         self._recorder = SharedRow(memory, _RECORDER_AT, "d")
         self._controller = SharedRow(memory, _CONTROLLER_AT, "d")
         self._open = SharedRow(memory, _OPEN_AT, "q")
+        self._gripper = SharedRow(memory, _GRIPPER_AT, "2d")
 
     def __getstate__(self) -> dict[str, object]:
         return {"_block": self._block, "slip_bell": self.slip_bell}
@@ -83,6 +86,16 @@ class SharedStatus:
         known = min(int(slips), REMEMBERED)
         slip_us = row[1][8 + REMEMBERED - known :]
         return DetectorStatus(SlipSignal(int(slips), *displacement), int(slices), at_us, heard_us, zero_us, slip_us)
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """For the controller: where the fingers were read, and the goal that they were given."""
+        self._gripper.write(position_ticks, goal_ticks)
+
+    @property
+    def gripper(self) -> tuple[float, float] | None:
+        """For the detector: position and goal of the gripper as last told; None before the first."""
+        row = self._gripper.read()
+        return None if row is None else (row[1][0], row[1][1])
 
     def stop(self) -> None:
         """For whoever started both: end, as soon as possible."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip.calibration import Calibration
+from evetac_cli.kernels.slip.reliability import OddsScale
 from evetac_cli.kernels.slip.warning_curve import WarningCurve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
@@ -46,11 +46,11 @@ def read_horizon_ms(model: StageFile) -> int:
     return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
 
 
-def read_calibration(model: StageFile) -> Calibration | None:
+def read_calibration(model: StageFile) -> OddsScale | None:
     """What the logits of a model were scaled by after training; None where its probabilities are not calibrated."""
     if not model.has("calibration"):
         return None
-    return Calibration(float(model.read("calibration/scale")), float(model.read("calibration/offset")))
+    return OddsScale(float(model.read("calibration/scale")), float(model.read("calibration/offset")))
 
 
 def read_curve(model: StageFile) -> WarningCurve | None:

@@ -16,6 +16,14 @@ def object_name(header: Header) -> str:
     return "unknown"
 
 
+def sensor_name(header: Header) -> str:
+    """The sensor of the recording that a file descends from, or `unknown`."""
+    for ancestor in (header, *header["history"].values()):
+        if ancestor["kind"] == "recording" and "sensor" in ancestor["parameters"]:
+            return str(ancestor["parameters"]["sensor"])
+    return "unknown"
+
+
 def recording_ids(header: Header) -> set[str]:
     """Ids of all recordings that a file descends from."""
     lineage = {header["id"]: header, **header["history"]}

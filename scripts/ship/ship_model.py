@@ -9,17 +9,39 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
+from evetac_cli.evaluate import slip_warnings
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.resources import MODEL
+from evetac_cli.stages.model_files import read_curve
 from evetac_cli.store.files import StageFile
 
 FIGURES = ("slip_early", "slip_correct", "slip_late", "f1", "trajectories", "objects")
+WARNINGS = ("false_alarms_per_min", "minutes_without_slip", "calibration_error", *slip_warnings.WARNED.values())
 
 
 def validation_score(path: Path) -> float:
     with StageFile(path, "model") as file:
         return float(file.read("checkpoint/score")[int(file.read("checkpoint/chosen"))])
+
+
+def at_its_threshold(path: Path) -> dict[str, Any]:
+    """What the model's warnings cost on what validated, and what its probabilities are calibrated on, if it says so."""
+    with StageFile(path, "model") as file:
+        curve = read_curve(file)
+        if curve is None:
+            return {}
+        false, warned = curve.at(float(file.read("threshold")))
+        told: dict[str, Any] = {
+            "false_alarms_per_min": false if curve.minutes else None,
+            "minutes_without_slip": curve.minutes,
+            "warned_10_ms_ahead": warned,
+            "slips": curve.slips,
+        }
+        if file.has("calibration"):
+            told["calibrated_on"] = f"{file.read('calibration/slices')} slices of {file.read('calibration/on')}"
+        return told
 
 
 def main() -> None:
@@ -28,6 +50,7 @@ def main() -> None:
     with StageFile(report, "report") as file:
         rows = json.loads(file.read("rows"))
     (figures,) = [row for row in rows if "threshold" in row]
+    (warnings,) = [row for row in rows if "seeds" in row]
     made = {
         "model": model.architecture.name,
         "horizon_ms": model.horizon_ms,
@@ -38,7 +61,8 @@ def main() -> None:
         "learned_true_slip_share": model.learned_true_slip_share,
         "objects_trained_and_validated_on": sorted(map(int, model.objects)),
         "validation_score": validation_score(path),
-        "unseen_objects": {key: figures[key] for key in FIGURES},
+        "validated": at_its_threshold(path),
+        "unseen_objects": {key: figures[key] for key in FIGURES} | {key: warnings.get(key) for key in WARNINGS},
         "simulated": model.header["simulated"],
         "id": model.header["id"],
     }

@@ -13,6 +13,9 @@ class CountingDetector:
     def __init__(self) -> None:
         self.slices, self.signal = 0, SlipSignal(mean_displacement_x_px=1.5)
 
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        self.told = position_ticks, goal_ticks
+
     def step(self, events: Events | None) -> float:
         self.slices += 1
         return 0.25

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate import grasp, picture, slip, tracking
+from evetac_cli.evaluate import grasp, picture, slip, slip_warnings, tracking
 from evetac_cli.evaluate.source import Source
 from evetac_cli.jobs import Outcome
 
@@ -106,9 +106,18 @@ def slip_outcome(settings: int, objects: int, *, published: bool) -> Outcome:
         shares = {"slip_early": 0.25, "slip_correct": 0.5, "slip_late": 0.25}
         what = {"model": "fast-slow", "horizon_ms": 0, "preset": "adamw", "trajectories": 4 * objects, "seeds": 1}
         papers = dict.fromkeys(("paper_slip_correct", "paper_f1"), 0.9 if published else None)
-        rows.append({"setting": name, **what, **shares, "f1": 0.98, **papers})
+        warned = {column: 0.9 - ahead_ms / 50 for ahead_ms, column in slip_warnings.WARNED.items()}
+        intervals = {
+            "slip_correct_low": 0.3,
+            "slip_correct_high": 0.7,
+            "warned_10_ms_low": 0.5,
+            "warned_10_ms_high": 1.0,
+        }
+        price = {"false_alarms_per_min": 0.8 if number else None}
+        rows.append({"setting": name, **what, **shares, "f1": 0.98, **papers, **warned, **intervals, **price})
     for number in range(settings):
         name = rows[number]["setting"]
+        rows += [{"setting": name, "said_from": n / 10, "said": n / 10, "happened": n / 12} for n in range(1, 10)]
         rows += [{"setting": name, "object": str(n), "trajectories": 4, "f1": 1.0 - n / 50} for n in range(objects)]
         rows += [
             {
@@ -136,10 +145,13 @@ def test_the_picture_of_slip(settings: int, objects: int, *, published: bool) ->
     assert max(ends) == pytest.approx(1.0)
     named = [text.get_text() for legend in figure.findobj(Legend) for text in legend.get_texts()]
     assert any(name.startswith("the paper") for name in named) == published
-    onsets = [axes for axes in figure.axes[2:] if axes.axison]
+    onsets = [axes for axes in figure.axes[2:-2] if axes.axison]
     assert len(onsets) == settings
     steps = onsets[0].lines[-3 if objects == 1 else objects].get_ydata()
     assert steps[-1] == 0.75  # one of four was never detected
+    warned = figure.axes[-2].lines[0]
+    assert warned.get_xdata().tolist() == [0, 5, 10, 20, 40]
+    assert warned.get_ydata()[2] == pytest.approx(0.7)
 
 
 def grasp_rows(settings: int, objects: tuple[int, ...], trials: int, *, held: bool) -> list[dict[str, Any]]:

@@ -11,9 +11,11 @@ from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
+from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series
-from evetac_cli.store.files import StageFile, header_of
+from evetac_cli.store.files import StageFile, header_of, write_stage
+from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from tests import small_files
 from tests.conftest import Made
@@ -120,3 +122,54 @@ def test_truth_that_is_not_there_is_refused(tmp_path: Path) -> None:
     small_files.tracks(tmp_path / "a.tracks.h5", header_of(recording, "recording"))
     with pytest.raises(InputError, match="has no truth"):
         run_stage(featurize, [recording], Featurize(true_slip_share=True), tmp_path)
+
+
+def test_a_slice_is_told_what_the_gripper_did_before_it(made: Made) -> None:
+    """Assert that features hold the position and the goal current last known as each slice began."""
+    path = made.recordings[0]
+    with open_recording(path) as recording, StageFile(made.beside(path, "features")) as features:
+        t_us, position = recording.read("gripper/t_us"), recording.read("gripper/position_ticks")
+        goal_ma = recording.read("gripper/current_written_ma")
+        told = {name: features.read(f"gripper_{name}") for name in ("position_ticks", "goal_ma")}
+        assert not features.has("gripper_goal_ticks")  # a scene in which a current falls has no goal position
+        for k in range(len(recording)):
+            before = np.flatnonzero(t_us <= 1000 * k)
+            if not len(before):
+                assert np.isnan(told["position_ticks"][k]) and np.isnan(told["goal_ma"][k])
+                continue
+            assert told["position_ticks"][k] == position[before[-1]]
+            assert told["goal_ma"][k] == goal_ma[before[-1]]
+        assert np.ptp(goal_ma) > 0
+        seen = read_series(features, ARCHITECTURES["disp-xy-grip"])
+        plain = read_series(features, ARCHITECTURES["disp-xy"])
+    assert isinstance(seen, DotsAndExtras)
+    np.testing.assert_array_equal(seen.dots, plain)
+    np.testing.assert_array_equal(seen.extras[:, 0], told["position_ticks"])
+    assert np.isnan(seen.extras[:, 2]).all()
+
+
+def test_the_sticking_share_is_copied_on_request(made: Made, tmp_path: Path) -> None:
+    """Assert that a touch map beside the tracks is read, a slice late, and one that is missing or another's refused."""
+    path = made.recordings[0]
+    tracks, _ = run_stage(track, [path], Track(), tmp_path)
+    chosen = Featurize(tracks=tracks, sticking_share=True)
+    with pytest.raises(InputError, match="touch map of this recording is missing"):
+        run_stage(featurize, [path], chosen, tmp_path)
+    with open_recording(path) as recording:
+        arrays = small_files.touch_arrays(len(recording))
+    arrays["sticking_share"] = np.linspace(1, 0, len(arrays["known"]), dtype=np.float32)
+    arrays["sticking_share"][:30] = np.nan
+    touch = tmp_path / path.name.replace(".recording.", ".touch.")
+    write_stage(touch, Recipe("touch", 1, {}, parents=(header_of(tracks, "tracks"),)), arrays)
+    output, _ = run_stage(featurize, [path], chosen, tmp_path)
+    with StageFile(output) as features, StageFile(touch) as of_touch:
+        np.testing.assert_array_equal(features.read("sticking_share")[1:], of_touch.read("sticking_share")[:-1])
+        seen = read_series(features, ARCHITECTURES["disp-xy-grip"])
+        assert isinstance(seen, DotsAndExtras)
+        np.testing.assert_array_equal(seen.extras[:, 2], features.read("sticking_share"))
+    other = tmp_path / "other"
+    other.mkdir()
+    again, _ = run_stage(track, [path], Track(preset="paper"), other)
+    touch.rename(other / touch.name)
+    with pytest.raises(InputError, match="made from other tracks"):
+        run_stage(featurize, [path], Featurize(tracks=again, sticking_share=True), other)

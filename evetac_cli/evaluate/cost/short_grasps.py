@@ -46,6 +46,10 @@ class TimedDetector:
         self.took_us.append(1e6 * (time.perf_counter() - started))
         return probability
 
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """As the detector is told."""
+        self.detector.tell_gripper(position_ticks, goal_ticks)
+
     @property
     def signal(self) -> SlipSignal:
         """The detector's signal for the controller."""
@@ -66,6 +70,10 @@ class FixedDetector:
         slip = self.slips()
         self.count += slip
         return float(slip)
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """As the detector is told."""
+        self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
     def signal(self) -> SlipSignal:
@@ -133,7 +141,7 @@ def run_short_grasp(
         with StageFile(model or resources.MODEL, "model") as file:
             detector = TimedDetector(
                 wrap_detector(
-                    open_detector(file, devices.camera.sensor, presets.PRESETS[Grasp.tracker], Grasp.slip_threshold),
+                    open_detector(file, devices.camera.sensor, presets.PRESETS[Grasp.tracker]),
                     devices,
                 )
             )

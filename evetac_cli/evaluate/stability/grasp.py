@@ -77,6 +77,10 @@ class UnevenSlices:
             self.detector.step(events)
         return self.detector.step(events)
 
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """As the detector is told."""
+        self.detector.tell_gripper(position_ticks, goal_ticks)
+
     @property
     def signal(self) -> SlipSignal:
         """The detector's signal for the controller."""
@@ -96,6 +100,10 @@ class DyingDetector:
         if self.slices_left < 0:
             raise DeviceError("the detector died")
         return self.detector.step(events)
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """As the detector is told."""
+        self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
     def signal(self) -> SlipSignal:

@@ -116,7 +116,7 @@ class Computer:
         """Times of online steps of the shipped detector, on slices of so many events at the rims of the dots."""
         sensor = {"sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
         with StageFile(resources.MODEL, "model") as model:
-            detector = open_detector(model, sensor, presets.PRESETS["stable"], 0.3)
+            detector = open_detector(model, sensor, presets.PRESETS["stable"])
         rng = np.random.default_rng(0)
         slices = [_rim_events(rng, events) for _ in range(DIFFERENT_SLICES)]
         times_us = []

@@ -94,13 +94,14 @@ class Prediction:
 
     probability (slices,), NaN until the history is full; label int8 (slices,) 1 slip, 0 no slip, -1 not examined,
     shifted where slip is predicted; onset: first slice of slip in the labels as they were before the shift, or -1;
-    object: the name that scores are grouped by.
+    object: the name that scores are grouped by; sensor: the name of the sensor.
     """
 
     probability: NDArray[np.floating]
     label: NDArray[np.int8]
     onset: int
     object: str = ""
+    sensor: str = ""
 
     def __post_init__(self) -> None:
         check_labels(self.label, self.onset)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.slip.alarms import alarming
 from evetac_cli.pages.shared import (
     BLUE,
     GREEN,
@@ -296,7 +296,7 @@ def slip_onsets(
         onsets["label"] = _first(label == 1, start)
         examined = _first(label >= 0, start) or start
     if probability is not None and trial.model is not None:
-        detected = is_slip(probability, float(trial.model.read("threshold")))
+        detected = alarming(probability, float(trial.model.read("threshold")))
         onsets["model"] = _first(detected[examined - start :], examined)
     elif trial.recording is not None and trial.recording.has("control"):
         t_s, first, last = timed(trial.recording, "control/t_us", span)
@@ -330,7 +330,7 @@ def slip_lanes(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.
     if source is not None:
         lane("label", GREEN, _length(source, "label", span), rows_of(source, "label", start), by_slice)
     if probability is not None and trial.model is not None:
-        slip = is_slip(probability, float(trial.model.read("threshold"))).astype(np.int8)
+        slip = alarming(probability, float(trial.model.read("threshold"))).astype(np.int8)
         slip[np.isnan(probability)] = -1
         lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
     elif recording is not None and recording.has("control"):

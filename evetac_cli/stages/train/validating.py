@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import calibration, metrics, warning_curve
-from evetac_cli.kernels.slip.calibration import Calibration
+from evetac_cli.kernels.slip import metrics, reliability, warning_curve
 from evetac_cli.kernels.slip.metrics import Choice, Prediction
+from evetac_cli.kernels.slip.reliability import OddsScale
 from evetac_cli.kernels.slip.warning_curve import WarningCurve
 
 if TYPE_CHECKING:  # torch takes more than a second to import
@@ -34,7 +34,7 @@ class Validated:
 
     choice: Choice
     curve: WarningCurve
-    calibrations: list[Calibration | None]
+    calibrations: list[OddsScale | None]
     predictions: Sequence[Prediction]
 
     @classmethod
@@ -78,7 +78,7 @@ class Validated:
         }
         used = self.calibrations[self.choice.checkpoint]
         if used is not None:
-            _, slips = calibration.judged(self.predictions)
+            _, slips = reliability.judged(self.predictions)
             arrays |= {
                 "calibration/scale": np.float64(used.scale),
                 "calibration/offset": np.float64(used.offset),
@@ -99,9 +99,9 @@ class Validated:
         }
 
 
-def _calibration(predictions: Sequence[Prediction]) -> Calibration | None:
+def _calibration(predictions: Sequence[Prediction]) -> OddsScale | None:
     """The calibration of a checkpoint; None for one that tells nothing, which has no more to say either way."""
     try:
-        return calibration.fit(predictions)
+        return reliability.fit(predictions)
     except ValueError:
         return None

@@ -28,7 +28,7 @@ from evetac_cli.trials.trial import OUTPUT as OUTPUT
 from evetac_cli.trials.trial import for_people, simulated_trials
 
 METHOD = simulated.METHOD
-OF_DETECTOR = ("model", "slip_threshold", "tracker")
+OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")
 NOT_OF_GRASP = frozenset(
     {Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED}
 )  # words of `record`

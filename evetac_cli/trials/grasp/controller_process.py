@@ -331,6 +331,7 @@ def _command(
             ended, error, alive_us = str(failed).splitlines()[0], failed, begun_s * 1e6
             break
         last_s = clock()
+        shared.tell_gripper(reading.position_ticks, goal)
         cycle_us.append((last_s - begun_s) * 1e6)
         on_bus_s = read_s - begun_s + last_s - decided_s
         least_s = min(least_s, on_bus_s)

@@ -22,6 +22,9 @@ class SliceDetector(Protocol):
     def step(self, events: Events) -> float:
         """Slip probability after one more slice."""
 
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """Where the fingers were read in a step of the controller, and the goal that it gave them."""
+
     @property
     def signal(self) -> SlipSignal:
         """What the controller gets to know after the last slice."""
@@ -101,6 +104,8 @@ def grasp_slices(
             reading = gripper.read()
             goal = control.step(phase, signal, reading.position_ticks)
             gripper.write_position(goal)
+            if detector is not None:
+                detector.tell_gripper(reading.position_ticks, goal)
             rows |= control_row(control, phase, signal, reading, goal, devices.camera.now_us())
         yield events, rows
         slice_ += 1

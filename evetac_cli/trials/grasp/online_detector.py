@@ -8,7 +8,7 @@ because they steady each other; a network for a cut gel gets only the dots that 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,11 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
+from evetac_cli.kernels.slip import alarms
+from evetac_cli.kernels.slip.alarms import AlarmState
 from evetac_cli.kernels.slip.detector import Live
-from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import presets, tracker
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 
@@ -62,8 +64,7 @@ class OnlineSlipDetector:
     """The state of the detector after the slices so far."""
 
     live: Live
-    threshold: float
-    count: int = 0  # slices with slip so far: what the controller reads
+    alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
     probability: float = float("nan")
 
     @classmethod
@@ -83,7 +84,30 @@ class OnlineSlipDetector:
         tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants)
         live = Live(load_detector(model), tracking, window_px, sensor, known)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now and not in the first slice
-        return cls(live, float(model.read("threshold")))
+        return cls(live, alarms.start(chosen_threshold(model)))
+
+    @property
+    def threshold(self) -> float:
+        """The probability that three slices on end have to reach."""
+        return self.alarm.threshold
+
+    @threshold.setter
+    def threshold(self, value: float) -> None:
+        self.alarm.threshold = value
+
+    @property
+    def count(self) -> int:
+        """Slices that alarmed so far: what the controller reads."""
+        return self.alarm.alarms
+
+    @property
+    def slip(self) -> bool:
+        """Whether the last slice alarms: it is the third on end, at least, that reaches the threshold."""
+        return self.alarm.alarming
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """Where the fingers were last read, and the goal they were then given, for a network that is told of them."""
+        self.live.tell(position_ticks, goal_ticks)
 
     @property
     def tracking(self) -> tracker.TrackerState:
@@ -93,7 +117,7 @@ class OnlineSlipDetector:
     def step(self, events: Events) -> float:
         """Slip probability after one more slice; NaN until the history is full."""
         self.probability = self.live.step(events.x, events.y, events.p)
-        self.count += is_slip(self.probability, self.threshold)
+        alarms.step(self.alarm, self.probability)
         return self.probability
 
     @property
@@ -104,9 +128,9 @@ class OnlineSlipDetector:
 
 
 def open_detector(
-    model: StageFile, sensor: Mapping[str, Any], constants: presets.TrackerConstants, threshold: float
+    model: StageFile, sensor: Mapping[str, Any], constants: presets.TrackerConstants, threshold: float | None = None
 ) -> OnlineSlipDetector:
-    """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own.
+    """The detector of a model, for a sensor with these datasets `sensor/...`; threshold: None for the model's own.
 
     constants: of the tracker, for dots of the usual size. InputError if the model is for another dot grid.
     """
@@ -114,7 +138,8 @@ def open_detector(
     detector = OnlineSlipDetector.start(
         model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
     )
-    detector.threshold = threshold
+    if threshold is not None:
+        detector.threshold = threshold
     return detector
 
 
@@ -126,5 +151,4 @@ def open_view_detector(
     path: of the model, None for the package's; threshold: None for the model's own.
     """
     with StageFile(resources.model_file(path), "model") as model:
-        own = float(model.read("threshold"))
-        return open_detector(model, sensor, presets.PRESETS[preset], own if threshold is None else threshold)
+        return open_detector(model, sensor, presets.PRESETS[preset], threshold)

@@ -16,7 +16,7 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
-from evetac_cli.stages.model_files import require_useful
+from evetac_cli.stages.model_files import chosen_threshold, require_useful
 from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.store.calibration import Calibration
 from evetac_cli.store.files import StageFile
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 class DetectorModel:
     """The model of a slip detector, checked, and how it is run.
 
-    header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: from which
-    probability on the controller is told of slip.
+    header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: which probability
+    three slices on end have to reach, for the controller to be told of slip.
     """
 
     path: Path
@@ -55,7 +55,8 @@ class DetectorModel:
             check_graph(model)
             require_useful(model)
             header = model.header
-        return cls(path, header, params.tracker, presets.PRESETS[params.tracker], params.slip_threshold)
+            threshold = chosen_threshold(model, params.slip_threshold, params.false_alarms_per_min)
+        return cls(path, header, params.tracker, presets.PRESETS[params.tracker], threshold)
 
     def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:
         """The detector for a sensor with these datasets `sensor/...`; InputError if its file was replaced meanwhile."""
@@ -123,8 +124,9 @@ class GraspSettings:
         """How the trials are shown, if the flags say so: with the detector of the grasp, else the package's."""
         if params.shown_in is None:
             return None
-        model = None if self.detector is None else self.detector.path
-        return ViewRequest(params.shown_in, model, params.slip_threshold, params.tracker)
+        if self.detector is None:
+            return ViewRequest(params.shown_in, None, None, params.tracker)
+        return ViewRequest(params.shown_in, self.detector.path, self.detector.threshold, params.tracker)
 
     def parents(self) -> tuple[Header, ...]:
         """The header of the detector's model, if there is one, as parents of a recipe."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
-from evetac_cli.kernels.slip import calibration, warning_curve
+from evetac_cli.kernels.slip import reliability, warning_curve
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.training import PRESETS
 from evetac_cli.resources import MODEL
@@ -104,7 +104,7 @@ def test_the_model_keeps_what_its_warnings_cost(model: Path, trials: list[Path])
 
 def test_probabilities_are_calibrated_on_what_validates(model: Path, trials: list[Path]) -> None:
     """Assert that the stored network needs no other scale and offset there, and that the file says what was applied."""
-    scale, offset = calibration.fit(predictions(model, trials[4:]))
+    scale, offset = reliability.fit(predictions(model, trials[4:]))
     assert (scale, offset) == pytest.approx((1.0, 0.0), abs=0.05)
     with StageFile(model, "model") as file:
         applied = model_files.read_calibration(file)

@@ -52,6 +52,9 @@ class Detector:
     def __init__(self) -> None:
         self.steps = self.slips = 0
 
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        self.told = position_ticks, goal_ticks
+
     def step(self, events: Events) -> float:
         self.steps += 1
         self.slips += self.steps % 3 == 0

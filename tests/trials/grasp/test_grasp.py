@@ -54,10 +54,26 @@ def test_the_package_has_a_detector() -> None:
 def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
     """Assert that what belongs to a detector is refused where none is used, and that no model is taken then."""
     assert GraspSettings.of(Grasp(controller=controller)).detector is None
-    for name, value in (("model", tmp_path / "slip.model.h5"), ("slip_threshold", 0.5), ("tracker", "paper")):
+    for name, value in (
+        ("model", tmp_path / "slip.model.h5"),
+        ("slip_threshold", 0.5),
+        ("false_alarms_per_min", 1.0),
+        ("tracker", "paper"),
+    ):
         asked = Grasp(controller=controller, **{name: value})
         with pytest.raises(InputError, match=f"--{name.replace('_', '-')}: no detector is used"):
             grasp.jobs([], asked, tmp_path)
+
+
+def test_the_threshold_is_the_models_unless_named() -> None:
+    """Assert that a grasp is detected at the model's own threshold, at one that is named, and never at two."""
+    with StageFile(MODEL, "model") as model:
+        own = float(model.read("threshold"))
+    for named, expected in ((None, own), (0.25, 0.25)):
+        settings = GraspSettings.of(Grasp(slip_threshold=named))
+        assert settings.detector is not None and settings.detector.threshold == expected
+    with pytest.raises(InputError, match="two ways"):
+        GraspSettings.of(Grasp(slip_threshold=0.25, false_alarms_per_min=1.0))
 
 
 @pytest.mark.parametrize(
@@ -185,6 +201,9 @@ class SlipsAt:
 
     def __init__(self, at: int) -> None:
         self.at, self.slices, self.signal = at, 0, SlipSignal()
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        self.told = position_ticks, goal_ticks
 
     def step(self, events) -> float:
         self.slices += 1

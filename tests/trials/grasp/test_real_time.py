@@ -20,7 +20,7 @@ from evetac_cli.errors import DeviceError, InputError, attached_outcome
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
-from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.slip.alarms import alarming
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
@@ -348,7 +348,7 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
         steps = {f"control/{name}": file.read(f"control/{name}").tolist() for name in needed}
         steps["gripper/position_ticks"] = file.read("gripper/position_ticks").tolist()
         rows = [dict(zip(steps, row, strict=True)) for row in zip(*steps.values(), strict=True)]
-        slips = is_slip(file.read("control/probability"), Grasp().slip_threshold)
+        slips = alarming(file.read("control/probability"), file.header["parameters"]["slip_threshold"])
         goals_by_law(rows, lambda k: bool(slips[k]))  # asserts that the file holds them
         assert "controller" in file.read("capture/scheduling")
         assert int(file.read("capture/lost/camera.late_events")) == 0

@@ -1,9 +1,11 @@
 """A grasp on a recording: its decisions are those that were, or would have been, made."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
@@ -13,11 +15,15 @@ from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
-from evetac_cli.kernels.slip.labels import is_slip
-from evetac_cli.resources import MODEL
+from evetac_cli.kernels.slip import networks, onnx_graphs
+from evetac_cli.kernels.slip.alarms import alarming
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, with_scaled_logit
+from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector, read_series
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import grasp, record
 
@@ -33,7 +39,7 @@ def grasped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return job.output
 
 
-def replay(path: Path, out: Path, **flags: float | str) -> Path:
+def replay(path: Path, out: Path, **flags: float | str | Path) -> Path:
     params = Grasp(camera=f"replay:{path}", **flags)  # type: ignore[arg-type]
     (job,) = grasp.jobs([], params, out)
     made = grasp.run(job, params)
@@ -56,19 +62,53 @@ def test_decisions_are_those_of_the_grasp(grasped: Path, tmp_path: Path) -> None
         assert was.header["id"] in now.header["parents"]
 
 
+def untrained(path: Path) -> Path:
+    """A model that is told what the gripper does, with random weights of which the last tell much from little."""
+    architecture = ARCHITECTURES["disp-xy-grip"]
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(4)
+        network = networks.build(architecture)
+    with torch.no_grad():
+        of_nothing = float(network(torch.zeros(1, 56, 61))[0])
+    weights = with_scaled_logit(networks.weights(network), "fc5", 50.0, -50.0 * of_nothing)
+    arrays: dict[str, Any] = {f"weights/{name}": value for name, value in weights.items()}
+    arrays |= {
+        "onnx": np.frombuffer(onnx_graphs.build(architecture, weights), np.uint8),
+        "architecture": architecture.name,
+        "history": np.int64(architecture.history),
+        "dot_shape": np.array([7, 8], np.int32),
+        "threshold": np.float64(0.5),
+        "curve/step": np.array([1]),
+        "curve/loss": np.array([1.0]),
+        "checkpoint/step": np.array([1]),
+        "checkpoint/score": np.array([0.5]),
+        "checkpoint/threshold": np.array([0.5]),
+        "checkpoint/chosen": np.int64(0),
+    }
+    write_stage(path, Recipe("model", 1, {}, simulated_source=True), arrays)
+    return path
+
+
 def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> None:
-    """Assert that track, featurize and the network over the file, and the law over that, give the same decisions."""
-    again = replay(grasped, tmp_path / "again.recording.h5")
+    """Assert that track, featurize and a network over the file, and the law over that, give the same decisions.
+
+    The network is told where the fingers are and what they were commanded.
+    """
+    told = untrained(tmp_path / "told.model.h5")
+    again = replay(grasped, tmp_path / "again.recording.h5", model=told)
     tracking = Track()
-    (job,) = track.jobs([grasped], tracking, tmp_path)
+    (job,) = track.jobs([again], tracking, tmp_path)
     track.run(job, tracking)
     features = Featurize(tracks=job.output)
-    (job,) = featurize.jobs([grasped], features, tmp_path)
+    (job,) = featurize.jobs([again], features, tmp_path)
     featurize.run(job, features)
-    with StageFile(MODEL, "model") as model, StageFile(job.output, "features") as file:
+    with StageFile(told, "model") as model, StageFile(job.output, "features") as file:
         detector = load_detector(model)
-        probability = detector.over(read_series(file, detector.architecture))
-    slips = np.cumsum(is_slip(probability, Grasp().slip_threshold))
+        series = read_series(file, detector.architecture)
+        probability = detector.over(series)
+        assert isinstance(series, DotsAndExtras) and np.isfinite(series.extras[2:, :2]).all()
+        assert np.nanmax(np.abs(probability - detector.over(series.dots))) > 0.01  # what it is told matters
+        slips = np.cumsum(alarming(probability, chosen_threshold(model)))
     law = Control(PAPER)
     with open_recording(again) as now:
         np.testing.assert_array_equal(now.read("control/probability"), probability)

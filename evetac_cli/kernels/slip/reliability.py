@@ -23,15 +23,15 @@ NEAREST = 1e-7  # to 0 and 1: float32 has no probability nearer to 1 but 1
 MOST_ODDS = 50.0  # log odds that are certain in float32
 
 
-class Calibration(NamedTuple):
+class OddsScale(NamedTuple):
     """Calibrated log odds are scale * log odds + offset."""
 
     scale: float
     offset: float
 
-    def inverse(self) -> "Calibration":
+    def inverse(self) -> "OddsScale":
         """The one that takes this one back."""
-        return Calibration(1 / self.scale, -self.offset / self.scale)
+        return OddsScale(1 / self.scale, -self.offset / self.scale)
 
     def of(self, probability: NDArray[np.floating]) -> NDArray[np.float32]:
         """Calibrated probabilities; NaN stays."""
@@ -40,7 +40,7 @@ class Calibration(NamedTuple):
         return single
 
 
-def fit(predictions: Sequence[Prediction]) -> Calibration:
+def fit(predictions: Sequence[Prediction]) -> OddsScale:
     """The calibration under which labels are likeliest.
 
     ValueError without slices of both kinds, or where slip is the likelier the less of it the detector says.
@@ -55,7 +55,7 @@ def fit(predictions: Sequence[Prediction]) -> Calibration:
     scale, offset = logistic.fit(columns, target, np.full(2, PENALTY), np.ones(len(slips))).tolist()
     if not (np.isfinite([scale, offset]).all() and scale > 0):
         raise ValueError(f"expected more slip where more is said, found a scale of {scale:g}")
-    return Calibration(scale, offset)
+    return OddsScale(scale, offset)
 
 
 def judged(predictions: Sequence[Prediction]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -82,7 +82,7 @@ class ReliabilityBin(NamedTuple):
     happened: float  # share
 
 
-def reliability(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[ReliabilityBin]:
+def bins(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[ReliabilityBin]:
     """What is said and what happens, in steps of 0.1 from 0.1 on; steps without a slice are left out."""
     place = np.minimum(np.searchsorted(BINS, probability, side="right") - 1, len(BINS) - 2)
     made = []

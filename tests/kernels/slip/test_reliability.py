@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.slip import calibration
+from evetac_cli.kernels.slip import reliability
 from evetac_cli.kernels.slip.metrics import Prediction
 
 
@@ -19,12 +19,12 @@ def overconfident(scale: float, offset: float, slices: int = 40_000) -> Predicti
 def test_scale_and_offset_are_found() -> None:
     """Assert that both are found to some percent, and that calibrated probabilities happen as often as they say."""
     one = overconfident(0.5, -1.5)
-    found = calibration.fit([one])
+    found = reliability.fit([one])
     assert found == pytest.approx((0.5, -1.5), abs=0.08)
 
     def error(probability: np.ndarray) -> float | None:
-        said, slips = calibration.judged([Prediction(probability, one.label, -1)])
-        return calibration.expected_error(calibration.reliability(said, slips))
+        said, slips = reliability.judged([Prediction(probability, one.label, -1)])
+        return reliability.expected_error(reliability.bins(said, slips))
 
     before, after = error(one.probability), error(found.of(one.probability))
     assert before is not None and after is not None
@@ -34,7 +34,7 @@ def test_scale_and_offset_are_found() -> None:
 def test_order_and_nan_stay() -> None:
     """Assert that a calibration changes no order of two slices and leaves NaN, and that certainty stays finite."""
     said = np.array([np.nan, 0.0, 1e-6, 0.3, 0.30001, 0.999, 1.0], np.float32)
-    result = calibration.Calibration(0.7, -2.0).of(said)
+    result = reliability.OddsScale(0.7, -2.0).of(said)
     assert np.isnan(result[0])
     assert np.all(np.diff(result[1:]) >= 0)
     assert np.isfinite(result[1:]).all()
@@ -44,7 +44,7 @@ def test_slices_long_after_the_onset_do_not_count() -> None:
     """Assert that unexamined slices, those without a probability and those 20 ms after the onset are left out."""
     probability, label = np.full(200, 0.5), np.zeros(200, np.int8)
     probability[:5], label[5:10], label[100:] = np.nan, -1, 1
-    said, slips = calibration.judged([Prediction(probability, label, 100)])
+    said, slips = reliability.judged([Prediction(probability, label, 100)])
     assert (len(said), slips.sum()) == (110, 20)
 
 
@@ -52,15 +52,15 @@ def test_reliability_by_hand() -> None:
     """Assert that the error is the mean of the steps' differences, by their slices, and nothing below 0.1 counts."""
     said = np.array([0.05] * 50 + [0.25] * 4 + [1.0] * 6)
     slips = np.array([1] * 50 + [1, 0, 0, 0] + [1, 1, 1, 0, 0, 0], np.bool_)
-    bins = calibration.reliability(said, slips)
+    bins = reliability.bins(said, slips)
     assert [(one.slices, one.said, one.happened) for one in bins] == [(4, 0.25, 0.25), (6, 1.0, 0.5)]
-    assert calibration.expected_error(bins) == pytest.approx(0.3)
-    assert calibration.expected_error([]) is None
+    assert reliability.expected_error(bins) == pytest.approx(0.3)
+    assert reliability.expected_error([]) is None
 
 
 def test_what_cannot_be_calibrated_is_refused() -> None:
     """Assert that slices of one kind, and a detector that says the contrary, are refused in words."""
     with pytest.raises(ValueError, match="one kind"):
-        calibration.fit([Prediction(np.full(10, 0.5), np.zeros(10, np.int8), -1)])
+        reliability.fit([Prediction(np.full(10, 0.5), np.zeros(10, np.int8), -1)])
     with pytest.raises(ValueError, match="scale of -"):
-        calibration.fit([overconfident(-1.0, 0.0, 2000)])
+        reliability.fit([overconfident(-1.0, 0.0, 2000)])

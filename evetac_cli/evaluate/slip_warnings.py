@@ -1,0 +1,170 @@
+"""What detectors warn of, and at what price: columns and tables of a report on slip beside timing and F1.
+
+A warning is an alarm that lasts until slip: three slices on end that reach the threshold (kernels/slip/alarms.py),
+where timing asks for the first slice alone, as the paper does. A figure is a mean over objects, each of which counts
+the same, and over the seeds of a setting. Trials share objects, sensors or both, so intervals are by resampling these;
+what is left to chance in a training is not in them.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.jobs import Rows
+from evetac_cli.kernels import estimates
+from evetac_cli.kernels.estimates import Estimate
+from evetac_cli.kernels.slip import alarms, metrics, reliability, warning_curve
+from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.kernels.slip.reliability import ReliabilityBin
+
+WARNED = {ahead_ms: f"warned_{ahead_ms}_ms" for ahead_ms in alarms.LEADS_MS}  # columns: at least so long ahead
+WITH_INTERVAL = ("slip_correct", "warned_10_ms", "false_alarms_per_min")
+
+
+class Judged(NamedTuple):
+    """What a detector made of one trajectory: lead None without slip, or where it never warned."""
+
+    object: str
+    sensor: str
+    slips: bool
+    is_correct: bool
+    lead_ms: int | None
+    false_alarms: int
+    quiet_slices: int
+
+    @classmethod
+    def of(cls, prediction: Prediction, threshold: float) -> "Judged":
+        """At a threshold."""
+        alarming = alarms.alarming(prediction.probability, threshold)
+        slips = prediction.onset >= 0
+        first = metrics.onset(prediction.detected(threshold))
+        return cls(
+            prediction.object,
+            prediction.sensor,
+            slips,
+            slips and metrics.timing(first, prediction.onset) == "correct",
+            alarms.lead_ms(alarming, prediction.onset) if slips else None,
+            *warning_curve.false_alarms(prediction, threshold),
+        )
+
+    def warned(self, ahead_ms: int) -> bool:
+        """Whether it warned of the slip at least so long ahead."""
+        return self.lead_ms is not None and self.lead_ms >= ahead_ms
+
+
+Seeds = Sequence[Sequence[Judged]]  # what each model of a setting made of the same trajectories
+
+
+class Shares(NamedTuple):
+    """Trials that share objects and sensors: how much each counts, and how often in each round of resampling."""
+
+    counts: NDArray[np.float64]  # (trials,), so that each object counts the same
+    weights: NDArray[np.float64]  # (rounds, trials)
+
+    @classmethod
+    def of(cls, trials: Sequence[Judged]) -> "Shares":
+        """Of some trials."""
+        objects = [one.object for one in trials]
+        counts = np.array([1 / objects.count(name) for name in objects])
+        return cls(counts, estimates.cluster_weights(objects, [one.sensor for one in trials]))
+
+    def mean(self, values: NDArray[np.float64]) -> Estimate | None:
+        """The mean of a value of each trial, (trials,), over objects."""
+        return estimates.ratio_of_clusters(self.counts * values, self.counts, self.weights)
+
+
+def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
+    """The columns of a setting."""
+    slips = [place for place, one in enumerate(judged[0]) if one.slips]
+    figures: dict[str, Any] = {}
+    if slips:
+        shares = Shares.of([judged[0][place] for place in slips])
+        correct = shares.mean(_of_seeds([[seed[place].is_correct for place in slips] for seed in judged]))
+        warned = {
+            name: shares.mean(_of_seeds([[seed[place].warned(ahead_ms) for place in slips] for seed in judged]))
+            for ahead_ms, name in WARNED.items()
+        }
+        figures |= {name: None if one is None else one.value for name, one in warned.items()}
+        figures |= _ends("slip_correct", correct) | _ends("warned_10_ms", warned["warned_10_ms"])
+    else:
+        figures |= dict.fromkeys(WARNED.values()) | _ends("slip_correct", None) | _ends("warned_10_ms", None)
+    false = false_alarms(judged)
+    minutes = sum(one.quiet_slices for one in judged[0]) / warning_curve.SLICES_PER_MIN
+    leads = [seed[place].lead_ms for seed in judged for place in slips]
+    told = [lead for lead in leads if lead is not None]
+    return {
+        **figures,
+        "lead_ms_median": float(np.median(told)) if told else None,
+        "false_alarms_per_min": None if false is None else false.value,
+        **_ends("false_alarms_per_min", false),
+        "minutes_without_slip": minutes,
+        "calibration_error": reliability.expected_error(bins(predictions)),
+    }
+
+
+def false_alarms(judged: Seeds) -> Estimate | None:
+    """False alarms per minute over all trials and seeds; None where none of them has a slice without slip.
+
+    Without any, and within one object and sensor, the interval is Poisson's.
+    """
+    trials = judged[0]
+    count = _of_seeds([[one.false_alarms for one in seed] for seed in judged])
+    minutes = np.array([one.quiet_slices for one in trials]) / warning_curve.SLICES_PER_MIN
+    if not minutes.sum():
+        return None
+    if not count.any():
+        return estimates.poisson_rate(0, float(minutes.sum()))
+    weights = estimates.cluster_weights([one.object for one in trials], [one.sensor for one in trials])
+    return estimates.ratio_of_clusters(count, minutes, weights)
+
+
+def bins(predictions: Sequence[Sequence[Prediction]]) -> list[ReliabilityBin]:
+    """What is said and what happens, over all trajectories and seeds."""
+    return reliability.bins(*reliability.judged([one for of_seed in predictions for one in of_seed]))
+
+
+def reliability_rows(setting: str, predictions: Sequence[Sequence[Prediction]]) -> Rows:
+    """A row for each step of probability of which anything is said."""
+    return [
+        {
+            "setting": setting,
+            "said_from": one.low,
+            "said_to": one.high,
+            "slices": one.slices,
+            "said": one.said,
+            "happened": one.happened,
+        }
+        for one in bins(predictions)
+    ]
+
+
+def sensor_rows(setting: str, judged: Seeds) -> Rows:
+    """A row for each sensor, where there are several."""
+    names = list(dict.fromkeys(one.sensor for one in judged[0]))
+    return [{"setting": setting, "sensor": name, **group(judged, "sensor", name)} for name in names if len(names) > 1]
+
+
+def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
+    """Plain shares over the trials of one object, or one sensor, and all seeds."""
+    chosen = [one for seed in judged for one in seed if getattr(one, factor) == name]
+    slips = [one for one in chosen if one.slips]
+    minutes = sum(one.quiet_slices for one in chosen) / warning_curve.SLICES_PER_MIN
+    return {
+        "slip_correct": float(np.mean([one.is_correct for one in slips])) if slips else None,
+        "warned_10_ms": float(np.mean([one.warned(10) for one in slips])) if slips else None,
+        "false_alarms_per_min": sum(one.false_alarms for one in chosen) / minutes if minutes else None,
+        "trials": len(chosen) // len(judged),
+    }
+
+
+def _of_seeds(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+    """The mean over seeds, (trials,)."""
+    mean: NDArray[np.float64] = np.array(values, np.float64).mean(axis=0)
+    return mean
+
+
+def _ends(name: str, estimate: Estimate | None) -> dict[str, float | None]:
+    low, high = (None, None) if estimate is None else estimate[1:]
+    return {f"{name}_low": low, f"{name}_high": high}
