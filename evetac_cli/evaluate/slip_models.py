@@ -34,6 +34,7 @@ from evetac_cli.stages.splits import check_disjoint, object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings.onset import is_unsure
 
 AT_ONCE = 8  # trajectories of one task of several
 MOST_SLICES = 1 << 17  # that are in memory together: of a trajectory of hours a piece
@@ -161,7 +162,8 @@ def predict_all(
                 label, onset = file.read("label"), int(file.read("onset_slice"))
                 for model, predictions, probability in zip(models, by_model, of_models, strict=True):
                     shifted = shift_labels(label, model.horizon_ms)
-                    predictions.append(Prediction(probability, shifted, onset, object_name(header)))
+                    named = object_name(header)
+                    predictions.append(Prediction(probability, shifted, onset, named, not is_unsure(file)))
         progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
 

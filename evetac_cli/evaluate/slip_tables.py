@@ -74,7 +74,7 @@ def tables(
             _late_by(prediction, thresholds[index])
             for index in members
             for prediction in predictions[index]
-            if prediction.onset >= 0
+            if prediction.onset >= 0 and prediction.timed
         ]
         settings.append(setting_row(setting, first, cells))
         timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
@@ -194,7 +194,7 @@ def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
 
 def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:
     first = metrics.onset(prediction.detected(threshold))
-    labelled = prediction.onset >= 0
+    labelled = prediction.onset >= 0 and prediction.timed
     return {
         "setting": setting,
         "model_file": model.path.name,
