@@ -200,14 +200,14 @@ def labellers() -> list[Row]:
     starts = np.cumsum([0, *(events.size for events in slices)])
     together = concatenate(slices)
     x0, y0, x1, y1 = trial.window_px
-    window, gel = (x0 + 10, y0, x1, y1), (0, 0, x0 - 10, FRAME_PX[1])
+    window = x0 + 10, y0, x1, y1
     dots, radius_px = trial.dot_xy_px.reshape(-1, 2), trial.dot_radius_px
 
     def between(first: int, last: int) -> Events:
         return together.part(int(starts[first]), int(starts[last]))
 
     def ours() -> int:
-        event_flow.label(between, len(slices), window, gel, dots, radius_px, event_flow.EventFlowConstants())
+        event_flow.label(between, len(slices), window, FRAME_PX, dots, radius_px, event_flow.EventFlowConstants())
         return len(slices)
 
     def farneback() -> int:

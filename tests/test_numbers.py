@@ -96,7 +96,7 @@ UNBOUNDED = (
     "label a.recording.h5 --method event-count --min-events {n} -o out",
     "label a.recording.h5 --method event-count --after-ms {n} -o out",
     "label a.recording.h5 --slip-distance-px {n} -o out",
-    "label a.recording.h5 --edge-events {n} -o out",
+    "label a.recording.h5 --after-ms {n} -o out",
     "label a.recording.h5 --threshold-px {n} -o out",
     "track a.recording.h5 --step-size {n} -o out",
     "track a.recording.h5 --regulariser {n} -o out",

@@ -19,10 +19,7 @@ class Label:
         choices=("event-flow", "farneback", "dis", "event-count", "truth"),
     )
     slip_distance_px: float = parameter(
-        0.3, "Slide of the object on the gel that is the onset of slip; event-flow.", unit="px", low=0.01
-    )
-    edge_events: float = parameter(
-        6.9, "Thresholds that a pixel crosses when a dot's rim passes; event-flow.", unit="events", low=0.1
+        0.36, "Slide of the object on the gel, as counted, that is the onset of slip; event-flow.", unit="px", low=0.01
     )
     threshold_px: float = parameter(
         0.3,

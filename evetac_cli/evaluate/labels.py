@@ -3,6 +3,10 @@
 The true onset, t_s, is that of gross slip: the object slides as one body over the gel that the camera sees. Beside it
 stands `t_every_node_ms`: the last stuck node of the pad has let go, seen or not, and the object has slid as far since;
 it was the true onset of the first edition. Errors are those against t_s.
+
+An error in px is how far the object truly slid as one body between the labels' onset and t_s; below 0 the labels are
+early. Why beside the ms: at 0.05 px/ms the 0.5 px of gross slip take 10 ms, none of which is the onset; where gel snaps
+back an object slides 5 px in one. Labels that abstain are counted, and not judged.
 """
 
 from pathlib import Path
@@ -11,19 +15,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate import report, report_job
-from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid
+from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset
 from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3
+NEAR_PX = 0.5  # truly slid, either way: an onset so near is right ...
+EARLY_MS = 10  # ... unless it is earlier than this
 
 
 def jobs(files: list[Path], params: EvaluateLabels, out: Path | None) -> list[Job]:
@@ -40,66 +48,123 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     headers = []
     for number, path in enumerate(job.inputs):
         with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
-            onset = int(labels.read("onset_slice"))
+            told = labelled_onset(labels)
             true, nodes = true_onsets(recording), slip_grid.nodes_of(recording)
+            slid_px = recording.read("truth/slid_px")
             headers.append(labels.header)
-        has_onset = onset >= 0
-        t_s, gross = true["t_s_ms"], true["gross_slip_start_ms"]
-        rows.append(
-            {
-                "file": path.name,
-                "method": str(labels.header["parameters"].get("method", "farneback")),
-                "t_c_ms": onset if has_onset else None,
-                **true,
-                "onset_error_ms": onset - t_s if has_onset and t_s is not None else None,
-                "onset_before_gross_slip_ms": gross - onset if has_onset and gross is not None else None,
-                slip_grid.COLUMN: nodes,
-            }
-        )
+        method = str(labels.header["parameters"].get("method", "farneback"))
+        row = {"file": path.name, "method": method, **judged(told, true, slid_px), slip_grid.COLUMN: nodes}
+        rows.append(row)
         progress(number + 1, len(job.inputs))
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        errors = np.array([row["onset_error_ms"] for row in rows if row["onset_error_ms"] is not None], float)
-        any_error = len(errors) > 0
-        early = [
-            row
-            for row in rows
-            if row["onset_before_gross_slip_ms"] is not None and row["onset_before_gross_slip_ms"] > -EARLIEST_MS
-        ]
-        right = (errors >= EARLIEST_MS) & (errors <= LATEST_MS)
-        slipped = sum(row["t_s_ms"] is not None for row in rows)
-        later = [
-            row["t_every_node_ms"] - row["t_s_ms"]
-            for row in rows
-            if row["t_every_node_ms"] is not None and row["t_s_ms"] is not None
-        ]
-        return rows, {
-            "method": ", ".join(sorted({row["method"] for row in rows})),
-            "trajectories": len(rows),
-            "onsets_found": len(errors),
-            "onset_error_ms_median": float(np.median(errors)) if any_error else None,
-            "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if any_error else None,
-            "within_minus4_plus3_ms": float(right.sum() / slipped) if slipped else None,
-            "earlier_than_4_ms_before_gross_slip": len(early),
-            "every_node_after_t_s_ms_median": float(np.median(later)) if later else None,
-            "every_node_after_t_s_ms_most": max(later, key=abs) if later else None,
-        }
+        return rows, summary(rows)
 
     return report(job, "evaluate labels", METHOD, recipe_of(params), headers, measure, force=force)
 
 
+def judged(told: LabelledOnset, true: dict[str, int | None], slid_px: NDArray[np.float32]) -> Row:
+    """The row of an onset against truth: errors in ms and px, and whether the interval covers t_s, and its width.
+
+    true: what `true_onsets` says; slid_px (slices,): of the truth. Signs: early is below 0.
+    """
+    t_c, t_s, gross = told.slice_, true["t_s_ms"], true["gross_slip_start_ms"]
+    slid = slid_so_far(slid_px)
+    row: Row = {"t_c_ms": t_c, **true, "onset_error_ms": None, "onset_error_px": None}
+    if t_c is not None and t_s is not None:
+        row |= {"onset_error_ms": t_c - t_s, "onset_error_px": float(slid[t_c] - slid[t_s])}
+    row["onset_before_gross_slip_ms"] = gross - t_c if t_c is not None and gross is not None else None
+    row |= {"earliest_ms": told.earliest, "latest_ms": told.latest}
+    row |= dict.fromkeys(("interval_covers", "interval_width_px", "interval_width_ms"))
+    if told.earliest is not None and told.latest is not None and t_s is not None:
+        row |= {
+            "interval_covers": told.earliest <= t_s <= told.latest,
+            "interval_width_px": float(slid[told.latest] - slid[told.earliest]),
+            "interval_width_ms": told.latest - told.earliest,
+        }
+    return row | {"confidence": told.confidence, "abstained": told.abstained, "doubt": told.doubt or None}
+
+
+def slid_so_far(slid_px: NDArray[np.float32]) -> Floats:
+    """How far the object slid as one body in all up to each slice, over every slide, from the truth's (slices,)."""
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(slid_px.astype(np.float64)), 0.0))])
+
+
+def summary(rows: Rows) -> dict[str, Any]:
+    """What rows amount to; shares are of trajectories that slip, those named `rest_` of what did not abstain."""
+    slipped = [row for row in rows if row["t_s_ms"] is not None]
+    rest = [row for row in slipped if not row["abstained"]]
+    found = [row for row in slipped if row["onset_error_ms"] is not None]
+    errors = np.array([row["onset_error_ms"] for row in found], float)
+    any_error = len(errors) > 0
+    early = [
+        row
+        for row in rows
+        if row["onset_before_gross_slip_ms"] is not None and row["onset_before_gross_slip_ms"] > -EARLIEST_MS
+    ]
+    later = [row["t_every_node_ms"] - row["t_s_ms"] for row in slipped if row["t_every_node_ms"] is not None]
+    judged_rest = [row for row in rest if row["interval_covers"] is not None]
+    return {
+        "method": ", ".join(sorted({row["method"] for row in rows})),
+        "trajectories": len(rows),
+        "onsets_found": len(errors),
+        "abstained": sum(row["abstained"] for row in rows),
+        "abstained_share": _share(row["abstained"] for row in slipped),
+        "rest_within_half_px": _share(is_near(row) for row in rest),
+        "rest_over_10_ms_early": sum((row["onset_error_ms"] or 0) < -EARLY_MS for row in rest),
+        "rest_within_minus4_plus3_ms": _share(_in_time(row) for row in rest),
+        "within_half_px": _share(is_near(row) for row in slipped),
+        "interval_coverage": _share(row["interval_covers"] for row in judged_rest),
+        "interval_width_px_median": _median(row["interval_width_px"] for row in judged_rest),
+        "interval_width_ms_median": _median(row["interval_width_ms"] for row in judged_rest),
+        "onset_error_px_median": _median(row["onset_error_px"] for row in found),
+        "onset_error_ms_median": float(np.median(errors)) if any_error else None,
+        "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if any_error else None,
+        "within_minus4_plus3_ms": _share(_in_time(row) for row in slipped),
+        "earlier_than_4_ms_before_gross_slip": len(early),
+        "every_node_after_t_s_ms_median": float(np.median(later)) if later else None,
+        "every_node_after_t_s_ms_most": max(later, key=abs) if later else None,
+    }
+
+
+def is_near(row: Row) -> bool:
+    """Whether an onset is right: within NEAR_PX truly slid of the true one, and not EARLY_MS before it."""
+    found = row["onset_error_px"] is not None
+    return found and abs(row["onset_error_px"]) <= NEAR_PX and row["onset_error_ms"] >= -EARLY_MS
+
+
+def _in_time(row: Row) -> bool:
+    return row["onset_error_ms"] is not None and EARLIEST_MS <= row["onset_error_ms"] <= LATEST_MS
+
+
+def _share(flags: Any) -> float | None:
+    known = list(flags)
+    return sum(known) / len(known) if known else None
+
+
+def _median(values: Any) -> float | None:
+    known = list(values)
+    return float(np.median(known)) if known else None
+
+
 def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
     """All rows, and how many onsets are right."""
-    errors = [row["onset_error_ms"] for row in rows if row["onset_error_ms"] is not None]
-    slipped = sum(row["t_s_ms"] is not None for row in rows)
-    missed = sum(row["t_s_ms"] is not None and row["t_c_ms"] is None for row in rows)
-    early = sum(error < EARLIEST_MS for error in errors)
-    late = sum(error > LATEST_MS for error in errors)
-    right = len(errors) - early - late
-    words = f"Onset within {EARLIEST_MS} to +{LATEST_MS} ms of the true one in {right} of {slipped} that slip"
-    wrong = ((early, "early"), (late, "late"), (missed, "not found"))
-    told = ", ".join([words, *(f"{name} in {count}" for count, name in wrong if count)]) + "."
-    return rows, [told, *slip_grid.resting_on(rows)]
+    slipped = [row for row in rows if row["t_s_ms"] is not None]
+    rest = [row for row in slipped if not row["abstained"]]
+    right = sum(is_near(row) for row in rest)
+    missed = sum(row["t_c_ms"] is None for row in rest)
+    errors = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None]
+    words = (
+        f"Onset within {NEAR_PX} px slid of the true one, and not over {EARLY_MS} ms early, in {right} of {len(rest)}"
+    )
+    wrong = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None and not is_near(row)]
+    told = [f"early in {sum(error < 0 for error in wrong)}", f"late in {sum(error >= 0 for error in wrong)}"]
+    sentences = [", ".join([words, *(told if wrong else []), *([f"not found in {missed}"] if missed else [])]) + "."]
+    in_time = sum(EARLIEST_MS <= error <= LATEST_MS for error in errors)
+    sentences.append(f"Within {EARLIEST_MS} to +{LATEST_MS} ms: {in_time} of {len(rest)}.")
+    if abstained := len(slipped) - len(rest):
+        sentences.append(f"The labels abstain in {abstained} of {len(slipped)} that slip, which are not judged.")
+    return rows, [*sentences, *slip_grid.resting_on(rows)]
 
 
 def true_onsets(recording: Recording) -> dict[str, int | None]:

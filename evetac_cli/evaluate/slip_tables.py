@@ -81,7 +81,7 @@ def tables(
             _late_by(prediction, thresholds[index])
             for index in members
             for prediction in predictions[index]
-            if prediction.onset >= 0
+            if prediction.onset >= 0 and prediction.timed
         ]
         seeds, of_seeds = [judged[index] for index in members], [predictions[index] for index in members]
         settings.append(setting_row(setting, first, cells) | slip_warnings.columns(seeds, of_seeds))
@@ -234,7 +234,7 @@ def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
 
 def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:
     first = metrics.onset(prediction.detected(threshold))
-    labelled = prediction.onset >= 0
+    labelled = prediction.onset >= 0 and prediction.timed
     return {
         "setting": setting,
         "model_file": model.path.name,

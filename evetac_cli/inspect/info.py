@@ -19,6 +19,7 @@ from evetac_cli.pages import touch_words
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid, streams
+from evetac_cli.store.recordings.onset import is_unsure, labelled_onset
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
 
@@ -229,8 +230,7 @@ def _labels(file: StageFile) -> dict[str, Any]:
     label = file.read("label")
     return {
         "slices": len(label),
-        "onset_ms": _onset_ms(file),
-        "confidence": float(file.read("confidence")),
+        **labelled_onset(file).row(),
         "slices_slip": int(np.sum(label == 1)),
         "slices_not_examined": int(np.sum(label < 0)),
         "flow_pairs_computed": int(file.read("flow_pairs_computed")),
@@ -261,6 +261,7 @@ def _features(file: StageFile) -> dict[str, Any]:
         "slices": file.length("events_total"),
         "dots": in_words(rows, columns),
         "labelled": file.has("label"),
+        "abstained": is_unsure(file),
         "true_slip_share": any(map(file.has, TRUE_SLIP_SHARES)),
         "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
     }

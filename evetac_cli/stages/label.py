@@ -3,11 +3,15 @@
 A trajectory begins where the object is held stably and the gripper's current starts to fall (paper, "Experimental
 Setup and Data Collection Procedure"); closing and loading before are not examined. Without a gripper it begins at 0.
 
+An onset comes with the interval in which it may lie. Where it cannot be told the labels abstain, and say why: the
+slices of its interval are then neither slip nor no slip.
+
 The methods: `event-flow` (default) counts motion from events, `farneback` is the paper's optical flow, `dis` and
 `event-count` are its alternatives, `truth` copies gross slip from a simulation; the header of the labels, and of all
 files made from them, names the method.
 """
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +20,7 @@ from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, outcome, silent
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
@@ -26,7 +30,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start
 
 OUTPUT = "labels"
-METHOD = 5
+METHOD = 6
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
 EDGE_IN_GEL_PX = 10
 EDGE_IN_WINDOW_PX = 25
@@ -54,12 +58,18 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
+        began_s = time.process_time()
         labels = compute(recording, params, progress)
+        took_s = time.process_time() - began_s
         slices = len(recording)
     arrays = {
         "label": labels.label,
         "relative_flow_px": labels.relative_flow_px,
         "onset_slice": np.int64(labels.onset),
+        "earliest_slice": np.int64(labels.earliest),
+        "latest_slice": np.int64(labels.latest),
+        "abstained": np.uint8(bool(labels.doubt)),
+        "doubt": labels.doubt,
         "confidence": np.float64(labels.confidence),
         "flow_pairs_computed": np.int64(labels.flow_pairs),
     }
@@ -71,9 +81,23 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         method=params.method,
         slices=slices,
         onset_ms=labels.onset if labels.onset >= 0 else None,
+        earliest_ms=labels.earliest if labels.earliest >= 0 else None,
+        latest_ms=labels.latest if labels.latest >= 0 else None,
         confidence=labels.confidence if labels.onset >= 0 else None,
+        abstained=bool(labels.doubt),
+        doubt=labels.doubt or None,
         flow_pairs=labels.flow_pairs if params.method in flow.METHODS else None,
+        cpu_s=took_s,
     )
+
+
+def warnings(rows: Rows) -> list[str]:
+    """In how many recordings the labels abstain, and why in the first of them."""
+    doubts = [row["doubt"] for row in rows if row.get("doubt")]
+    if not doubts:
+        return []
+    told = f"labels abstain in {len(doubts)} of {len(rows)}: their onset is neither trained on nor judged"
+    return [f"{told}; the first: {doubts[0]}"]
 
 
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
@@ -103,9 +127,10 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
             from evetac_cli.kernels.labelling import event_flow
 
             constants = event_flow.EventFlowConstants(
-                slip_distance_px=params.slip_distance_px, edge_events=params.edge_events, after_ms=params.after_ms
+                slip_distance_px=params.slip_distance_px, after_ms=params.after_ms
             )
-            return event_flow.label(between, slices, window, gel, dots.reshape(-1, 2), radius, constants, start)
+            given = dots.reshape(-1, 2), radius, constants, start
+            return event_flow.label(between, slices, window, recording.frame_px, *given)
         names = flow.FlowConstants.__dataclass_fields__
         chosen = {name: value for name, value in recipe_of(params).items() if name in names}
         return flow.label(between, slices, window, gel, flow.FlowConstants(**chosen), start)
@@ -167,7 +192,8 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
         stop = onset + max(after_ms, 1)
         confidence = float(slips[onset:stop].mean())
         labels[stop:] = -1
-    return flow.Labels(labels, np.full(len(slips), np.nan, np.float32), onset, confidence, 0)
+    no_flow = np.full(len(slips), np.nan, np.float32)
+    return flow.Labels(labels, no_flow, onset, confidence, 0, onset, onset)
 
 
-STAGE = Stage(jobs, run, recipe=known_recipe)
+STAGE = Stage(jobs, run, recipe=known_recipe, warnings=warnings)

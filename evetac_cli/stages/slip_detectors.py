@@ -19,6 +19,7 @@ from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.rules import named_architecture
+from evetac_cli.store.recordings.onset import is_unsure
 
 EXTRA_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_ma", "sticking_share")
 
@@ -36,6 +37,7 @@ def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: 
             file.read("label"),
             int(file.read("onset_slice")),
             None if truth is None else file.read(truth),
+            not is_unsure(file),
         )
 
 
@@ -99,7 +101,7 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_
         needed = inputs.part(trajectory.series, first_needed(detector.architecture, first), slices)
         probability[first:] = probabilities(detector, needed, first)
     label = shift_labels(trajectory.label, horizon_ms)
-    return Prediction(probability, label, trajectory.onset, object_name(header))
+    return Prediction(probability, label, trajectory.onset, object_name(header), trajectory.timed)
 
 
 def first_labelled(label: NDArray[np.int8]) -> int:

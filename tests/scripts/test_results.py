@@ -1,7 +1,6 @@
 """scripts/results.py: tables say how they were made, the summary takes their cells, run times find their place."""
 
 import json
-import re
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -10,7 +9,6 @@ import pytest
 
 from evetac_cli.commands.train import Train
 from evetac_cli.evaluate.slip_tables import TRUE_SLIP_SHARE
-from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.kernels.slip.training import PRESETS
 from evetac_cli.stages.model_files import LEARNED_TRUTH_METHODS
 
@@ -34,19 +32,6 @@ def test_a_training_that_learns_truth_says_so() -> None:
                 assert f", {TRUE_SLIP_SHARE}," in row["setting"]
                 assert any(f"`{TRUE_SLIP_SHARE}`" in note and "truth" in note for note in result["notes"]), path.name
     assert shown > 0
-
-
-def test_the_seeds_that_constants_of_the_labels_saw_are_named() -> None:
-    """Assert that the page of results names each seed that the labels were tuned on, some of which it tests on."""
-    text = event_flow.__doc__ or ""
-    tuned = {int(seed) for seed in re.findall(r"\d+", text.partition("with seeds ")[2].partition(".")[0])}
-    assert tuned == {0, 20, 1000, 1500}
-    page = (DOCS / "results.md").read_text().partition("## Make them again")[0]
-    for seed in tuned:
-        assert re.search(rf"\b{seed}\b", page)
-    for name in ("slip-training-objects", "slip-unseen-objects"):
-        seeds = json.loads((DOCS / "results" / f"{name}.json").read_text())["sizes"]["recording_seeds"]
-        assert set(seeds) <= tuned  # once they are others, the page has to say something else
 
 
 def test_grasps_say_how_long_they_lasted() -> None:

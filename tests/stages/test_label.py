@@ -59,7 +59,8 @@ def test_every_method_makes_valid_labels_that_name_it(made: Made, tmp_path: Path
         assert file.header["parameters"]["method"] == method
         onset = int(file.read("onset_slice"))
         assert row["onset_ms"] == (onset if onset >= 0 else None)
-        assert onset < 0 or file.read("label")[onset] == 1
+        assert onset < 0 or file.read("label")[onset] == (-1 if row["abstained"] else 1)
+        assert onset < 0 or row["earliest_ms"] <= onset <= row["latest_ms"]
 
 
 def test_truth_is_what_the_simulation_knows(made: Made, tmp_path: Path) -> None:

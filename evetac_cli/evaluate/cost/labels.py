@@ -84,7 +84,7 @@ def methods() -> list[tuple[str, Method]]:
         ("farneback in the same slices, searched", _searched),
         *((setting, _stage(params)) for setting, params in chosen),
         *((f"farneback in steps of 5 ms, {times} x smaller", _smaller_frames(times)) for times in (2, 4)),
-        *((f"event-flow, look-ahead {ms} ms", with_look_ahead(ms)) for ms in (1, 2, 4)),
+        *((f"event-flow, motion seen over {px:g} px", _seen_over(px)) for px in (0.3, 0.6, 1.2)),
     ]
 
 
@@ -200,14 +200,15 @@ def _smaller_frames(times: int) -> Method:
     return method
 
 
-def with_look_ahead(look_ahead_ms: int) -> Method:
-    """The method `event-flow`, which looks at so many slices after each."""
+def _seen_over(seen_px: float) -> Method:
+    """The method `event-flow`, which sees over so much motion whether a dot follows."""
 
     def method(recording: Recording) -> tuple[int, float]:
         dots, radius = recording.dot_xy_px, float(recording.read("sensor/dot_radius_px"))
         assert dots is not None  # a simulated recording
-        constants = event_flow.EventFlowConstants(look_ahead_ms=look_ahead_ms)
-        given = (*label.regions(recording), dots.reshape(-1, 2), radius, constants, ramp_start(recording))
+        constants = event_flow.EventFlowConstants(seen_px=seen_px)
+        window, _ = label.regions(recording)
+        given = window, recording.frame_px, dots.reshape(-1, 2), radius, constants, ramp_start(recording)
         return _time(recording, lambda: event_flow.label(recording.between, len(recording), *given))
 
     return method

@@ -1,61 +1,38 @@
-"""When an object slips, from counted events: flow of dots and window to a fraction of a pixel, without images.
+"""When an object slips, from counted events: motion of dots and window to a fraction of a pixel, without images.
 
-An event says that a pixel's log brightness moved by one threshold. So the events that an edge makes are a measure of
-how far it moved: a dot's rim makes as many a pixel of motion as its contrast spans thresholds, and a texture in the
-window makes a number that is measured in the recording itself, while the object still sticks to the gel. Both flows
-follow by counting, at any speed; optical flow of images needs events enough to recognise a pattern, which slow motion
-does not make.
+The dots are followed by the tracker, preset `stable`; the object by the events of the window that shows its texture
+(window_travel.py). Whether it slides, and since when, are weighed slice by slice (slide.py). An optical flow of images
+needs events enough to recognise a pattern, which slow motion does not make.
 
-The object slips when it has slid `slip_distance_px` since it last moved with any part of the gel.
+The onset is the slice in which the object has slid `slip_distance_px` since its slip began, and it comes with an
+interval in which it may lie. Labels abstain, and say why, where the interval is wide in pixels slid, where what slid
+came to rest, and where the recording never told what an event of the window stands for. Slices of such an interval have
+the label -1.
 
-Why so:
-- The gel's flow is that of the dot which follows the object best. Dots away from the contact never move, and before
-  gross slip ever more of the pad slips while the rest still holds: only when nothing follows any more is slip gross.
-  What still holds may lie between the dots or beside the picture, where a dot sees a twentieth of it.
-- A dot follows while it goes farther from its place at rest. That holds for every direction in which the object may
-  drag the gel, also where the object turns and every dot moves in another direction.
-- A rim whose motion turns back makes no events for some tenths of a pixel, until brightness has gone back by a
-  threshold. A dot that snapped back may hold again unseen, and counts as holding while the object moves `hidden_px`.
-- The window's events a pixel fall with the distance travelled: the pixels start anywhere between two thresholds, but
-  later every turn of the texture's slope costs as much brightness as a threshold before events come again. After a
-  distance s it makes fresh / (1 + s / fading_px) events a pixel, so N events are a distance of
-  fading_px (exp(N / (fresh fading_px)) - 1).
-- `fresh` is the median over steps of 50 ms in which the dots that move most took the object along. Steps after a slice
-  are not used, as they may contain the slip.
-
-The constants were fixed on 308 simulated recordings of all 20 objects, recorded with seeds 0, 20, 1000 and 1500.
-`slip_distance_px` and `follow_share` are those with which most labels lie within -4 to +3 ms of gross slip, and few
-before: 0.75 of 40 (seed 700) and 0.79 of 38 (seed 800). With 0.5 px and 0.95 they waited for the pad's last stuck node:
-0.33 and 0.63. A share of 0.65 finds more, 0.78 and 0.82, and on a coarse gel one 24 ms early. Where the rule fails: an
-object touched beside the picture, a flat one whose last holding corner lies there, and one that turns, of which every
-part slips for short times only.
+Constants are fitted to simulated slips of the twin as it is (dots of 9 px, one-threshold friction): scripts/seeds.json,
+group `labels`, says of which seeds, and scripts/judge_labels.py judges them on others.
 """
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.events import SLICE_US
-from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.labelling.flow import Between, Labels, Region
+from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.kernels.labelling import slide, window_travel
+from evetac_cli.kernels.labelling.flow import Between, Labels, Region, apart
+from evetac_cli.kernels.labelling.slide import Evidence, Odds, LastingSlip
+from evetac_cli.kernels.labelling.window_travel import STEP_MS
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.presets import PRESETS
 
+PRESET = "stable"  # of the tracker
 BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices
-STEP_MS = 50  # of the measurement of the window's events a pixel, and of its noise
-LAG_MS = 30  # a slice uses only steps that ended so long before: later ones may hold the slip itself
-LEAST_STEP_PX = 0.15  # the gel must have moved so far in a step for it to be used
-LEAST_STEPS = 2
 LEADING_DOTS = 3  # the dots that go farthest went with the object
-HOT_BLOCK_US = 100_000
-HOT_SHARE = 0.5  # a pixel with events in more of these blocks is hot; edges pass it only now and then
-CELL_PX = 35.0  # events farther from every dot's place at rest belong to none
-RING_PX = 8.0  # and so do those farther off its rim
-MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
 TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been seen
 
 
@@ -63,39 +40,45 @@ TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been se
 class EventFlowConstants:
     """Constants of slip labels by counting; ValueError unless all are finite and in range."""
 
-    slip_distance_px: float = 0.3  # the object has slid so far: the onset
-    look_ahead_ms: int = 4  # a slice's speeds are means over the next so many ms
-    edge_events: float = 6.9  # thresholds that a dot's rim crosses: log contrast over threshold, less what scans miss
-    follow_ms: int = 3  # whether a dot follows is seen over so many ms, the slice the last of them
-    follow_share: float = 0.75  # a dot slower than the object by more than this share of its speed does not follow
-    least_px_ms: float = 0.01  # and by more than this
-    back_px_ms: float = 0.05  # a dot that goes back faster snaps back
-    hidden_px: float = 0.2  # after that its motion forward is unseen for so long
-    pause_ms: int = 2  # the count of the slide survives so many slices in which a dot follows
+    slip_distance_px: float = 0.36  # the object has slid so far, as counted: the onset, at 0.5 px in truth
+    lasting_px: float = 1.5  # a slide that goes on so far is slip
+    pause_ms: int = 3  # with pauses of so many slices
+    search_ms: int = 200  # a slip began so long before at most
+    seen_px: float = 0.6  # whether a dot follows is seen over so much motion
+    bias: float = 4.2  # log odds of a slide: bias ...
+    follows: float = -3.1  # ... and so much for each pixel that a dot goes with a pixel of the object ...
+    speed: float = 1.35  # ... and so much for each e-fold of the speed against the gel in px/ms
+    most: float = 3.0  # log odds of a single slice, either way
+    trust: float = 0.55  # power of the posterior: slices share their mistakes ...
+    doubtful_trust: float = 0.1  # ... the more where the interval is wide, which it makes wider still
+    outside: float = 0.03  # share of the posterior on either side of the interval
+    widest_px: float = 1.3  # in a wider interval the label abstains
+    least_confidence: float = 0.5  # and where fewer of the slices after the onset slip
+    look_ahead_ms: int = 4  # relative flow is summed over so many slices
+    seen_slide_px: float = 10.0  # of a slide beyond, the window's events are no measure: relative flow is NaN
     events_per_px: float = 500.0  # of the window before it has moved, until the recording tells
     fading_px: float = 30.0  # after so much travel the window makes half the events a pixel
     least_events_per_px: float = 20.0  # of the window: less is no texture
     after_ms: int = 60  # slices labelled after the onset
 
     def __post_init__(self) -> None:
-        may_be_zero = ("follow_share", "least_px_ms", "back_px_ms", "hidden_px", "pause_ms", "after_ms")
+        anything, may_be_zero = ("bias", "follows"), ("pause_ms", "after_ms", "outside", "least_confidence")
         for name, value in vars(self).items():
-            check_range(name, value, above=name not in may_be_zero)
-        check_range("follow_share", self.follow_share, 0.0, 1.0, below=True)
+            low = -math.inf if name in anything else 0.0
+            check_range(name, value, low, above=name not in may_be_zero)
+        check_range("outside", self.outside, 0.0, 0.5, below=True)
 
-
-class ImageMotion(NamedTuple):
-    """Motion up to the start of every slice of a block, and after its last, as measured by the events."""
-
-    dot_px: Floats  # (slices + 1, dots, 2) displacement of every dot from its place at rest
-    window_events: NDArray[np.int64]  # (slices + 1,) events of the window, counted from the start of the recording
+    @property
+    def odds(self) -> Odds:
+        """How the evidence of a slide is weighed."""
+        return Odds(self.bias, self.follows, self.speed, self.seen_px, self.most)
 
 
 def label(
     between: Between,
     slices: int,
     window: Region,
-    gel: Region,
+    frame_px: tuple[int, int],
     dot_xy_px: Floats,
     dot_radius_px: float,
     constants: EventFlowConstants,
@@ -103,341 +86,141 @@ def label(
 ) -> Labels:
     """Label every slice, the onset searched from slice `start` on; `dot_xy_px` (dots, 2) at rest, NaN where missing.
 
-    Slices before `start`, and `after_ms` and more after the onset, are not examined. `relative_flow_px` is the flow of
-    the window against the dot that follows it best over the look-ahead, `confidence` the share of the slices labelled
-    from the onset on in which nothing follows. ValueError if the gel was dragged along and the window showed nothing.
+    Slices before `start`, and `after_ms` and more after the onset, are not examined. `relative_flow_px` is how far the
+    object goes against the gel in contact over the look-ahead, NaN from where the window is no measure; `confidence`
+    the share of the slices labelled from the onset on that slide. ValueError if the gel was dragged along and the
+    window showed nothing, or where the dots cannot be followed.
     """
     dots = np.ascontiguousarray(dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)], np.float64)
     if not len(dots) or not 0.0 < dot_radius_px < math.inf:
         raise ValueError(f"dots: expected some with a radius > 0, found {len(dots)} of radius {dot_radius_px}")
-    part = pixel_parts(between, slices, window, gel, dots)
-    given = between, slices, part, dots, dot_radius_px, constants.edge_events
+    quiet = _quiet_pixels(between, slices, window)
     window_events = np.zeros(slices + 1, np.int64)
     leading = [0.0]
     dragged = 0.0
-    for first, motion in follow(*given):
-        window_events[first : first + len(motion.window_events)] = motion.window_events
-        led = _leading(_away(motion))
+    given = between, slices, frame_px, dots, dot_radius_px
+    for first, events, away_px in follow(*given):
+        stop = first + len(away_px) - 1
+        window_events[first + 1 : stop + 1] = window_travel.slice_counts(events, window, quiet, first, stop)
+        led = np.sort(away_px, axis=1)[:, -LEADING_DOTS:].mean(axis=1)
         leading += led[1:][(first + 1 + np.arange(len(led) - 1)) % STEP_MS == 0].tolist()
         dragged = max(dragged, float(led.max()))
-    moved = np.maximum.accumulate(window_events - noise_rate(window_events) * np.arange(slices + 1))
-    fresh = events_per_px(moved, np.array(leading), constants.events_per_px, constants.fading_px)
-    if dragged > TRAVEL_PX and fresh[-1] < constants.least_events_per_px:
+    window_events = np.cumsum(window_events)
+    noise = window_travel.noise_rate(window_events, np.array(leading))
+    moved = np.maximum.accumulate(window_events - noise * np.arange(slices + 1))
+    rate = window_travel.events_per_px(moved, np.array(leading), constants.events_per_px, constants.fading_px)
+    if dragged > TRAVEL_PX and rate.per_px[-1] < constants.least_events_per_px:
         raise ValueError(
             f"texture: expected at least {constants.least_events_per_px:g} events a pixel of motion in the window, "
-            f"found {fresh[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
+            f"found {rate.per_px[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
         )
-    object_px = travel(moved, np.maximum(fresh, constants.least_events_per_px), constants.fading_px)
-    onset, slips, relative_px = _find(object_px, follow(*given), len(dots), start, constants)
-    labels = np.zeros(slices, np.int8)
-    labels[:start] = -1
-    confidence = float("nan")
-    if onset >= 0:
-        stop = min(onset + max(constants.after_ms, 1), slices)
-        labels[onset:stop] = slips[onset:stop]
-        labels[stop:] = -1
-        confidence = float(slips[onset:stop].mean())
-    return Labels(labels, relative_px, onset, confidence, 0)
-
-
-def pixel_parts(between: Between, slices: int, window: Region, gel: Region, dots: Floats) -> NDArray[np.int16]:
-    """For each pixel (height, width) the index of its dot, WINDOW or NOTHING; hot pixels, too, belong to nothing."""
-    height, width = max(window[3], gel[3]), max(window[2], gel[2])
-    last = np.full((height, width), -1, np.int64)
-    busy = np.zeros((height, width), np.int64)
-    for first in range(0, slices, BLOCK_SLICES):
-        events = between(first, min(first + BLOCK_SLICES, slices))
-        _count_blocks(events.t, events.x, events.y, last, busy)
-    hot = busy > max(HOT_SHARE * slices * SLICE_US / HOT_BLOCK_US, 2.0)
-    return _parts(hot, dots, window, gel)
+    per_px = np.maximum(rate.per_px, constants.least_events_per_px)
+    told = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*given), constants.odds)
+    return _labels(told, rate.known, start, constants)
 
 
 def follow(
-    between: Between, slices: int, part: NDArray[np.int16], dots: Floats, radius_px: float, edge_events: float
-) -> Iterator[tuple[int, ImageMotion]]:
-    """Follow every dot by the polarity of its rim's events, and count the window's: first slice and motion of blocks.
+    between: Between, slices: int, frame_px: tuple[int, int], dots: Floats, radius_px: float
+) -> Iterator[tuple[int, Events, Floats]]:
+    """Track the dots: first slice and events of blocks, and how far dots are from rest up to the start of every slice.
 
-    A dark dot that moves along e gets brighter at its rear and darker in front, with `edge_events` events at every
-    rim pixel: the sum of -polarity * normal over its events is pi * radius * edge_events a pixel of motion.
+    And after the last, (slices + 1, dots). ValueError for a frame in which the tracker cannot follow.
     """
-    centre = dots.copy()
-    step = 1.0 / (math.pi * radius_px * edge_events)
-    counted = 0
+    upright = frame_px[0] <= FRAME_PX[0] and frame_px[1] <= FRAME_PX[1]
+    if not upright and not (frame_px[1] <= FRAME_PX[0] and frame_px[0] <= FRAME_PX[1]):
+        raise ValueError("dots: expected a frame of {} x {} px at most, found {} x {}".format(*FRAME_PX, *frame_px))
+    rest_xy_px = dots if upright else np.ascontiguousarray(dots[:, ::-1])
+    state = tracker.start(rest_xy_px, PRESETS[PRESET].for_dots(radius_px))
+    before = np.zeros((1, len(dots)))
     for first in range(0, slices, BLOCK_SLICES):
         stop = min(first + BLOCK_SLICES, slices)
-        dot_px = np.empty((stop - first + 1, len(dots), 2))
-        dot_px[0] = centre - dots
-        window_events = np.zeros(stop - first + 1, np.int64)
-        _follow(tuple(between(first, stop)), part, (dots, centre, radius_px, step), first, stop, dot_px, window_events)
-        window_events = counted + np.cumsum(window_events)
-        counted = int(window_events[-1])
-        yield first, ImageMotion(dot_px, window_events)
+        events = between(first, stop)
+        starts = np.searchsorted(events.t, np.arange(first, stop + 1) * 1000)
+        x, y = (events.x, events.y) if upright else (events.y, events.x)
+        tracks = tracker.fold(state, x, y, events.p, starts)
+        away_px = np.concatenate([before, np.hypot(*np.moveaxis(tracks.dot_xy_px - rest_xy_px, 2, 0))])
+        before = away_px[-1:]
+        yield first, events, away_px
 
 
-def _away(motion: ImageMotion) -> Floats:
-    """How far the dots are from rest, (slices + 1, dots)."""
-    return np.hypot(motion.dot_px[..., 0], motion.dot_px[..., 1])
+def _quiet_pixels(between: Between, slices: int, window: Region) -> NDArray[np.bool_]:
+    """Which pixels of the window are not hot."""
+    shape = window[3] - window[1], window[2] - window[0]
+    last, busy = np.full(shape, -1, np.int64), np.zeros(shape, np.int64)
+    for first in range(0, slices, BLOCK_SLICES):
+        window_travel.block_counts(between(first, min(first + BLOCK_SLICES, slices)), window, last, busy)
+    return window_travel.quiet_pixels(busy, slices)
 
 
-def _find(
-    object_px: Floats,
-    blocks: Iterator[tuple[int, ImageMotion]],
-    dots: int,
-    start: int,
-    constants: EventFlowConstants,
-) -> tuple[int, NDArray[np.bool_], NDArray[np.float32]]:
-    """The onset, slice or -1, and what `_search` says of every slice; the motion of the dots comes in blocks."""
+def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], odds: Odds) -> Evidence:
+    """The evidence of all slices; the motion of the dots comes in blocks."""
     slices = len(object_px) - 1
-    slips = np.zeros(slices, np.bool_)
-    relative_px = np.empty(slices, np.float32)
-    since_back_px = np.full(dots, np.inf)
-    counts = np.array([0.0, 0.0, -1.0])
-    thresholds = (
-        constants.slip_distance_px,
-        constants.look_ahead_ms,
-        constants.follow_ms,
-        constants.follow_share,
-        constants.least_px_ms,
-        constants.back_px_ms,
-        constants.hidden_px,
-        constants.pause_ms,
+    parts: list[Evidence] = []
+    away_px = np.zeros((1, 0))
+    base = done = 0  # away_px begins at row `base`; slices before `done` are told
+    for first, _, more_px in blocks:
+        away_px = more_px if first == 0 else np.concatenate([away_px, more_px[1:]])
+        known = first + len(more_px) - 1
+        until = slices if known == slices else max(known - slide.HALF_MS, done)
+        if until > done:
+            parts.append(slide.evidence(object_px, away_px, base, done, until, odds))
+        done = until
+        keep = max(done - slide.HALF_MS - slide.LAG_MS, 0)
+        away_px, base = away_px[max(keep - base, 0) :], max(keep, base)
+    return Evidence(*(np.concatenate(columns) for columns in zip(*parts, strict=True))) if parts else _NOTHING
+
+
+_NOTHING = Evidence(np.zeros(0), np.zeros(0))
+
+
+def _labels(told: Evidence, rate_known: NDArray[np.bool_], start: int, constants: EventFlowConstants) -> Labels:
+    """Labels from the evidence of all slices."""
+    slices = len(told.log_odds)
+    gone_px = np.concatenate([[0.0], np.cumsum(told.slide_px)])
+    ends = np.minimum(np.arange(slices) + constants.look_ahead_ms, slices)
+    relative_px = (gone_px[ends] - gone_px[:-1]).astype(np.float32)
+    labels = np.zeros(slices, np.int8)
+    labels[:start] = -1
+    found = _find(told, start, constants, constants.trust)
+    if found is None:
+        return Labels(labels, relative_px, -1, float("nan"), 0)
+    stop = min(found.onset + max(constants.after_ms, 1), slices)
+    slides = told.log_odds[found.onset : stop] > 0.0
+    labels[found.onset : stop] = slides
+    labels[found.onset] = 1
+    labels[stop:] = -1
+    far = gone_px[1:] - gone_px[found.onset] > constants.seen_slide_px
+    relative_px[found.onset :][np.logical_or.accumulate(far[found.onset :])] = np.nan
+    confidence = float(slides.mean())
+    if found.width_px > constants.widest_px:
+        wider = _find(told, start, constants, constants.doubtful_trust)
+        found = found if wider is None else wider._replace(onset=found.onset)
+    doubt = _doubt(found, confidence, bool(rate_known[found.onset]), constants)
+    made = Labels(labels, relative_px, found.onset, confidence, 0, found.earliest, found.latest, doubt)
+    return apart(made) if doubt else made
+
+
+def _find(told: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
+    """The first slip that lasts, with an interval by that much trust in the evidence."""
+    return slide.find(
+        told,
+        start,
+        slip_distance_px=constants.slip_distance_px,
+        lasting_px=constants.lasting_px,
+        pause_ms=constants.pause_ms,
+        search_ms=constants.search_ms,
+        trust=trust,
+        outside=constants.outside,
     )
-    away = np.zeros((1, dots))
-    base = searched = 0  # away begins at row `base`; slices before `searched` are done
-    for first, motion in blocks:
-        away = np.concatenate([away, _away(motion)[1:]])
-        known = first + len(motion.dot_px) - 1
-        until = known if known == slices else max(known - constants.look_ahead_ms + 1, searched)
-        _search(
-            object_px,
-            away,
-            base,
-            searched,
-            until,
-            start,
-            thresholds,
-            (since_back_px, counts, slips, relative_px),
-        )
-        searched = until
-        keep = max(searched + 1 - constants.follow_ms, 0)
-        away, base = away[max(keep - base, 0) :], max(keep, base)
-    return int(counts[2]), slips, relative_px
 
 
-def noise_rate(window_events: NDArray[np.int64]) -> float:
-    """Events a slice that the window makes at rest: the least over steps of 50 ms, or of what there is."""
-    steps = window_events[::STEP_MS]
-    return float(np.diff(steps).min() / STEP_MS) if len(steps) > 1 else 0.0
-
-
-def events_per_px(moved: Floats, leading: Floats, assumed: float, fading_px: float) -> Floats:
-    """The events a pixel of motion that the window made before it moved, as known in every slice: (slices,).
-
-    `moved` (slices + 1,) counts events without noise, `leading` is how far the leading dots are from rest, every
-    STEP_MS slices. Of all earlier steps the median, weighted by how far these dots went; `assumed` before.
-    """
-    gone = np.diff(leading)
-    seen = np.diff(moved[::STEP_MS]) * (1.0 + 0.5 * (leading[1:] + leading[:-1]) / fading_px)
-    used = gone > LEAST_STEP_PX
-    used[:1] = False  # in the first step the dots jump from rest to where they are
-    steps = np.cumsum(used)  # of use up to each
-    medians = _medians(seen[used] / gone[used], gone[used])
-    known = np.full(len(moved) - 1, assumed)
-    ended = (np.arange(len(known)) - LAG_MS) // STEP_MS - 1  # step that a slice may use, with all before it
-    of_use = steps[np.clip(ended, 0, None)] if len(steps) else np.zeros(len(known), np.int64)
-    tells = (ended >= 0) & (of_use >= LEAST_STEPS)
-    known[tells] = medians[of_use[tells] - 1]
-    return known
-
-
-@njit(cache=True)
-def _medians(rates: Floats, weights: Floats) -> Floats:
-    """Weighted median of the first value, the first two, and so on; sorted by insertion, so that an hour is quick."""
-    medians, reached = np.empty(len(rates)), np.empty(len(rates))
-    ordered, ordered_weights = np.empty(len(rates)), np.empty(len(rates))
-    for count in range(len(rates)):
-        at = count
-        while at > 0 and (
-            ordered[at - 1] > rates[count]
-            or (ordered[at - 1] == rates[count] and ordered_weights[at - 1] > weights[count])
-        ):
-            ordered[at] = ordered[at - 1]
-            ordered_weights[at] = ordered_weights[at - 1]
-            at -= 1
-        ordered[at] = rates[count]
-        ordered_weights[at] = weights[count]
-        for place in range(at, count + 1):
-            reached[place] = ordered_weights[place] + (reached[place - 1] if place else 0.0)
-        half = 0
-        while reached[half] < 0.5 * reached[count]:
-            half += 1
-        medians[count] = ordered[half]
-    return medians
-
-
-def travel(moved: Floats, fresh: Floats, fading_px: float) -> Floats:
-    """How far the object has gone by the window's events `moved` (slices + 1,) without noise, in px: (slices + 1,).
-
-    `fresh` (slices,) is what `events_per_px` knows.
-    """
-    faded = np.exp(np.minimum(moved[:-1] / (fresh * fading_px), MOST_FADED))
-    steps_px = np.diff(moved) / fresh * faded
-    return np.concatenate([[0.0], np.cumsum(steps_px)])
-
-
-def _leading(away: Floats) -> Floats:
-    """Mean distance from rest of the three dots that went farthest, in each row of (rows, dots)."""
-    return np.asarray(np.sort(away, axis=1)[:, -LEADING_DOTS:].mean(axis=1), np.float64)
-
-
-@njit(cache=True)
-def _count_blocks(
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    last: NDArray[np.int64],
-    busy: NDArray[np.int64],
-) -> None:
-    """Count in `busy` (height, width) the blocks of time in which each pixel had events."""
-    height, width = busy.shape
-    for event in range(len(t)):
-        if y[event] >= height or x[event] >= width:
-            continue
-        block = t[event] // HOT_BLOCK_US
-        if last[y[event], x[event]] != block:
-            last[y[event], x[event]] = block
-            busy[y[event], x[event]] += 1
-
-
-WINDOW = -2
-NOTHING = -1
-
-
-def _parts(hot: NDArray[np.bool_], dots: Floats, window: Region, gel: Region) -> NDArray[np.int16]:
-    """For each pixel (height, width) the index of its dot, WINDOW or NOTHING."""
-    part = np.full(hot.shape, NOTHING, np.int16)
-    nearest = np.full(hot.shape, np.inf)
-    for index, (dot_x, dot_y) in enumerate(dots):
-        left, right = max(int(dot_x - CELL_PX), gel[0], 0), min(int(dot_x + CELL_PX) + 2, gel[2])
-        top, bottom = max(int(dot_y - CELL_PX), gel[1], 0), min(int(dot_y + CELL_PX) + 2, gel[3])
-        if left >= right or top >= bottom:
-            continue
-        rows, columns = np.mgrid[top:bottom, left:right]
-        distance = np.hypot(columns - dot_x, rows - dot_y)
-        closer = (distance < nearest[top:bottom, left:right]) & (distance <= CELL_PX)
-        nearest[top:bottom, left:right][closer] = distance[closer]
-        part[top:bottom, left:right][closer] = index
-    x0, y0, x1, y1 = window
-    part[y0:y1, x0:x1] = WINDOW
-    part[hot] = NOTHING
-    return part
-
-
-@njit(cache=True)
-def _follow(
-    columns: tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]],
-    part: NDArray[np.int16],
-    dots: tuple[Floats, Floats, float, float],
-    first: int,
-    stop: int,
-    dot_px: Floats,
-    window_events: NDArray[np.int64],
-) -> None:
-    """Move the centres by the events of the slices [first, stop), and write them down at the end of every slice.
-
-    dots: their places at rest and now, their radius, and how far an event moves one.
-    """
-    t, x, y, p = columns
-    rest, centre, radius, step = dots
-    height, width = part.shape
-    event = 0
-    for slice_ in range(first, stop):
-        end_us = (slice_ + 1) * SLICE_US
-        while event < len(t) and t[event] < end_us:
-            column = x[event]
-            row = y[event]
-            brighter = p[event] > 0
-            event += 1
-            if row >= height or column >= width:
-                continue
-            dot = part[row, column]
-            if dot == WINDOW:
-                window_events[slice_ + 1 - first] += 1
-            if dot < 0:
-                continue
-            right = column - centre[dot, 0]
-            down = row - centre[dot, 1]
-            distance = math.sqrt(right * right + down * down)
-            if abs(distance - radius) > RING_PX or distance == 0.0:
-                continue
-            moved = -step if brighter else step
-            centre[dot, 0] += moved * right / distance
-            centre[dot, 1] += moved * down / distance
-        for dot in range(len(rest)):  # a whole row at once would have numba compile words about shapes
-            for axis in range(2):
-                dot_px[slice_ + 1 - first, dot, axis] = centre[dot, axis] - rest[dot, axis]
-
-
-@njit(cache=True)
-def _search(
-    object_px: Floats,
-    away_px: Floats,
-    base: int,
-    first: int,
-    stop: int,
-    start: int,
-    thresholds: tuple[float, int, int, float, float, float, float, int],
-    result: tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.float32]],
-) -> None:
-    """Go on with the search for the onset over the slices [first, stop), of which `away_px` holds the rows from `base`.
-
-    Fills in, for each slice, in `slips` whether no dot follows the object, and in `relative_px` how far the object
-    slips, over the look-ahead, past the dot that follows it best. From block to block go `since_back_px` (dots,) and
-    `counts`: px slid, ms paused, and the slice of the onset or -1.
-
-    thresholds: slip_distance_px, look_ahead_ms, follow_ms, follow_share, least_px_ms, back_px_ms, hidden_px, pause_ms.
-    result: since_back_px, counts, slips, relative_px.
-    """
-    slip_distance_px, look_ahead_ms, follow_ms, follow_share, least_px_ms, back_px_ms, hidden_px, pause_ms = thresholds
-    since_back_px, counts, slips, relative_px = result
-    slices = len(object_px) - 1
-    dots = away_px.shape[1]
-    slid_px = counts[0]
-    paused_ms = int(counts[1])
-    onset = int(counts[2])
-    for slice_ in range(first, stop):
-        end_slice = min(slice_ + look_ahead_ms, slices)
-        begin = max(slice_ + 1 - follow_ms, 0)
-        span = end_slice - slice_
-        follow_span = slice_ + 1 - begin
-        object_px_ms = (object_px[end_slice] - object_px[slice_]) / span
-        recent_px_ms = (object_px[slice_ + 1] - object_px[begin]) / follow_span
-        closest = np.inf
-        best_px = np.inf
-        for dot in range(dots):
-            dot_px_ms = (away_px[end_slice - base, dot] - away_px[slice_ - base, dot]) / span
-            best_px = min(best_px, (object_px_ms - dot_px_ms) * span)
-            behind = recent_px_ms - (away_px[slice_ + 1 - base, dot] - away_px[begin - base, dot]) / follow_span
-            if dot_px_ms < -back_px_ms:
-                since_back_px[dot] = 0.0
-            else:
-                since_back_px[dot] += object_px_ms
-                if since_back_px[dot] < hidden_px:
-                    behind = 0.0
-            closest = min(closest, behind)
-        relative_px[slice_] = best_px
-        slips[slice_] = closest > max(least_px_ms, follow_share * recent_px_ms)
-        if slice_ < start or onset >= 0:
-            continue
-        if slips[slice_]:
-            slid_px += best_px / span
-            paused_ms = 0
-        else:
-            paused_ms += 1
-            if paused_ms > pause_ms:
-                slid_px = 0.0
-        if slid_px > slip_distance_px:
-            onset = slice_
-    counts[0] = slid_px
-    counts[1] = paused_ms
-    counts[2] = onset
+def _doubt(found: LastingSlip, confidence: float, rate_known: bool, constants: EventFlowConstants) -> str:
+    """Why the onset cannot be told, in words; empty where it can."""
+    if not rate_known:
+        return "the object did not take the gel along before, so what an event of the window stands for is not known"
+    if confidence < constants.least_confidence:
+        return f"what slid came to rest: only {confidence:.0%} of the slices after the onset slide"
+    if found.width_px > constants.widest_px:
+        span_ms = found.latest - found.earliest
+        return f"the onset may lie anywhere in {span_ms} ms, in which the object slid {found.width_px:.1f} px"
+    return ""

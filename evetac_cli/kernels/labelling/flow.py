@@ -32,6 +32,8 @@ from evetac_cli.events import Events
 METHODS = ("farneback", "dis", "event-count")
 GREY = 128
 LEAST_SIDE_PX = 32  # smaller images have no flow
+SLIP_PX = 0.5  # of gross slip, which the interval is about
+LEAST_CONFIDENCE = 0.5  # labels abstain where fewer of the slices after the onset slip: what slid came to rest
 CLEAR_WINDOW, CLEAR_GEL = 2, 4  # times that images are shrunk for clear slip
 GEL_MOVES = 20  # times as many events in the gel as a window needs at least: the gel moves
 
@@ -73,6 +75,16 @@ class Labels(NamedTuple):
     onset: int  # first slice of slip, -1 if there is none
     confidence: float  # share of the slices in the `after_ms` from the onset that are slip; NaN without onset
     flow_pairs: int  # pairs of images of which flow was computed
+    earliest: int = -1  # first and last slice in which the onset may lie, -1 without onset
+    latest: int = -1
+    doubt: str = ""  # why the onset cannot be told, in words: the labels abstain; empty where it can
+
+
+def apart(labels: Labels) -> Labels:
+    """Labels that abstain: the slices of their interval are neither slip nor no slip."""
+    label = labels.label.copy()
+    label[labels.earliest : labels.latest + 1] = -1
+    return labels._replace(label=label)
 
 
 def event_picture(events: Events, region: Region) -> NDArray[np.uint8]:
@@ -134,7 +146,13 @@ def label(
     labels[stop:] = -1
     for index in range(onset, stop):
         labels[index] = search.slips(index)
-    return Labels(labels, search.relative_px, onset, float(labels[onset:stop].mean()), search.flow_pairs)
+    confidence = float(labels[onset:stop].mean())
+    earliest, latest = search.interval(onset, start)
+    doubt = ""
+    if confidence < LEAST_CONFIDENCE:
+        doubt = f"what slid came to rest: only {confidence:.0%} of the slices after the onset slide"
+    made = Labels(labels, search.relative_px, onset, confidence, search.flow_pairs, earliest, latest, doubt)
+    return apart(made) if doubt else made
 
 
 class _Search:
@@ -163,6 +181,19 @@ class _Search:
                     return index
             checked = coarse
         return -1
+
+    def interval(self, onset: int, start: int) -> tuple[int, int]:
+        """The earliest and the latest slice of the onset, as far as threshold and look-ahead tell.
+
+        A slide just below the threshold goes SLIP_PX unseen before. Images that differ are look_ahead_ms apart and sum
+        accumulate_ms, and the motion may lie anywhere in them.
+        """
+        constants = self._constants
+        unseen_ms = constants.look_ahead_ms
+        if constants.method != "event-count":  # whose threshold is no distance
+            unseen_ms = math.ceil(constants.look_ahead_ms * SLIP_PX / max(constants.threshold_px, 1e-3))
+        later_ms = constants.look_ahead_ms + constants.accumulate_ms - 1
+        return max(onset - unseen_ms, start), min(onset + later_ms, self.slices - 1)
 
     def _confirmed(self, index: int) -> bool:
         stop = min(index + self._constants.confirm_ms, self.slices)

@@ -43,6 +43,7 @@ class Trajectory(NamedTuple):
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
     onset: int  # first slice of slip, -1 if there is none
     slip_share: NDArray[np.float32] | None = None  # (slices,) share of the visible contact that slips, if known
+    timed: bool = True  # whether the labels can tell the onset
 
 
 def part(series: Series, first: int, last: int) -> Series:

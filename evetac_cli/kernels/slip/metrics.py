@@ -94,7 +94,8 @@ class Prediction:
 
     probability (slices,), NaN until the history is full; label int8 (slices,) 1 slip, 0 no slip, -1 not examined,
     shifted where slip is predicted; onset: first slice of slip in the labels as they were before the shift, or -1;
-    object: the name that scores are grouped by; sensor: the name of the sensor.
+    object: the name that scores are grouped by; sensor: the name of the sensor; timed: whether the labels can tell the
+    onset, so that timing is judged.
     """
 
     probability: NDArray[np.floating]
@@ -102,6 +103,7 @@ class Prediction:
     onset: int
     object: str = ""
     sensor: str = ""
+    timed: bool = True
 
     def __post_init__(self) -> None:
         check_labels(self.label, self.onset)
@@ -125,7 +127,8 @@ class Prediction:
 def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, float | int | None]:
     """Score a detector over trajectories at one threshold, as a flat row.
 
-    - slip_early, slip_correct, slip_late: shares of the trajectories with an onset; None where no trajectory has one.
+    - slip_early, slip_correct, slip_late: shares of the trajectories with an onset that their labels can tell; None
+      where no trajectory has one.
     - f1: the counts are pooled over each object's trajectories, and the objects' F1 are averaged, as in the paper's
       bars. f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
     - alarms_without_slip: trajectories without an onset in which slip was detected.
@@ -139,9 +142,9 @@ def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, floa
     by_object: dict[str, list[Counts]] = {}
     for prediction in predictions:
         first = onset(prediction.detected(threshold))
-        if prediction.onset >= 0:
+        if prediction.onset >= 0 and prediction.timed:
             timings.append(timing(first, prediction.onset))
-        elif first >= 0:
+        elif first >= 0 and prediction.onset < 0:
             alarms += 1
         by_object.setdefault(prediction.object, []).append(prediction.counts(threshold))
     per_object = [_pool(outcomes) for outcomes in by_object.values()]

@@ -1,6 +1,5 @@
 """view: show a recording and what was computed from it, on one page that needs no network, as animation, in rerun."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.recordings.onset import labelled_onset
 
 
 def run(
@@ -96,7 +96,7 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
         frame_px=frame_size_px(trial),
         window_px=window_px(trial),
         onsets={} if empty else slip_onsets(trial, span, probability),
-        confidence=_confidence(trial),
+        labelled=None if trial.labels is None else labelled_onset(trial.labels),
         # the gripper's below the events, which come first where there is a recording
         panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:], *others],
         lanes=[] if empty else slip_lanes(trial, span, probability),
@@ -125,15 +125,14 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
 
 
 def _label_notes(trial: OpenTrial) -> list[str]:
-    """A note on labels that no sensor could have given."""
-    copied = trial.labels is not None and trial.labels.header["parameters"].get("method") == "truth"
-    return ["The labels were copied from the truth (simulated)."] if copied else []
-
-
-def _confidence(trial: OpenTrial) -> float | None:
-    """How sure labels are of their onset, 0 to 1; None where there is none."""
-    confidence = float("nan") if trial.labels is None else float(trial.labels.read("confidence"))
-    return confidence if math.isfinite(confidence) else None
+    """Notes on labels that no sensor could have given, that a person gave, and that abstain."""
+    if trial.labels is None:
+        return []
+    made = trial.labels.header["parameters"]
+    notes = ["The labels were copied from the truth (simulated)."] if made.get("method") == "truth" else []
+    if made.get("method") == "person":
+        notes.append(f"The labels are those of a person: {made.get('by')}.")
+    return [*notes, *filter(None, [labelled_onset(trial.labels).in_words()])]
 
 
 def _film(trial: OpenTrial, view: ViewData) -> bytes:

@@ -19,6 +19,7 @@ from evetac_cli.pages.view.gripper import outcome_badges
 from evetac_cli.pages.view.trial_files import OpenTrial, inner
 from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
 from evetac_cli.resources import DATA, PACKAGE
+from evetac_cli.store.recordings.onset import LabelledOnset
 
 LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they are few
 AXIS_PX = 24  # times below it
@@ -180,8 +181,8 @@ def _onsets(view: ViewData) -> str:
             continue
         away = slice_ - reference
         beside = [f"{away:+d} ms"] if away else []
-        if source == "label" and view.confidence is not None:
-            beside.append(f"confidence {view.confidence:.2g}")
+        if source == "label" and view.labelled is not None:
+            beside += _sure(view.labelled)
         later = f" <small>{', '.join(beside)}</small>" if beside else ""
         cells.append(
             f"<button type='button' class='jump' data-ms='{slice_}'>{source}{simulated} "
@@ -189,6 +190,14 @@ def _onsets(view: ViewData) -> str:
         )
     since = f" after {view.span[0] / SLICES_PER_S:.3f} s" if view.span[0] else ""
     return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
+
+
+def _sure(told: LabelledOnset) -> list[str]:
+    """How sure labels are of their onset: the interval in which it may lie, and their confidence."""
+    words = ["abstains"] if told.abstained else []
+    if told.earliest is not None and told.latest is not None:
+        words.append(f"within {told.earliest / SLICES_PER_S:.3f} to {told.latest / SLICES_PER_S:.3f} s")
+    return words if told.confidence is None else [*words, f"confidence {told.confidence:.2g}"]
 
 
 def _notes(view: ViewData) -> list[str]:

@@ -202,8 +202,7 @@ def series_panels(
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     """What labels decided by, where they examined it and where not.
 
-    Logarithmic, and cut: nothing is decided beyond, and of an object that is lost `event-flow`, which extrapolates how
-    the window's events fade, soon counts a hundred times its motion.
+    Logarithmic, and cut: nothing is decided beyond.
     """
     start = span[0]
 
@@ -232,8 +231,8 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
         from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
 
         says = (
-            f"Motion of the window in the next {EventFlowConstants.look_ahead_ms} ms, less that of the dot that follows"
-            f" it best. Slip begins where this slide, summed while no dot follows, exceeds {level:g} px."
+            f"How far the object goes against the gel in contact in the next {EventFlowConstants.look_ahead_ms} ms."
+            f" Slip begins where a slide that lasts exceeds {level:g} px."
         )
     if any(line.name == "not examined" for line in lines):
         says += " Grey: not examined."

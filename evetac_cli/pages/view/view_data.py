@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.store.recordings.onset import LabelledOnset
+
 LEVELS, SHEAR_LEVELS = 255, 127  # of pressure, and of shear either way, in a TouchView
 VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # as in touch_map.js
 
@@ -132,7 +134,7 @@ class ViewData:
     frame_px: tuple[int, int]
     window_px: tuple[int, int, int, int] | None
     onsets: dict[str, int | None]  # truth, label, model or detector -> first slice of slip
-    confidence: float | None  # of the label's onset
+    labelled: LabelledOnset | None  # what labels say of their onset
     panels: list[Panel]
     lanes: list[Lane]
     phases: list[Lane]  # of a grasp

@@ -182,15 +182,23 @@ def _layers_of_force(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
-    """The onset is the first slice of slip; an hour of labels takes a few ms."""
+    """The onset is the first slice of slip; an hour of labels takes a few ms.
+
+    Where labels abstain it is a guess, in a slice that is not examined, and no slice slips before it.
+    """
     if "label" not in shapes:
         return
-    onset, first, slip = int(file.read("onset_slice")), 0, -1
+    onset, first, slip, guessed = int(file.read("onset_slice")), 0, -1, False
     for label in blocks(file, "label", shapes["label"][1]):
         if slip < 0 and (label == 1).any():
             slip = first + int(np.argmax(label == 1))
+        if first <= onset < first + len(label):
+            guessed = label[onset - first] == -1
         first += len(label)
-    if onset != slip:
+    if "abstained" in shapes and bool(file.read("abstained")):
+        if not guessed or 0 <= slip < onset:
+            yield "onset_slice", "a slice before all slip whose label is -1, as the labels abstain", str(onset)
+    elif onset != slip:
         yield "onset_slice", f"{slip}, the first slice of slip in label, or -1", str(onset)
 
 
@@ -199,7 +207,7 @@ RULES_OF_SHAPES: dict[str, tuple[Callable[[Shapes], Iterator[Fault]], ...]] = {
     "features": (_label_and_onset,),
 }
 _SENSOR = "sensor/(frame|window|dot_radius|dot_xy)_px|(truth/)?dot_xy_px"
-_ONSET = "label|onset_slice"
+_ONSET = "label|onset_slice|abstained"
 # With each the datasets that it concerns, as a pattern.
 RULES: dict[str, tuple[tuple[Rule, str], ...]] = {
     "recording": (

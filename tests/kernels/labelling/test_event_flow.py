@@ -1,16 +1,17 @@
-"""Slip labels by counting: motion of dots and window from events of known motion, and the onset of known slides."""
+"""Slip labels by counting: the onset of known slides, its interval, and when labels abstain."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from evetac_cli.events import Events, empty
-from evetac_cli.kernels.labelling import event_flow, flow
+from evetac_cli.events import FRAME_PX, Events, empty
+from evetac_cli.kernels.labelling import event_flow, flow, slide
 
-WINDOW, GEL = (565, 0, 640, 480), (0, 0, 530, 480)
+WINDOW = (565, 0, 640, 480)
 DOTS = np.stack(np.meshgrid([120.0, 260.0, 400.0], [100.0, 240.0, 380.0]), axis=-1).reshape(-1, 2)
 RADIUS_PX = 15.0
+EDGE_EVENTS = 6.9  # thresholds that a dot's rim crosses
 CONSTANTS = event_flow.EventFlowConstants()
 RATE = 500  # events of the window a pixel, as long as it has not moved
 LOAD_MS = 300  # the object takes the gel along until then
@@ -20,7 +21,7 @@ def contact_edges(rng: np.random.Generator, centres: np.ndarray, moved: np.ndarr
     """x, y, p of the events that dark dots' rims make on a small way: crossings a pixel along the normal."""
     if not moved.any():
         return [np.empty(0)] * 3
-    angle = rng.uniform(0, 2 * np.pi, (len(centres), round(2 * np.pi * RADIUS_PX * CONSTANTS.edge_events)))
+    angle = rng.uniform(0, 2 * np.pi, (len(centres), round(2 * np.pi * RADIUS_PX * EDGE_EVENTS)))
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     along = (normal * moved[:, None]).sum(axis=-1)
     seen = rng.random(along.shape) < np.abs(along)
@@ -47,7 +48,7 @@ def scene(dot_px: np.ndarray, object_px: Sequence[float], rate: float = RATE, se
     return between
 
 
-def slide(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, angle: float = 0.0) -> tuple:
+def slide_of(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, angle: float = 0.0) -> tuple:
     """Load by 6 px, rest, creep in stick, then the object goes on at another speed and the dots stay."""
     speed = np.zeros(slices)
     speed[100:LOAD_MS] = 6.0 / (LOAD_MS - 100)
@@ -59,169 +60,203 @@ def slide(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, angle
     return np.repeat(along[:, None, None] * direction, len(DOTS), axis=1), object_px
 
 
-def followed(between: flow.Between, slices: int) -> event_flow.ImageMotion:
-    """The motion of all slices, in one."""
-    part = event_flow.pixel_parts(between, slices, WINDOW, GEL, DOTS)
-    given = between, slices, part, DOTS, RADIUS_PX, CONSTANTS.edge_events
-    blocks = [motion for _, motion in event_flow.follow(*given)]
-    first = [blocks[0].dot_px[:1], blocks[0].window_events[:1]]
-    return event_flow.ImageMotion(
-        np.concatenate([first[0], *(block.dot_px[1:] for block in blocks)]),
-        np.concatenate([first[1], *(block.window_events[1:] for block in blocks)]),
-    )
-
-
 def labels(dot_px: np.ndarray, object_px: Sequence[float], start: int = LOAD_MS, **how: float) -> flow.Labels:
     between = scene(dot_px, object_px, **how)
-    return event_flow.label(between, len(object_px) - 1, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS, start)
-
-
-@pytest.mark.parametrize("path_px", [(4.0, 0.0), (0.0, -7.0), (-5.0, 3.0)])
-def test_dots_are_followed_both_ways(path_px: tuple[float, float]) -> None:
-    """Assert that dots that go and come back are followed to 5 % and twice the noise of counting, at both ends."""
-    out = np.linspace(0, 1, 101)[:, None] * np.array(path_px)
-    path = np.concatenate([out, out[-2::-1]])
-    dot_px = np.repeat(path[:, None], len(DOTS), axis=1)
-    between = scene(dot_px, np.zeros(len(path)))
-    motion = followed(between, len(path) - 1)
-    error = np.hypot(*(motion.dot_px - dot_px).transpose(2, 0, 1))
-    per_px = np.pi * RADIUS_PX * CONSTANTS.edge_events
-    assert error[100].mean() < 0.05 * np.hypot(*path_px) + 2 * np.sqrt(np.hypot(*path_px) / per_px)
-    assert error[-1].mean() < 2 * np.sqrt(2 * np.hypot(*path_px) / per_px)
-    assert motion.window_events.max() == 0
+    return event_flow.label(between, len(object_px) - 1, WINDOW, FRAME_PX, DOTS, RADIUS_PX, CONSTANTS, start)
 
 
 @pytest.mark.parametrize("block", [1, 3, 7, 650, 1000])
 def test_blocks_do_not_change_a_bit(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that labels are the same however few slices are looked at together."""
-    dot_px, object_px = slide(0.02, 0.1, 600, 650)
+    dot_px, object_px = slide_of(0.02, 0.1, 600, 650)
     whole = labels(dot_px, object_px)
     monkeypatch.setattr(event_flow, "BLOCK_SLICES", block)
     for one, other in zip(labels(dot_px, object_px), whole, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("speed", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("speed", [0.1, 0.3, 1.0])
 @pytest.mark.parametrize("angle", [0.0, np.pi / 2])
-def test_onset_is_when_half_a_pixel_is_slid(speed: float, angle: float) -> None:
-    """Assert that the onset is where 0.5 px is slid, to 2 ms and a fifth of the way, however slow, along x or y."""
+def test_onset_is_when_slip_px_are_slid(speed: float, angle: float) -> None:
+    """Assert that the onset is where the distance is slid, to 2 ms and a fifth of it, along x or y, and certain."""
     begin = 600
-    result = labels(*slide(0.02, speed, begin, 700, angle))
+    result = labels(*slide_of(0.02, speed, begin, 700, angle))
     wanted = begin + CONSTANTS.slip_distance_px / speed
     assert abs(result.onset - wanted) <= 2 + 0.2 * CONSTANTS.slip_distance_px / speed
+    assert result.earliest <= wanted + 1 and wanted - 1 <= result.latest
+    assert result.earliest <= result.onset <= result.latest
     assert (result.label[:LOAD_MS] == -1).all()
     assert (result.label[LOAD_MS : result.onset] == 0).all()
     assert result.label[result.onset] == 1
     assert (result.label[result.onset + CONSTANTS.after_ms :] == -1).all()
     assert result.confidence > 0.9
-    assert result.flow_pairs == 0
+    assert (result.doubt, result.flow_pairs) == ("", 0)
+
+
+def test_a_slow_slide_has_an_interval_and_the_labels_abstain() -> None:
+    """Assert that of a slide that begins slowly, while dots still creep, the interval holds the onset, and is said."""
+    dot_px, object_px = slide_of(0.03, 0.0, 600, 900)
+    speed = np.clip(0.05 + 0.001 * np.arange(300), 0.0, 0.3)
+    object_px[600:] += np.concatenate([[0.0], np.cumsum(speed)])
+    dot_px[600:, 4, 0] += 0.02 * np.minimum(np.arange(301), 60)  # at the edge of the contact
+    result = labels(dot_px, object_px)
+    true = 600 + int(np.argmax(np.cumsum(speed) > 0.5))
+    assert result.earliest <= true <= result.latest
+    assert "the onset may lie anywhere in" in result.doubt
+    assert (result.label[result.earliest : result.latest + 1] == -1).all()
+    assert result.label[result.earliest - 1] == 0
+    assert set(result.label[result.latest + 1 : result.onset + CONSTANTS.after_ms]) <= {0, 1}
 
 
 def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
     """Assert that there is no slip while the dots turn with the object, and that there is when they stop."""
-    dot_px, object_px = slide(0.02, 0.2, 600, 660)
+    dot_px, object_px = slide_of(0.02, 0.2, 600, 660)
     centre = DOTS.mean(axis=0)
     across = (DOTS - centre)[:, ::-1] * [-1.0, 1.0] / np.hypot(*(DOTS - centre).T).clip(1.0)[:, None]
     turned = np.linalg.norm(dot_px, axis=-1)[..., None] * across
     result = labels(turned, object_px)
-    assert abs(result.onset - 602.5) <= 3
-    assert (result.label[LOAD_MS : result.onset] == 0).all()
-
-
-@pytest.mark.parametrize("path_px", [0.5, 5.0, 50.0, 400.0])
-def test_travel_follows_from_events_that_fade(path_px: float) -> None:
-    """Assert that events fading as the module says give back the distance, to the step of the sum, short or long."""
-    object_px = np.linspace(0, path_px, 4001)
-    moved = RATE * CONSTANTS.fading_px * np.log1p(object_px / CONSTANTS.fading_px)
-    reported = event_flow.travel(moved, np.full(4000, float(RATE)), CONSTANTS.fading_px)
-    np.testing.assert_allclose(reported, object_px, rtol=0.01, atol=0.01)
+    assert abs(result.onset - 602) <= 3
+    assert (result.label[LOAD_MS : min(result.onset, result.earliest)] == 0).all()
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.02, 0.1])
 def test_creep_together_is_no_slip(creep: float) -> None:
     """Assert that an object which takes the gel along never slips, at any speed."""
-    result = labels(*slide(creep, 0.0, 520, 520))
-    assert result.onset == -1
+    result = labels(*slide_of(creep, 0.0, 520, 520))
+    assert (result.onset, result.earliest, result.latest, result.doubt) == (-1, -1, -1, "")
     assert set(result.label[LOAD_MS:]) == {0}
     assert np.isnan(result.confidence)
 
 
 def test_one_dot_that_follows_is_no_slip() -> None:
-    """Assert that the object does not slip while a single dot still goes with it."""
-    dot_px, object_px = slide(0.02, 0.1, 600, 680)
+    """Assert that the object does not slide while a single dot still goes with it."""
+    dot_px, object_px = slide_of(0.02, 0.1, 600, 680)
     assert labels(dot_px, object_px).onset > 0
     dot_px[600:, 4] += 0.1 * np.arange(len(object_px) - 600)[:, None] * [1.0, 0.0]
     assert labels(dot_px, object_px).onset == -1
 
 
-def test_a_short_slide_is_no_onset() -> None:
-    """Assert that slides of 0.3 px, with rests in stick between them, do not add up."""
-    dot_px, object_px = slide(0.0, 0.0, 600, 900)
-    for begin in (600, 700, 800):
-        object_px[begin:] += np.minimum(0.1 * np.arange(len(object_px) - begin), 0.3)
+def test_a_false_onset_that_does_not_last_is_none() -> None:
+    """Assert that a slide of 1 px that comes to rest is no onset, and that the slip 100 ms after it is found."""
+    dot_px, object_px = slide_of(0.0, 0.0, 600, 800)
+    object_px[600:] += np.minimum(0.2 * np.arange(len(object_px) - 600), 1.0)
     assert labels(dot_px, object_px).onset == -1
+    object_px[700:] += 0.3 * np.arange(len(object_px) - 700)
+    assert abs(labels(dot_px, object_px).onset - 701) <= 2
+
+
+def test_a_slip_that_comes_to_rest_is_doubted() -> None:
+    """Assert that labels abstain where a slide of 3 px is over soon, and say that it came to rest."""
+    dot_px, object_px = slide_of(0.0, 0.0, 600, 800)
+    object_px[600:] += np.minimum(0.3 * np.arange(len(object_px) - 600), 3.0)
+    result = labels(dot_px, object_px)
+    assert abs(result.onset - 601) <= 2
+    assert result.confidence < CONSTANTS.least_confidence
+    assert "came to rest" in result.doubt
+    assert (result.label[result.earliest : result.latest + 1] == -1).all()
+
+
+def test_without_load_before_the_slip_labels_abstain() -> None:
+    """Assert that labels abstain, and why, where the gel never moved with the object before it slid."""
+    dot_px, object_px = np.zeros((301, len(DOTS), 2)), np.maximum(0.3 * (np.arange(301) - 200), 0.0)
+    result = labels(dot_px, object_px, start=0)
+    assert abs(result.onset - 201) <= 3
+    assert "did not take the gel along" in result.doubt
+
+
+def test_gel_that_snaps_back_under_an_object_slides() -> None:
+    """Assert that where all dots jump back by 4 px at once the onset is that slice, though the object hardly moves."""
+    dot_px, object_px = slide_of(0.02, 0.02, 600, 700)
+    dot_px[601:] -= [1.4, 0.0]
+    dot_px[602:] -= [1.3, 0.0]
+    dot_px[603:] -= [1.3, 0.0]
+    object_px[603:] += 0.4 * np.arange(len(object_px) - 603)
+    assert abs(labels(dot_px, object_px).onset - 600) <= 1
+
+
+def test_an_object_that_rests_goes_nowhere() -> None:
+    """Assert that noise of the window at rest, 2 events a slice, is no travel: no relative flow beyond its scatter."""
+    dot_px, object_px = slide_of(0.0, 0.0, 2000, 2000)
+    quiet = scene(dot_px, object_px)
+    rng = np.random.default_rng(1)
+
+    def noisy(first: int, last: int) -> Events:
+        t = np.sort(rng.integers(1000 * first, 1000 * last, 2 * (last - first)))
+        many = [t, rng.integers(565, 640, len(t)), rng.integers(0, 480, len(t)), rng.integers(0, 2, len(t))]
+        columns = [np.concatenate(pair) for pair in zip(quiet(first, last), many, strict=True)]
+        order = np.argsort(columns[0], kind="stable")
+        return Events(*(c[order].astype(d) for c, d in zip(columns, (np.int64, "u2", "u2", "u1"), strict=True)))
+
+    result = event_flow.label(noisy, 2000, WINDOW, FRAME_PX, DOTS, RADIUS_PX, CONSTANTS, LOAD_MS)
+    assert result.onset == -1
+    travelled_px = result.relative_flow_px[LOAD_MS + 50 :].sum() / CONSTANTS.look_ahead_ms
+    assert abs(travelled_px) < 0.5
+
+
+def test_relative_flow_is_that_of_the_slide_or_not_given() -> None:
+    """Assert that relative flow is the slide over the look-ahead to a fifth, and NaN where the window is no measure."""
+    result = labels(*slide_of(0.02, 0.5, 600, 700))
+    early = result.relative_flow_px[result.onset : result.onset + 10]
+    np.testing.assert_allclose(early, 0.5 * CONSTANTS.look_ahead_ms, rtol=0.2)
+    beyond = 600 + int(CONSTANTS.seen_slide_px / 0.5) + 5
+    assert np.isnan(result.relative_flow_px[beyond:]).all()
+    assert np.isfinite(result.relative_flow_px[: result.onset]).all()
 
 
 def test_an_object_without_texture_is_refused() -> None:
     """Assert that a window without events while the gel is dragged along is an error that says so."""
     with pytest.raises(ValueError, match="texture: expected at least 20 events a pixel"):
-        labels(*slide(0.02, 0.1, 600, 650), rate=0.0)
+        labels(*slide_of(0.02, 0.1, 600, 650), rate=0.0)
 
 
-def test_hot_pixels_change_nothing() -> None:
-    """Assert that pixels which never stop, beside a dot and in the window, are left out of motion and count."""
-    dot_px, object_px = slide(0.02, 0.1, 600, 650)
-    quiet = scene(dot_px, object_px)
-
-    def hot(first: int, last: int) -> Events:
-        more = np.repeat(np.arange(first, last), 2) * 1000
-        x, y = np.tile([275, 600], last - first), np.tile([240, 100], last - first)
-        columns = zip(quiet(first, last), (more, x, y, np.ones(len(more))), strict=True)
-        joined = [np.concatenate(pair) for pair in columns]
-        order = np.argsort(joined[0], kind="stable")
-        return Events(*(c[order].astype(d) for c, d in zip(joined, (np.int64, "u2", "u2", "u1"), strict=True)))
-
-    plain = followed(quiet, len(object_px) - 1)
-    noisy = followed(hot, len(object_px) - 1)
-    assert abs(int(noisy.window_events[-1]) - int(plain.window_events[-1])) < 5
-    assert np.abs(noisy.dot_px - plain.dot_px).max() < 0.2
+def test_a_frame_in_which_dots_cannot_be_followed_is_refused() -> None:
+    """Assert that a frame larger than the tracker's is an error that says so."""
+    with pytest.raises(ValueError, match="expected a frame of 640 x 480 px at most, found 1280 x 720"):
+        event_flow.label(lambda a, b: empty(), 5, WINDOW, (1280, 720), DOTS, RADIUS_PX, CONSTANTS)
 
 
 def test_missing_dots_are_left_out() -> None:
     """Assert that dots without a place are no dots, and that at least one is wanted."""
-    dot_px, object_px = slide(0.02, 0.1, 600, 650)
+    dot_px, object_px = slide_of(0.02, 0.1, 600, 650)
     between, slices = scene(dot_px, object_px), len(object_px) - 1
     with_gap = np.concatenate([DOTS, [[np.nan, np.nan]]])
-    whole = event_flow.label(between, slices, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS, LOAD_MS)
-    gap = event_flow.label(between, slices, WINDOW, GEL, with_gap, RADIUS_PX, CONSTANTS, LOAD_MS)
+    whole = event_flow.label(between, slices, WINDOW, FRAME_PX, DOTS, RADIUS_PX, CONSTANTS, LOAD_MS)
+    gap = event_flow.label(between, slices, WINDOW, FRAME_PX, with_gap, RADIUS_PX, CONSTANTS, LOAD_MS)
     np.testing.assert_array_equal(whole.label, gap.label)
     with pytest.raises(ValueError, match="dots: expected some with a radius > 0, found 0"):
-        event_flow.label(between, slices, WINDOW, GEL, with_gap[-1:], RADIUS_PX, CONSTANTS)
+        event_flow.label(between, slices, WINDOW, FRAME_PX, with_gap[-1:], RADIUS_PX, CONSTANTS)
 
 
 @pytest.mark.parametrize("slices", [0, 1, 2, 60])
 def test_nothing_happens(slices: int) -> None:
     """Assert that recordings without events, however short, have no slip and no onset."""
-    result = event_flow.label(lambda first, last: empty(), slices, WINDOW, GEL, DOTS, RADIUS_PX, CONSTANTS)
+    result = event_flow.label(lambda first, last: empty(), slices, WINDOW, FRAME_PX, DOTS, RADIUS_PX, CONSTANTS)
     assert result.onset == -1
     assert result.label.tolist() == [0] * slices
     assert np.isfinite(result.relative_flow_px).all()
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"slip_distance_px": 0.0}, {"edge_events": float("nan")}, {"hidden_px": -1.0}, {"follow_share": 1.0}]
-)
+@pytest.mark.parametrize("wrong", [{"slip_distance_px": 0.0}, {"trust": float("nan")}, {"outside": 0.5}])
 def test_impossible_constants(wrong: dict[str, float]) -> None:
     """Assert that constants out of range are refused by name."""
     with pytest.raises(ValueError, match=next(iter(wrong))):
         event_flow.EventFlowConstants(**wrong)  # type: ignore[arg-type]
 
 
-def test_medians_are_those_of_all_values_so_far() -> None:
-    """Assert that each weighted median is that of a sorted list of the values up to it, also where values are equal."""
-    rng = np.random.default_rng(0)
-    rates, weights = np.round(rng.random(300), 1), 0.1 * rng.integers(1, 9, 300)
-    for count, median in enumerate(event_flow._medians(rates, weights), 1):
-        ordered, by = np.array(sorted(zip(rates[:count], weights[:count], strict=True))).T
-        reached = np.cumsum(by)
-        assert median == ordered[np.searchsorted(reached, 0.5 * reached[-1])]
+def test_the_slide_that_is_found_is_the_one_that_lasts() -> None:
+    """Assert that of evidence for two slides the one that goes on is found, with an interval that a doubt widens."""
+    slices = 400
+    log_odds, slide_px = np.full(slices, -3.0), np.zeros(slices)
+    for first, last in ((100, 105), (200, 300)):
+        log_odds[first:last], slide_px[first:last] = 3.0, 0.1
+    how = {"slip_distance_px": 0.4, "lasting_px": 1.5, "pause_ms": 3, "search_ms": 200, "trust": 0.4, "outside": 0.03}
+    sure = slide.find(slide.Evidence(log_odds, slide_px), 0, **how)
+    assert sure is not None
+    assert abs(sure.onset - 204) <= 1
+    assert sure.width_px <= 0.3
+    log_odds[190:200], slide_px[190:200] = -0.1, 0.1  # nearly as good
+    doubt = slide.find(slide.Evidence(log_odds, slide_px), 0, **how)
+    assert doubt is not None
+    assert doubt.earliest < 200 <= doubt.latest <= sure.latest
+    assert doubt.width_px > 0.5
+    assert slide.find(slide.Evidence(log_odds, slide_px), 250, **{**how, "lasting_px": 9.0}) is None

@@ -1,0 +1,62 @@
+"""The onset of slip that labels tell: its interval, how sure they are, and why they abstain where they do."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.store.files import StageFile
+
+UNSURE = "abstained"  # dataset of labels, and of features made from them
+
+
+class LabelledOnset(NamedTuple):
+    """Slices of 1 ms; None where there is no onset, or where labels of an older version know no interval."""
+
+    slice_: int | None
+    earliest: int | None
+    latest: int | None
+    confidence: float | None
+    doubt: str  # why the onset cannot be told, in words; empty where it can
+
+    @property
+    def abstained(self) -> bool:
+        """Whether the labels say that they cannot tell the onset."""
+        return bool(self.doubt)
+
+    def row(self) -> dict[str, Any]:
+        """The onset as columns of a table."""
+        return {
+            "onset_ms": self.slice_,
+            "earliest_ms": self.earliest,
+            "latest_ms": self.latest,
+            "confidence": self.confidence,
+            "abstained": self.abstained,
+            "doubt": self.doubt or None,
+        }
+
+    def in_words(self) -> str:
+        """That labels abstain, and why; empty where they do not."""
+        return f"The labels abstain: {self.doubt}." if self.doubt else ""
+
+
+def labelled_onset(labels: StageFile) -> LabelledOnset:
+    """The onset in a labels file."""
+
+    def slice_of(name: str) -> int | None:
+        value = int(labels.read(name)) if labels.has(name) else -1
+        return value if value >= 0 else None
+
+    confidence = float(labels.read("confidence"))
+    doubt = str(labels.read("doubt")) if labels.has("doubt") else ""
+    return LabelledOnset(
+        slice_of("onset_slice"),
+        slice_of("earliest_slice"),
+        slice_of("latest_slice"),
+        confidence if np.isfinite(confidence) else None,
+        doubt,
+    )
+
+
+def is_unsure(file: StageFile) -> bool:
+    """Whether labels, or the labels that features were made from, abstained."""
+    return file.has(UNSURE) and bool(file.read(UNSURE))
