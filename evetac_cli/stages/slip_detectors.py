@@ -101,7 +101,7 @@ def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_
         needed = inputs.part(trajectory.series, first_needed(detector.architecture, first), slices)
         probability[first:] = probabilities(detector, needed, first)
     label = shift_labels(trajectory.label, horizon_ms)
-    return Prediction(probability, label, trajectory.onset, object_name(header), trajectory.timed)
+    return Prediction(probability, label, trajectory.onset, object_name(header), timed=trajectory.timed)
 
 
 def first_labelled(label: NDArray[np.int8]) -> int:
