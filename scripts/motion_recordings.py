@@ -24,8 +24,8 @@ OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
 # Trials per object; fast jerks, weights and the data-rate scene are kept for the judge.
 COUNTS = {
     "learn": {
-        **{"slip": 3, "slip-varied": 3, "slip-speeds": 6, "handling": 3, "pushes": 4, "grip": 3, "jerks": 3},
-        **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2},
+        **{"slip": 3, "slip-varied": 2, "slip-speeds": 4, "handling": 2, "pushes": 2, "grip": 2, "jerks": 2},
+        **{"lifting": 1, "opening": 3, "light touch": 1, "vibration": 1},
     },
     "choose": {
         **{"slip": 4, "slip-speeds": 8, "handling": 2, "pushes": 4, "grip": 3, "jerks": 2},
