@@ -54,7 +54,8 @@ VARIANTS = {
 
 def run(*words: object) -> None:
     """Run evetac; an error of it ends this script."""
-    done = subprocess.run([sys.executable, "-m", "evetac_cli", *map(str, words)], capture_output=True, text=True)
+    command = [sys.executable, "-m", "evetac_cli", *map(str, words)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"evetac {' '.join(map(str, words))}: {done.stderr}")
 
