@@ -29,7 +29,7 @@ THRESHOLDS = (
     *(0.925, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999),
 )
 SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset that timing is judged by
-RAMP_MS = 900  # in these, what comes before is not examined: the weight is handed over
+RAMP_MS = 900  # in these, what comes before is not examined, as the weight is handed over
 SENSORS = 20
 SPEED_MS = 300  # before slip, over which the speed of unloading is taken
 LEAST_SAID, AFTER_MS = 0.1, 60  # calibration counts slices above, and so long after a slip
@@ -60,7 +60,7 @@ def judged(motion: str, trial: Trial, scores: Scores) -> Row:
     slips = trial.slips & held
     row: Row = {"minutes": round(float(held.sum()) / 60_000, 5), "slips": len(slip_alarms.slip_begins(slips))}
     begins = slip_alarms.slip_begins(slips)
-    if motion in SLIPS and begins:
+    if motion in SLIPS and begins and begins[0] >= RAMP_MS:
         before = trial.normal_n[max(begins[0] - SPEED_MS, 0) : begins[0]]
         row["unloading_n_s"] = round(float(before[0] - before[-1]) / (1e-3 * len(before)), 3)
     row["scores"] = {
@@ -79,7 +79,7 @@ def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: 
         "leads_ms": {rule: [one.leads_ms[rule] for one in every] for rule in RULES},
     }
     begins = slip_alarms.slip_begins(slips)
-    if motion not in SLIPS or not begins:
+    if motion not in SLIPS or not begins or begins[0] < RAMP_MS:
         return counted
     onset = begins[0]
     label = np.where(np.arange(len(slips)) < RAMP_MS, np.int8(-1), trial.slips.astype(np.int8))
