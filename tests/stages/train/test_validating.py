@@ -113,6 +113,13 @@ def test_probabilities_are_calibrated_on_what_validates(model: Path, trials: lis
         assert 0 < int(file.read("calibration/slips")) < int(file.read("calibration/slices"))
 
 
+def test_few_minutes_without_slip_are_said(model: Path) -> None:
+    """Assert that a person is told where false alarms were counted in few minutes, and not where they were in many."""
+    row = {"calibrated": True, "minutes_without_slip": 0.25}
+    assert "counted in 0.2 minutes" in " ".join(train.for_people([row], Train())[1])
+    assert train.for_people([row | {"minutes_without_slip": 30.0}], Train())[1] == []
+
+
 def test_a_threshold_by_false_alarms(model: Path) -> None:
     """Assert that fewer false alarms give a higher threshold, a given one is taken, and both are refused."""
     with StageFile(model, "model") as file:
