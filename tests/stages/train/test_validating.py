@@ -170,6 +170,18 @@ def test_the_papers_preset_keeps_the_papers_rule() -> None:
     assert ours.figures()["calibrated"] is True
 
 
+def test_the_papers_rule_means_the_same_once_calibrated() -> None:
+    """Assert that the threshold of the paper's rule detects the same slices of calibrated probabilities."""
+    near = [steady(np.concatenate([np.linspace(0, 0.6, 140), np.linspace(0.5, 1, 60)]), 150)]
+    plain, ours = Validated.of([near], PAPER, None), Validated.of([near], ADAM, None)
+    assert plain.choice.threshold != ours.choice.threshold
+    np.testing.assert_array_equal(
+        ours.predictions[0].detected(ours.choice.threshold), near[0].detected(plain.choice.threshold)
+    )
+    assert ours.choice.detected_share == plain.choice.detected_share
+    assert ours.choice.score == plain.choice.score
+
+
 def test_without_quiet_slices_the_papers_rule_is_taken_and_a_number_refused() -> None:
     """Assert so for trials that are near slip throughout."""
     near = [steady(np.linspace(0, 1, 300), 150)]
