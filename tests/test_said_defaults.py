@@ -32,7 +32,7 @@ from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.stages import train
+from evetac_cli.stages import model_files, train
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
@@ -84,6 +84,10 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
     ("grasp", "model"): lambda: f"`shipped`, the package's, {_shipped()}",
+    ("grasp", "slip_threshold"): lambda: (
+        "the model's own, or of a model that does not say how often it alarms falsely,"
+        f" {model_files.OLDER_CONTROLLER_THRESHOLD:g}"
+    ),
     ("export", "fps"): lambda: str(_of_lerobot("fps")),
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
     ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),

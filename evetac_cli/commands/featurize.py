@@ -22,8 +22,7 @@ class Featurize:
     images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
     sticking_share: bool = parameter(
         False,
-        "Add which share of the contact sticks, from the touch map of predict-touch beside the tracks, for the network"
-        " disp-xy-grip.",
+        "Add which share of the contact sticks, by the network of touch maps, for the detector's network disp-xy-grip.",
         recipe=False,  # it is, where it is given: features that were made before there was such a choice stay
     )
     true_slip_share: bool = parameter(

@@ -33,7 +33,7 @@ class Grasp(Devices, Trials):
     slip_threshold: float | None = parameter(
         None,
         "Probability that three slices on end have to reach, for the controller to be told of slip; default: the"
-        " model's own.",
+        " model's own, or of a model that does not say how often it alarms falsely, 0.3.",
         low=0.0,
         high=1.0,
         panel=GRIP,

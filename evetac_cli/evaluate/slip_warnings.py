@@ -58,20 +58,30 @@ Seeds = Sequence[Sequence[Judged]]  # what each model of a setting made of the s
 
 
 class Shares(NamedTuple):
-    """Trials that share objects and sensors: how much each counts, and how often in each round of resampling."""
+    """Trials that share objects and sensors: how much each counts, and how often in each round of resampling.
+
+    clusters: as many trials as these tell as much, the objects or the sensors, whichever are fewer.
+    """
 
     counts: NDArray[np.float64]  # (trials,), so that each object counts the same
     weights: NDArray[np.float64]  # (rounds, trials)
+    clusters: int
 
     @classmethod
     def of(cls, trials: Sequence[Judged]) -> "Shares":
         """Of some trials."""
-        objects = [one.object for one in trials]
+        objects, sensors = [one.object for one in trials], [one.sensor for one in trials]
         counts = np.array([1 / objects.count(name) for name in objects])
-        return cls(counts, estimates.cluster_weights(objects, [one.sensor for one in trials]))
+        several = [levels for levels in (len(set(objects)), len(set(sensors))) if levels > 1]
+        return cls(counts, estimates.cluster_weights(objects, sensors), min(several, default=len(trials)))
 
     def mean(self, values: NDArray[np.float64]) -> Estimate | None:
-        """The mean of a value of each trial, (trials,), over objects."""
+        """The mean over objects of a share in each trial, (trials,).
+
+        Where all trials have none, or all have it, resampling tells no interval: it is Wilson's of so many clusters.
+        """
+        if values.all() and values.min() == 1 or not values.any():
+            return estimates.share(self.clusters if values.any() else 0, self.clusters)
         return estimates.ratio_of_clusters(self.counts * values, self.counts, self.weights)
 
 

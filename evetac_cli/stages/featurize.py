@@ -3,7 +3,7 @@
 Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
 may be a folder. Where the recording has a gripper, its position and goals are told of each slice. Added on request
 alone: event images, which only the image baselines need and which are half of the file; the share of the contact that
-sticks, from a touch map; and from the truth of a simulation the share that slips, for `train --learn-true-slip-share`.
+sticks; and from the truth of a simulation the share that slips, for `train --learn-true-slip-share`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -49,8 +49,7 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     for file in files:
         tracks = _named(file, "tracks", params.tracks)
         labels = _named(file, "labels", params.labels)
-        inputs = (file, tracks, *([output_path(tracks, "touch", None)] if params.sticking_share else []))
-        inputs = (*inputs, labels) if params.labels or labels.exists() else inputs
+        inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
         made.append(Job(inputs, output_path(file, OUTPUT, out)))
     return made
 
@@ -62,7 +61,7 @@ def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
 
 def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
     """The recipe of the features, where an index knows all that they are made from."""
-    kinds = ("recording", "tracks", *(["touch"] if params.sticking_share else []), "labels")
+    kinds = ("recording", "tracks", "labels")
     parents = [known.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
     every = [parent for parent in parents if parent is not None]
     return _recipe(params, every) if len(every) == len(parents) else None
@@ -70,8 +69,7 @@ def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Displacement and events of every dot, events outside the window, and the labels if there are any."""
-    recording_path, tracks_path, *others = job.inputs
-    touch_path, labels_path = (others[:1], others[1:]) if params.sticking_share else ([], others)
+    recording_path, tracks_path, *labels_path = job.inputs
     with ExitStack() as opened:
         recording = opened.enter_context(open_recording(recording_path))
         if not tracks_path.exists():
@@ -92,8 +90,6 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         arrays |= {f"sensor/{name}": np.float64(value) for name, value in known.items()}
         if params.true_slip_share:
             arrays[TRUE_SLIP_SHARE] = _true_slip_share(recording)
-        for path in touch_path:
-            arrays["sticking_share"] = _sticking_share(path, tracks, recording, parents)
         for path in labels_path:
             with StageFile(path, "labels") as labels:
                 check_made_from(labels, recording)
@@ -107,6 +103,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
             return outcome(job, made=False, simulated=simulated)
         slices = len(recording)
         arrays |= _gripper(recording)
+        if params.sticking_share:
+            arrays["sticking_share"] = _sticking_share(tracks)
         arrays["events_total"] = np.diff(recording.starts).astype(np.int32)
         arrays["dot_shape"] = np.array(rest_xy_px.shape[:2], np.int32)
         blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params.images, progress)
@@ -147,26 +145,18 @@ def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
     return told
 
 
-def _sticking_share(path: Path, tracks: StageFile, recording: Recording, parents: list[Header]) -> NDArray[np.float32]:
-    """The share that sticks by a touch map, (slices,), as it was known when each slice began: of the one before."""
-    if not path.exists():
-        raise InputError(
-            "the touch map of this recording is missing",
-            where=str(recording.path),
-            expected=str(path),
-            hint="evetac predict-touch makes it from the tracks",
-        )
-    with StageFile(path, "touch") as touch:
-        if tracks.header["id"] not in touch.header["parents"] or touch.length("sticking_share") != len(recording):
-            raise InputError(
-                "the touch map was made from other tracks",
-                where=str(path),
-                expected=f"made from {tracks.path}",
-                hint=f"evetac predict-touch --force {tracks.path}",
-            )
-        parents.append(touch.header)
-        share: NDArray[np.float32] = touch.read("sticking_share")
-    return np.concatenate([np.full(min(len(share), 1), np.nan, np.float32), share[:-1]])
+def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
+    """The share that sticks, (slices,), as it is known when each slice begins: of the dots at the end of the last."""
+    from evetac_cli.stages.touch.sticking_share import StickingShare
+
+    sticks = StickingShare(tracks.read("sensor/dot_xy_px").reshape(-1, 2))
+    slices = tracks.length("dot_xy_px")
+    share = np.full(slices + 1, np.nan, np.float32)
+    for first, stop in row_blocks(slices):
+        dots = zip(tracks.read("dot_xy_px", first, stop), tracks.read("lost", first, stop), strict=True)
+        for number, (dot_xy_px, lost) in enumerate(dots, first):
+            share[number + 1] = sticks.step(dot_xy_px, lost)
+    return share[:-1]
 
 
 def _true_slip_share(recording: Recording) -> NDArray[np.float32]:

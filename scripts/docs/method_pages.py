@@ -66,8 +66,10 @@ MODELS = {
     "no-hist-img-6x6": "As `no-hist-img` on images summed over 6 x 6 px, so that a CPU can train it.",
     "hist10-img-6x6": "As `hist10-img` on images summed over 6 x 6 px, so that a CPU can train it.",
     "disp-xy": "Directions and changes of displacement, and events, over 50 ms. The package's detector is one.",
+    "disp-xy-grip": "As `disp-xy`; and, where they are known, changes of the gripper's position and command, and which"
+    " share of the contact sticks.",
 }
-OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy")
+OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
     "touch": "Shear modulus, creep, offset and the factor of the normal force, with which touch maps of one sensor tell"
@@ -168,6 +170,9 @@ def _models() -> str:
         ]
         if isinstance(architecture, DotArchitecture):
             facts.append(("inputs of a dot", f"{architecture.inputs_per_dot}, of {_channels(architecture)}"))
+            if architecture.extras:
+                told = ", ".join(view.extra for view in architecture.extras)
+                facts.append(("of which told beside it", f"{sum(view.width for view in architecture.extras)}: {told}"))
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))

@@ -41,6 +41,15 @@ def test_columns_by_hand() -> None:
     assert seeds["false_alarms_per_min"] == pytest.approx(1.5 / quiet)
 
 
+def test_a_share_of_none_or_all_keeps_an_interval() -> None:
+    """Assert that four trials of two objects, all or none of which are warned of, tell as much as two trials."""
+    for warned_ms, share in ((30, 1.0), (None, 0.0)):
+        row = of_seeds([prediction(object_, warned_ms) for object_ in "1122"])
+        low, high = estimates.share(round(2 * share), 2)[1:]
+        assert (row["warned_10_ms"], row["warned_10_ms_low"], row["warned_10_ms_high"]) == (share, low, high)
+        assert high - low > 0.6
+
+
 def test_trials_without_slip_have_false_alarms_alone() -> None:
     """Assert that nothing is warned of where nothing slips, and that an interval of no alarm reaches above 0."""
     still = Prediction(np.full(60_000, 0.02), np.zeros(60_000, np.int8), -1, "1", "a")

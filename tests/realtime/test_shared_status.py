@@ -52,6 +52,16 @@ def test_earliest_news_of_slip(slices: list[bool], reads: list[int]) -> None:
             seen, last = status.signal.slips, index + 1
 
 
+def test_the_detector_is_told_of_the_gripper() -> None:
+    """Assert that position and goal of the last step are those that the controller told, and there are none before."""
+    shared = SharedStatus()
+    assert shared.gripper is None
+    for told in ((300.0, 310.0), (301.0, 305.0)):
+        shared.tell_gripper(*told)
+        assert shared.gripper == told
+    assert shared.latest() is None and not shared.opening  # its place is its own
+
+
 def test_stop() -> None:
     """Assert that the order to stop stays."""
     shared = SharedStatus()

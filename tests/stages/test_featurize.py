@@ -14,8 +14,8 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, S
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series
-from evetac_cli.store.files import StageFile, header_of, write_stage
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.stages.touch.sticking_share import StickingShare
+from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.recordings.read import open_recording
 from tests import small_files
 from tests.conftest import Made
@@ -148,28 +148,18 @@ def test_a_slice_is_told_what_the_gripper_did_before_it(made: Made) -> None:
     assert np.isnan(seen.extras[:, 2]).all()
 
 
-def test_the_sticking_share_is_copied_on_request(made: Made, tmp_path: Path) -> None:
-    """Assert that a touch map beside the tracks is read, a slice late, and one that is missing or another's refused."""
+def test_the_sticking_share_is_told_on_request(made: Made, tmp_path: Path) -> None:
+    """Assert that a slice is told the share that the network of touch maps tells of the tracks up to the one before."""
     path = made.recordings[0]
-    tracks, _ = run_stage(track, [path], Track(), tmp_path)
-    chosen = Featurize(tracks=tracks, sticking_share=True)
-    with pytest.raises(InputError, match="touch map of this recording is missing"):
-        run_stage(featurize, [path], chosen, tmp_path)
-    with open_recording(path) as recording:
-        arrays = small_files.touch_arrays(len(recording))
-    arrays["sticking_share"] = np.linspace(1, 0, len(arrays["known"]), dtype=np.float32)
-    arrays["sticking_share"][:30] = np.nan
-    touch = tmp_path / path.name.replace(".recording.", ".touch.")
-    write_stage(touch, Recipe("touch", 1, {}, parents=(header_of(tracks, "tracks"),)), arrays)
-    output, _ = run_stage(featurize, [path], chosen, tmp_path)
-    with StageFile(output) as features, StageFile(touch) as of_touch:
-        np.testing.assert_array_equal(features.read("sticking_share")[1:], of_touch.read("sticking_share")[:-1])
+    tracks = made.beside(path, "tracks")
+    output, _ = run_stage(featurize, [path], Featurize(sticking_share=True), tmp_path)
+    with StageFile(output) as features, StageFile(tracks) as of_tracks:
+        share = features.read("sticking_share")
+        dots, lost = of_tracks.read("dot_xy_px"), of_tracks.read("lost") != 0
+        live = StickingShare(of_tracks.read("sensor/dot_xy_px").reshape(-1, 2))
         seen = read_series(features, ARCHITECTURES["disp-xy-grip"])
-        assert isinstance(seen, DotsAndExtras)
-        np.testing.assert_array_equal(seen.extras[:, 2], features.read("sticking_share"))
-    other = tmp_path / "other"
-    other.mkdir()
-    again, _ = run_stage(track, [path], Track(preset="paper"), other)
-    touch.rename(other / touch.name)
-    with pytest.raises(InputError, match="made from other tracks"):
-        run_stage(featurize, [path], Featurize(tracks=again, sticking_share=True), other)
+    told = [live.step(*one) for one in zip(dots.astype(np.float64), lost, strict=True)]
+    np.testing.assert_array_equal(share, np.array([np.nan, *told[:-1]], np.float32))
+    assert np.isnan(share).any() and np.nanmin(share) < 0.5 < np.nanmax(share)
+    assert isinstance(seen, DotsAndExtras)
+    np.testing.assert_array_equal(seen.extras[:, 2], share)

@@ -41,6 +41,17 @@ class Detector:
         else:
             self._session = _session(graph)
 
+    @property
+    def learned_extras(self) -> tuple[str, ...]:
+        """What it learned to be told beside the dots, of EXTRAS; of a plug-in's network, all that it has inputs for."""
+        architecture = self.architecture
+        if not isinstance(architecture, DotArchitecture):
+            return ()
+        if self.networks is None:
+            return tuple(view.extra for view in architecture.extras)
+        wide = architecture.inputs_per_dot
+        return extras.learned(architecture, self.networks.weights[:, wide : 2 * wide].max(axis=0))
+
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         """Slip probability (k,) of inputs (k, ...) as made by `inputs.at`; ValueError for inputs of another shape."""
         if self.networks is not None:

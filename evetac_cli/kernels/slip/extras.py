@@ -80,6 +80,22 @@ def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
     return scaled
 
 
+def never_known(architecture: DotArchitecture, told: NDArray[np.float32] | None) -> NDArray[np.bool_]:
+    """Which inputs of a dot, (inputs,), are of extras that no slice knows, of all that are trained on (slices, extras).
+
+    A network has not learned what they mean, and must not see them when they are known one day: its scale of them is 0.
+    """
+    unknown = np.zeros(architecture.inputs_per_dot, np.bool_)
+    for extra, place in first_inputs(architecture).items():
+        unknown[place] = told is None or not np.isfinite(told[:, EXTRAS.index(extra)]).any()
+    return unknown
+
+
+def learned(architecture: DotArchitecture, input_scale: NDArray[np.float32]) -> tuple[str, ...]:
+    """Which extras a network has learned to see, by what its inputs (inputs,) are multiplied by."""
+    return tuple(extra for extra, place in first_inputs(architecture).items() if input_scale[place].any())
+
+
 def leave_out(architecture: DotArchitecture, batch: NDArray[np.float32], left_out: NDArray[np.bool_]) -> None:
     """In inputs (samples, dots, inputs), make unknown what is left out of each sample: the gripper, what sticks.
 

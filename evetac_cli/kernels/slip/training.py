@@ -15,6 +15,7 @@ from torch.nn import functional
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.slip import extras
 from evetac_cli.kernels.slip.architectures import DotArchitecture
+from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
 from evetac_cli.kernels.slip.sample_groups import SampleGroups
 from evetac_cli.kernels.slip.sampling import (
@@ -462,6 +463,11 @@ def _network(
         offset, spread = channel_stats(samples)
         # a channel that varies by rounding alone carries nothing: it is shifted to 0 and not blown up
         scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
+    architecture = samples.architecture
+    if isinstance(architecture, DotArchitecture) and architecture.extras and start is None:
+        told = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
+        unknown = extras.never_known(architecture, told)
+        scale = np.where(unknown, 0.0, 1.0 if scale is None else scale)
     with torch.random.fork_rng(devices=[]):  # torch draws first weights from its global generator only
         torch.manual_seed(seed)
         network = build(samples.architecture, *shape, scale, offset)

@@ -201,7 +201,7 @@ def step(state: TouchState, dot_mm: Floats, lost: Flags | None = None) -> TouchR
     if np.count_nonzero(trusted) < LEAST_DOTS:
         _let_go(state)
         return _nothing(state, np.nan)
-    other_mm = _apart_rms(state.moved_mm[trusted])
+    other_mm = apart_rms(state.moved_mm[trusted])
     state.touches = other_mm > (ENDS if state.touches else BEGINS) * state.noise.own_mm
     if not state.touches:
         _let_go(state)
@@ -314,7 +314,7 @@ def _let_go(state: TouchState) -> None:
     state.next_part = 0
 
 
-def _apart_rms(moved_mm: Floats) -> float:
+def apart_rms(moved_mm: Floats) -> float:
     """How far dots (n, 2) moved otherwise than all together, rms per axis."""
     x, y = moved_mm.T
     dots = len(x)

@@ -62,6 +62,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 OUTPUT = "model"
 METHOD = 8
 VALIDATE_EVERY = 8
+LEAST_MINUTES = 5.0  # without slip: with fewer, one alarm per minute is five alarms or fewer
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
 
 
@@ -141,6 +142,7 @@ def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str
     useless = [f"{row['output']} is no slip detector: {row['warning']}" for row in rows if row.get("warning")]
     useless += [f"`grasp` refuses it. Try: {USELESS_HINT}."] if useless else []
     few = {_few(row["validated_on"]) for row in rows if "validated_on" in row}
+    few |= {_short(row["minutes_without_slip"]) for row in rows if row.get("calibrated")}
     return rows, [*useless, *sorted(few - {""})]
 
 
@@ -152,6 +154,16 @@ def _few(validated_on: int) -> str:
     return (
         f"checkpoint and threshold are chosen on {count}, too few: on others the model may do badly; name at least"
         f" {FEWEST_VALIDATED_ON} that it is not trained on with --validate"
+    )
+
+
+def _short(minutes: float) -> str:
+    """What is said where false alarms are counted in too short a time to choose a threshold by; nothing elsewhere."""
+    if minutes >= LEAST_MINUTES:
+        return ""
+    return (
+        f"false alarms are counted in {minutes:.1f} minutes without slip: too few to say how often they come; add to"
+        f" --validate {LEAST_MINUTES:g} minutes or more in which fingers open, push or shake and nothing slips"
     )
 
 
@@ -219,7 +231,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     settings, adapted = _settings(params)
     architecture = named_architecture(settings.model)
-    headers, shapes, memory_bytes, know_truth = [], [], [], []
+    headers, shapes, memory_bytes, know_truth, slip = [], [], [], [], []
     for number, path in enumerate(job.inputs):
         progress(number, len(job.inputs), "files looked at")
         with StageFile(path, "features") as file:
@@ -227,6 +239,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             shapes.append(tuple(int(size) for size in file.read("dot_shape")))
             memory_bytes.append(series_bytes(file, architecture))
             know_truth.append(any(map(file.has, TRUE_SLIP_SHARES)))
+            slip.append(not file.has("onset_slice") or int(file.read("onset_slice")) >= 0)
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
@@ -237,7 +250,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             found=f"{job.inputs[0]} and {learn - 1} more",
             hint="evetac featurize --true-slip-share copies it from simulated recordings",
         )
-    labels = _label_method(job.inputs[:learn], headers[:learn])
+    labels = _label_method(job.inputs[:learn], headers[:learn], slip[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
     for name in ("patience", "false_alarms_per_min"):
@@ -385,12 +398,15 @@ def _warning(model: Path) -> str | None:
         return why_useless(file) or None
 
 
-def _label_method(paths: tuple[Path, ...], headers: list[Header]) -> str:
-    """The method that labelled the training files, `truth` included; InputError if they are labelled differently."""
+def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[bool]) -> str:
+    """The method that labelled the training files, `truth` included; InputError if they are labelled differently.
+
+    Files in which nothing slips may be labelled otherwise, as when one knows that nothing did: no onset differs by it.
+    """
     methods: dict[str, Path] = {}
-    for path, header in zip(paths, headers, strict=True):
+    for path, header, slips in zip(paths, headers, slip, strict=True):
         for ancestor in header["history"].values():
-            if ancestor["kind"] == "labels":
+            if slips and ancestor["kind"] == "labels":
                 methods.setdefault(str(ancestor["parameters"].get("method", "farneback")), path)
     if len(methods) > 1:
         (first, path), (other, elsewhere) = list(methods.items())[:2]

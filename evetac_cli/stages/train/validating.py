@@ -49,7 +49,7 @@ class Validated:
             predictions if each is None else [replace(one, probability=each.of(one.probability)) for one in predictions]
             for predictions, each in zip(checkpoints, calibrations, strict=True)
         ]
-        choice = metrics.choose_threshold(calibrated)
+        choice = _of_calibrated(metrics.choose_threshold(checkpoints), calibrations)
         chosen = calibrated[choice.checkpoint]
         curve = warning_curve.of_predictions(chosen)
         if per_min is not None and not curve.minutes:
@@ -97,6 +97,20 @@ class Validated:
             "minutes_without_slip": self.curve.minutes,
             "warned_10_ms_ahead": warned,
         }
+
+
+def _of_calibrated(choice: Choice, calibrations: Sequence[OddsScale | None]) -> Choice:
+    """A choice among checkpoints with the thresholds that mean the same once these are calibrated.
+
+    Why so: the paper's grid is of thresholds for detectors that learned from as much slip as not.
+    """
+    thresholds = np.array(
+        [
+            at if each is None else float(each.of(np.array([at]))[0])
+            for at, each in zip(choice.thresholds, calibrations, strict=True)
+        ]
+    )
+    return choice._replace(threshold=float(thresholds[choice.checkpoint]), thresholds=thresholds)
 
 
 def _calibration(predictions: Sequence[Prediction]) -> OddsScale | None:

@@ -25,8 +25,9 @@ from evetac_cli.kernels.slip import alarms
 from evetac_cli.kernels.slip.alarms import AlarmState
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import presets, tracker
-from evetac_cli.stages.model_files import chosen_threshold
+from evetac_cli.stages.model_files import chosen_threshold, controller_threshold
 from evetac_cli.stages.slip_detectors import load_detector
+from evetac_cli.stages.touch.sticking_share import StickingShare
 from evetac_cli.store.files import StageFile
 
 
@@ -66,6 +67,8 @@ class OnlineSlipDetector:
     live: Live
     alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
     probability: float = float("nan")
+    sticking: StickingShare | None = None  # for a network that learned with it
+    _told: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
 
     @classmethod
     def start(
@@ -82,9 +85,14 @@ class OnlineSlipDetector:
         """
         known = dots_for(model, dot_xy_px)
         tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants)
-        live = Live(load_detector(model), tracking, window_px, sensor, known)
+        detector = load_detector(model)
+        live = Live(detector, tracking, window_px, sensor, known)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now and not in the first slice
-        return cls(live, alarms.start(chosen_threshold(model)))
+        sticking = None
+        if "sticking" in detector.learned_extras:
+            sticking, first = (StickingShare(tracking.rest_xy_px) for _ in range(2))
+            first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now and not in the first slice
+        return cls(live, alarms.start(chosen_threshold(model)), sticking=sticking)
 
     @property
     def threshold(self) -> float:
@@ -107,7 +115,8 @@ class OnlineSlipDetector:
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
         """Where the fingers were last read, and the goal they were then given, for a network that is told of them."""
-        self.live.tell(position_ticks, goal_ticks)
+        self._told = position_ticks, goal_ticks
+        self._tell()
 
     @property
     def tracking(self) -> tracker.TrackerState:
@@ -118,7 +127,14 @@ class OnlineSlipDetector:
         """Slip probability after one more slice; NaN until the history is full."""
         self.probability = self.live.step(events.x, events.y, events.p)
         alarms.step(self.alarm, self.probability)
+        if self.sticking is not None:
+            self.sticking.step(self.tracking.dot_xy_px, self.tracking.lost)
+            self._tell()
         return self.probability
+
+    def _tell(self) -> None:
+        """Tell the network of the next slice what is known before it."""
+        self.live.tell(*self._told, float("nan") if self.sticking is None else self.sticking.share)
 
     @property
     def signal(self) -> SlipSignal:
@@ -130,7 +146,9 @@ class OnlineSlipDetector:
 def open_detector(
     model: StageFile, sensor: Mapping[str, Any], constants: presets.TrackerConstants, threshold: float | None = None
 ) -> OnlineSlipDetector:
-    """The detector of a model, for a sensor with these datasets `sensor/...`; threshold: None for the model's own.
+    """The detector of a model, for a sensor with these datasets `sensor/...`, as a controller is told of slip.
+
+    threshold: None for what `controller_threshold` chooses.
 
     constants: of the tracker, for dots of the usual size. InputError if the model is for another dot grid.
     """
@@ -138,8 +156,7 @@ def open_detector(
     detector = OnlineSlipDetector.start(
         model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
     )
-    if threshold is not None:
-        detector.threshold = threshold
+    detector.threshold = controller_threshold(model) if threshold is None else threshold
     return detector
 
 
@@ -151,4 +168,5 @@ def open_view_detector(
     path: of the model, None for the package's; threshold: None for the model's own.
     """
     with StageFile(resources.model_file(path), "model") as model:
-        return open_detector(model, sensor, presets.PRESETS[preset], threshold)
+        own = chosen_threshold(model, threshold)
+        return open_detector(model, sensor, presets.PRESETS[preset], own)

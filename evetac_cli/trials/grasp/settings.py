@@ -16,7 +16,7 @@ from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
-from evetac_cli.stages.model_files import chosen_threshold, require_useful
+from evetac_cli.stages.model_files import controller_threshold, require_useful
 from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.store.calibration import Calibration
 from evetac_cli.store.files import StageFile
@@ -55,7 +55,7 @@ class DetectorModel:
             check_graph(model)
             require_useful(model)
             header = model.header
-            threshold = chosen_threshold(model, params.slip_threshold, params.false_alarms_per_min)
+            threshold = controller_threshold(model, params.slip_threshold, params.false_alarms_per_min)
         return cls(path, header, params.tracker, presets.PRESETS[params.tracker], threshold)
 
     def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:

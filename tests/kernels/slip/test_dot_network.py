@@ -8,7 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import dot_network, onnx_graphs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, joined, weight_shapes
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    DotArchitecture,
+    joined,
+    last_layer,
+    weight_shapes,
+    with_scaled_logit,
+)
+from evetac_cli.kernels.slip.reliability import OddsScale
 
 DOTS = [row for row in ARCHITECTURES.values() if isinstance(row, DotArchitecture)]
 SUMMED = 2e-6  # how far sums of 300 float32 in another order may be apart in a probability
@@ -97,3 +105,19 @@ def test_no_network_remembers_the_input_before() -> None:
     whole = predicted(architecture, weights, 7, 8, batch)
     alone = [predicted(architecture, weights, 7, 8, batch[k : k + 1])[0] for k in range(6)]
     assert whole.tobytes() == np.array(alone).tobytes()
+
+
+def test_a_scaled_logit_is_that_of_the_mean_of_networks() -> None:
+    """Assert that scale and offset in the last layers of several networks are those of their mean logit."""
+    rng = np.random.default_rng(2)
+    architecture = ARCHITECTURES["fast-slow"]
+    assert isinstance(architecture, DotArchitecture)
+    weights = some_weights(architecture, 7, 8, 3, rng)
+    batch = rng.normal(0, 1, (30, 56, 30)).astype(np.float32)
+    before = predicted(architecture, weights, 7, 8, batch).astype(np.float64)
+    assert 0.01 < before.min() < before.max() < 0.99
+    scaled = with_scaled_logit(weights, last_layer(architecture, 7, 8), 0.6, -1.5)
+    expected = 1 / (1 + np.exp(-(0.6 * np.log(before / (1 - before)) - 1.5)))
+    np.testing.assert_allclose(predicted(architecture, scaled, 7, 8, batch), expected, atol=1e-5)
+    back = with_scaled_logit(scaled, "fc5", *OddsScale(0.6, -1.5).inverse())
+    np.testing.assert_allclose(predicted(architecture, back, 7, 8, batch), before, atol=1e-5)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import extras, inputs, networks
+from evetac_cli.kernels.slip import extras, inputs, networks, onnx_graphs, sampling, training
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     EXTRAS,
@@ -98,6 +98,27 @@ def test_what_is_left_out_is_as_if_never_known() -> None:
         less = known.copy()
         less[:, gone] = np.nan
         np.testing.assert_array_equal(batch[sample], inputs.at(GRIP, inputs.DotsAndExtras(dots, less), at)[0])
+
+
+def test_what_was_never_known_is_not_learned() -> None:
+    """Assert that a network trained without the share that sticks, or without all extras, does not see them later."""
+    rng = np.random.default_rng(0)
+    label, outside = (np.arange(120) >= 90).astype(np.int8), np.full(120, 30, np.int32)
+    dots = rng.normal(0, 1, (120, 56, 4)).astype(np.float32)
+    known = rng.normal(0, 1, (120, 3)).astype(np.float32)
+    known[:, 2] = np.nan
+    for series, learned in ((inputs.DotsAndExtras(dots, known), ("position", "command")), (dots, ())):
+        samples = sampling.gather([inputs.Trajectory(series, outside, label, 90)], GRIP)
+        for preset in ("adamw", "paper"):
+            limits = training.TrainingLimits(max_steps=2)
+            result = training.train(samples, training.PRESETS[preset], np.random.default_rng(1), limits)
+            detector = Detector(onnx_graphs.build(GRIP, result.checkpoints[-1].weights), GRIP)
+            assert detector.learned_extras == learned
+            more = known.copy()
+            more[:, 2] = 0.5
+            seen = known if learned else np.full_like(known, np.nan)
+            with_share = detector.over(inputs.DotsAndExtras(dots, more))
+            np.testing.assert_array_equal(with_share, detector.over(inputs.DotsAndExtras(dots, seen)))
 
 
 def test_turns_leave_extras_and_factors_scale_changes_in_ticks() -> None:

@@ -95,7 +95,7 @@ def test_a_place_is_in_the_patch_though_nothing_tells_pressure() -> None:
 def test_a_touch_neither_flickers_nor_stays(ball: KnownContact) -> None:
     """Assert that a touch begins at more motion than that at which it ends."""
     state = touch_map.start(DOTS)
-    whole_mm = touch_map._apart_rms(places(ball) - DOTS)
+    whole_mm = touch_map.apart_rms(places(ball) - DOTS)
     between = 0.5 * (touch_map.BEGINS + touch_map.ENDS) * DotNoise().own_mm / whole_mm
     light = DOTS + between * (places(ball) - DOTS)
     assert not touch_map.step(state, light).touches

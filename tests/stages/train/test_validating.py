@@ -113,6 +113,13 @@ def test_probabilities_are_calibrated_on_what_validates(model: Path, trials: lis
         assert 0 < int(file.read("calibration/slips")) < int(file.read("calibration/slices"))
 
 
+def test_few_minutes_without_slip_are_said(model: Path) -> None:
+    """Assert that a person is told where false alarms were counted in few minutes, and not where they were in many."""
+    row = {"calibrated": True, "minutes_without_slip": 0.25}
+    assert "counted in 0.2 minutes" in " ".join(train.for_people([row], Train())[1])
+    assert train.for_people([row | {"minutes_without_slip": 30.0}], Train())[1] == []
+
+
 def test_a_threshold_by_false_alarms(model: Path) -> None:
     """Assert that fewer false alarms give a higher threshold, a given one is taken, and both are refused."""
     with StageFile(model, "model") as file:
@@ -161,6 +168,18 @@ def test_the_papers_preset_keeps_the_papers_rule() -> None:
     ours = Validated.of([some()], ADAM, None)
     assert ours.curve.at(ours.choice.threshold)[0] == 0.0
     assert ours.figures()["calibrated"] is True
+
+
+def test_the_papers_rule_means_the_same_once_calibrated() -> None:
+    """Assert that the threshold of the paper's rule detects the same slices of calibrated probabilities."""
+    near = [steady(np.concatenate([np.linspace(0, 0.6, 140), np.linspace(0.5, 1, 60)]), 150)]
+    plain, ours = Validated.of([near], PAPER, None), Validated.of([near], ADAM, None)
+    assert plain.choice.threshold != ours.choice.threshold
+    np.testing.assert_array_equal(
+        ours.predictions[0].detected(ours.choice.threshold), near[0].detected(plain.choice.threshold)
+    )
+    assert ours.choice.detected_share == plain.choice.detected_share
+    assert ours.choice.score == plain.choice.score
 
 
 def test_without_quiet_slices_the_papers_rule_is_taken_and_a_number_refused() -> None:

@@ -122,6 +122,16 @@ def test_slices_before_the_order_are_evaluated_and_not_published(pipe: tuple[Mes
     assert sum(len(batch.counts) for batch in batches_in(*pipe)) == 12
 
 
+def test_the_detector_knows_what_the_controller_told(pipe: tuple[MessageReader, MessageWriter]) -> None:
+    """Assert that a detector is told of the gripper as soon as the controller has read it, and not before."""
+    shared, detector = SpiedStatus(), Detector()
+    detect(Camera(20), detector, shared, pipe[1], 2)
+    assert not hasattr(detector, "told")
+    shared.tell_gripper(300.0, 310.0)
+    detect(Camera(20), detector, shared, pipe[1], 2)
+    assert detector.told == (300.0, 310.0)
+
+
 def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that slices are recorded, and a status published, where there is no detector."""
     shared = SpiedStatus()

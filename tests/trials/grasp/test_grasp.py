@@ -66,9 +66,12 @@ def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
 
 
 def test_the_threshold_is_the_models_unless_named() -> None:
-    """Assert that a grasp is detected at the model's own threshold, at one that is named, and never at two."""
+    """Assert that a grasp is detected at the model's own threshold, at one that is named, and never at two.
+
+    A model that keeps no price of its thresholds is not run at its own, which was chosen for timing.
+    """
     with StageFile(MODEL, "model") as model:
-        own = float(model.read("threshold"))
+        own = float(model.read("threshold")) if model.has("warnings") else 0.3
     for named, expected in ((None, own), (0.25, 0.25)):
         settings = GraspSettings.of(Grasp(slip_threshold=named))
         assert settings.detector is not None and settings.detector.threshold == expected

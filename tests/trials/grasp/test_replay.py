@@ -20,7 +20,7 @@ from evetac_cli.kernels.slip.alarms import alarming
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, with_scaled_logit
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.model_files import chosen_threshold
+from evetac_cli.stages.model_files import controller_threshold
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -33,7 +33,7 @@ ROWS = ("goal_ticks", "u_ff_ticks", "x_ref_ticks", "slip", "phase", "mean_displa
 @pytest.fixture(scope="module")
 def grasped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short simulated grasp."""
-    params = Grasp(lift_s=1.0, balance_s=0.5)
+    params = Grasp(lift_s=1.5, balance_s=0.3)
     (job,) = grasp.jobs([], params, tmp_path_factory.mktemp("grasped") / "grasped.recording.h5")
     grasp.run(job, params)
     return job.output
@@ -92,14 +92,14 @@ def untrained(path: Path) -> Path:
 def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> None:
     """Assert that track, featurize and a network over the file, and the law over that, give the same decisions.
 
-    The network is told where the fingers are and what they were commanded.
+    The network is told where the fingers are, what they were commanded, and which share of the contact sticks.
     """
     told = untrained(tmp_path / "told.model.h5")
     again = replay(grasped, tmp_path / "again.recording.h5", model=told)
     tracking = Track()
     (job,) = track.jobs([again], tracking, tmp_path)
     track.run(job, tracking)
-    features = Featurize(tracks=job.output)
+    features = Featurize(tracks=job.output, sticking_share=True)
     (job,) = featurize.jobs([again], features, tmp_path)
     featurize.run(job, features)
     with StageFile(told, "model") as model, StageFile(job.output, "features") as file:
@@ -107,8 +107,9 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
         series = read_series(file, detector.architecture)
         probability = detector.over(series)
         assert isinstance(series, DotsAndExtras) and np.isfinite(series.extras[2:, :2]).all()
+        assert np.isfinite(series.extras[:, 2]).any()
         assert np.nanmax(np.abs(probability - detector.over(series.dots))) > 0.01  # what it is told matters
-        slips = np.cumsum(alarming(probability, chosen_threshold(model)))
+        slips = np.cumsum(alarming(probability, controller_threshold(model)))
     law = Control(PAPER)
     with open_recording(again) as now:
         np.testing.assert_array_equal(now.read("control/probability"), probability)

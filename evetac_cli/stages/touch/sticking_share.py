@@ -1,0 +1,54 @@
+"""The share of a contact that sticks, slice by slice from tracked dots: what a slip detector may be told beside them.
+
+The network of touch maps without the map, which takes milliseconds where it is found anew, by the frame and the scale
+that are expected of any sensor (known_gel.py). `featurize` folds it over tracks, and a detector that learned with it
+over the dots that it follows: with the same bits.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Flags, Floats
+from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.touch import dot_field, sticking
+from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.sticking import StickingState
+from evetac_cli.kernels.touch.touch_map import BEGINS, ENDS, apart_rms
+from evetac_cli.kernels.touch.touch_map import LEAST_DOTS as LEAST_TOUCHED
+from evetac_cli.stages.touch import sticking_network
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, MM_PER_PX, TRACKER_PX
+
+
+class StickingShare:
+    """What sticks after the slices so far: `share`, NaN where nothing touches or too few dots are known."""
+
+    def __init__(self, rest_xy_px: NDArray[np.floating]) -> None:
+        """For dots at rest at (dots, 2), NaN where one is missing."""
+        self.share = math.nan
+        self._middle_px = np.array(FRAME_PX) / 2
+        self._rest_mm: Floats = (np.asarray(rest_xy_px, np.float64) - self._middle_px) * MM_PER_PX
+        noise = DotNoise(TRACKER_PX * MM_PER_PX, DRIFT_PX * MM_PER_PX)
+        self._own_mm = noise.own_mm
+        self._touches = False
+        self._state: StickingState | None = None
+        if np.count_nonzero(np.isfinite(self._rest_mm).all(axis=1)) >= dot_field.LEAST_DOTS:
+            self._state = sticking.start(self._rest_mm, sticking_network.shipped(), noise)
+
+    def step(self, dot_xy_px: NDArray[np.floating], lost: NDArray[np.bool_] | NDArray[np.uint8]) -> float:
+        """The share after one more slice, with its dots (dots, 2) and which of them are lost (dots,)."""
+        if self._state is None:
+            return self.share
+        # as tracks are stored, so that a live dot and one from a file are the same
+        dot_mm = (np.asarray(dot_xy_px, np.float32) - self._middle_px) * MM_PER_PX
+        moved = dot_mm - self._rest_mm
+        gone: Flags = np.asarray(lost) != 0
+        trusted = np.isfinite(moved[:, 0]) & np.isfinite(moved[:, 1]) & ~gone
+        if np.count_nonzero(trusted) < LEAST_TOUCHED:
+            touches = False
+        else:
+            limit = (ENDS if self._touches else BEGINS) * self._own_mm
+            touches = self._touches = apart_rms(moved[trusted]) > limit
+        self.share = sticking.step(self._state, dot_mm, gone, touches).sticking_share
+        return self.share
