@@ -25,7 +25,7 @@ from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.labelling import slide, window_travel
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region, apart
-from evetac_cli.kernels.labelling.slide import Evidence, Odds, LastingSlip
+from evetac_cli.kernels.labelling.slide import Evidence, LastingSlip, Odds
 from evetac_cli.kernels.labelling.window_travel import STEP_MS
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
