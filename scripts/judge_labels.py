@@ -26,7 +26,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate.labels import is_near, judged, summary, true_onsets
 from evetac_cli.jobs import Row
 from evetac_cli.stages import label
-from evetac_cli.store.recordings.onset import LabelledOnset
+from evetac_cli.store.recordings.onset import LabelledOnset, told_onset
 
 NAME = "labels"
 METHODS = ("event-flow", "farneback")
@@ -67,11 +67,9 @@ def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
     try:
         told = label.compute(played.as_recording(), Label(method=method))
     except InputError as error:
-        doubt = str(error).splitlines()[0]
-        onset = LabelledOnset(None, None, None, None, doubt)
+        onset = LabelledOnset(None, None, None, None, str(error).splitlines()[0])
     else:
-        found = [slice_ if slice_ >= 0 else None for slice_ in (told.onset, told.earliest, told.latest)]
-        onset = LabelledOnset(*found, told.confidence if told.onset >= 0 else None, told.doubt)
+        onset = told_onset(told.onset, told.earliest, told.latest, told.confidence, told.doubt)
     took_s = time.process_time() - began_s
     return {**judged(onset, true, played.read("truth/slid_px")), "cpu_s": took_s, "slices": len(played)}
 

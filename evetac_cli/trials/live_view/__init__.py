@@ -5,7 +5,6 @@ The view is a process of its own, behind all others (process.py).
 """
 
 import multiprocessing
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
