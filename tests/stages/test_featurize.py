@@ -12,7 +12,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.slip_detectors import read_series
+from evetac_cli.stages.slip_detectors import read_series, read_trajectory
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.recordings.read import open_recording
 from tests import small_files
@@ -120,3 +120,18 @@ def test_truth_that_is_not_there_is_refused(tmp_path: Path) -> None:
     small_files.tracks(tmp_path / "a.tracks.h5", header_of(recording, "recording"))
     with pytest.raises(InputError, match="has no truth"):
         run_stage(featurize, [recording], Featurize(true_slip_share=True), tmp_path)
+
+
+def test_labels_that_abstain_are_features_that_are_not_timed(tmp_path: Path) -> None:
+    """Assert that features say that their labels abstain, and that a trajectory of them is not timed."""
+    recording = tmp_path / "a.recording.h5"
+    of = small_files.recording(recording, lost_slices=False)
+    small_files.tracks(tmp_path / "a.tracks.h5", of)
+    timed = []
+    for make in (small_files.labels, small_files.unsure_labels):
+        make(tmp_path / "a.labels.h5", of)
+        (job,) = featurize.jobs([recording], Featurize(), None)
+        (row,) = featurize.run(job, Featurize(), force=True).rows
+        trajectory = read_trajectory(job.output, ARCHITECTURES["fast-slow"])
+        timed.append((row["abstained"], trajectory.timed, int((trajectory.label < 0).sum())))
+    assert timed == [(False, True, 0), (True, False, 3)]
