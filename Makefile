@@ -35,7 +35,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share \
-	paper-recipe ship tracking labels vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
+	paper-recipe ship tracking vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
@@ -85,9 +85,6 @@ ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, 
 	@$(REPRODUCE) --only $@
 
 tracking: $(READY)  ## presets of the tracker on edges, slip and shear
-	@$(REPRODUCE) --only $@
-
-labels: $(READY)  ## slip labels against truth, all twenty objects
 	@$(REPRODUCE) --only $@
 
 vibration: $(READY)  ## at which frequency the gel vibrates

@@ -314,12 +314,6 @@ def tracking_evaluations(sizes: Sizes) -> dict[str, Command]:
     }
 
 
-def label_steps(sizes: Sizes) -> Iterator[Command]:
-    yield evetac("record", "--object", sizes["objects"], "--count", sizes["each"], "--seed", sizes["seed"] + 300,
-                 "--out", ".")  # fmt: skip
-    yield evetac("label", "*.recording.h5")
-
-
 def vibration_steps(sizes: Sizes) -> Iterator[Command]:
     tones = ("--tone", ",".join(sizes["tones"])) if sizes["tones"] else ()
     yield evetac("record", "--scene", "vibration", *tones, "--seed", sizes["seed"], "--out", ".")

@@ -282,20 +282,6 @@ IMAGES_TRAINING_OBJECTS, IMAGES_UNSEEN_OBJECTS, IMAGE_MODEL_COST = (
     )
 )
 
-LABELS = Table(
-    "labels",
-    "Slip labels against true gross slip, {recordings} trajectories of objects {objects}",
-    ("labels",),
-    summaries,
-    (
-        Column("onsets that have a label", "{onsets_found} of {trajectories}"),
-        Column("median error [ms]", "{onset_error_ms_median:.0f}"),
-        Column("worst [ms]", "{onset_error_ms_worst:.0f}"),
-        Column("share in -4..+3 ms", "{within_minus4_plus3_ms:.2f}"),
-        Column("over 4 ms before gross slip", "{earlier_than_4_ms_before_gross_slip}"),
-    ),
-)
-
 TRACKING_EDGE = Table(
     "tracking-edge",
     "Tracking, a finger or a handle rubs over the cut gel",

@@ -82,13 +82,6 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         full=SLIP, small=SMALL_SLIP, steps=steps.ship_steps, after=("slip-data",),
     ),
     Experiment(
-        "labels", "slip labels against truth", "data/labels", 0.5,
-        full={"seed": 0, "objects": "1-20", "each": 5}, small={"objects": "3,11", "each": 1},
-        steps=steps.label_steps,
-        evaluations=lambda sizes: {"labels": evetac("evaluate", "labels", "*.labels.h5")},
-        tables=(tables.LABELS,),
-    ),
-    Experiment(
         "tracking", "presets of the tracker on edges, slip and shear", "data/tracking", 2.0,
         full={"seed": 0, "edges": 50, "presets": ("unregularised", "paper", "official", "stable")},
         small={"edges": 1, "presets": ("paper", "stable")},

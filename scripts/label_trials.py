@@ -16,14 +16,7 @@ from evetac_cli.store.recordings.read import Recording
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
-KEPT = (
-    "truth/slid_px",
-    "truth/slip",
-    "truth/every_node_slid_px",
-    "truth/visible_slip_share",
-    "truth/dot_xy_px",
-    "truth/object_xy_px",
-)
+KEPT = ("truth/slid_px", "truth/slip", "truth/every_node_slid_px")
 
 
 class PlayedSlip:

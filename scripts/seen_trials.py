@@ -8,7 +8,6 @@ from typing import Any
 
 import motions
 import numpy as np
-from evetac_cli.trials.grasp.online_sticking import OnlineSticking
 from motions import Planned, Trial
 from slip_trials import Scores
 
@@ -22,6 +21,7 @@ from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.kernels.tracking.tracker import TrackerState
+from evetac_cli.stages.touch.sticking_share import StickingShare
 
 TRACKER = "stable"
 UNKNOWN = float("nan")
@@ -40,7 +40,7 @@ class Seen:
         self._share: list[float] = []
         self._sticks = sticks
         self._tracking: TrackerState | None = None
-        self._sticking: OnlineSticking | None = None
+        self._sticking: StickingShare | None = None
 
     def see(self, sensor: Mapping[str, Any], events: Events, row: Mapping[str, Any]) -> None:
         """Take in one more slice."""
@@ -49,8 +49,7 @@ class Seen:
             self.rest_px = np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2)
             constants = PRESETS[TRACKER].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(self.rest_px, constants)
-            width, height = (int(side) for side in sensor["sensor/frame_px"])
-            self._sticking = OnlineSticking(self.rest_px, (width, height)) if self._sticks else None
+            self._sticking = StickingShare(self.rest_px) if self._sticks else None
         state = self._tracking
         tracker.step(state, events.x, events.y, events.p)
         # as what a slice is told: the share of the slice before

@@ -137,6 +137,23 @@ def labels(path: Path, of: Header) -> Header:
     return write_stage(path, Recipe("labels", 1, {"method": "truth"}, parents=(of,)), arrays)
 
 
+def unsure_labels(path: Path, of: Header) -> Header:
+    """Labels that cannot tell their onset, which lies within a slice of ONSET."""
+    label = _label()
+    label[ONSET - 1 : ONSET + 2] = -1
+    slices = {"onset_slice": ONSET, "earliest_slice": ONSET - 1, "latest_slice": ONSET + 1}
+    arrays = {
+        "label": label,
+        "relative_flow_px": np.full(SLICES, np.nan, np.float32),
+        **{name: np.int64(slice_) for name, slice_ in slices.items()},
+        "abstained": np.uint8(1),
+        "doubt": "it slides slowly",
+        "confidence": np.float64(1.0),
+        "flow_pairs_computed": np.int64(0),
+    }
+    return write_stage(path, Recipe("labels", 1, {"method": "event-flow"}, parents=(of,)), arrays)
+
+
 def features(path: Path, of: tuple[Header, ...]) -> Header:
     """Labelled features with images of two pixels a slice."""
     arrays = {

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
+REVIEW = "A person's labels"  # a panel of --help
 OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
 
 
@@ -64,6 +65,13 @@ class Label:
     from_start: bool = parameter(
         False, "Label closing, loading and light contact too, before the current falls; truth, to train on."
     )
+    review: bool = parameter(
+        False,
+        "Look at the onsets on a page in the browser, move them, and keep them as a person's labels.",
+        recipe=False,
+        panel=REVIEW,
+    )
+    by: str = parameter("", "Who labels, with --review; by default the name of the login.", recipe=False, panel=REVIEW)
 
 
 COMMAND = Command(
@@ -71,5 +79,9 @@ COMMAND = Command(
     Label,
     "stages.label",
     "Recordings.",
-    examples=("evetac label data --jobs 2", "evetac label a.recording.h5 --method farneback -o other"),
+    examples=(
+        "evetac label data --jobs 2",
+        "evetac label a.recording.h5 --method farneback -o other",
+        "evetac label data --review",
+    ),
 )

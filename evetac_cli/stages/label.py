@@ -37,7 +37,13 @@ EDGE_IN_WINDOW_PX = 25
 
 
 def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
-    """One labels file for every recording."""
+    """One labels file for every recording; with --review one job of all of them."""
+    if params.review:
+        from evetac_cli.stages import label_review
+
+        return list(label_review.jobs(files, out))
+    if params.by:
+        raise InputError("only a person's labels are by somebody", where="--by", expected="--review beside it")
     return per_file(files, OUTPUT, out)
 
 
@@ -46,13 +52,20 @@ def _recipe(params: Label, recording: Header) -> Recipe:
 
 
 def known_recipe(job: Job, params: Label, known: Known) -> Recipe | None:
-    """The recipe of the labels, where an index knows the recording."""
+    """The recipe of the labels, where an index knows the recording; a person's are always asked for."""
+    if params.review:
+        return None
     recording = known.header(job.inputs[0], "recording")
     return None if recording is None else _recipe(params, recording)
 
 
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Find the onset by the method that is chosen, and label every slice."""
+    """Find the onset by the method that is chosen, and label every slice; with --review, ask a person."""
+    if params.review:
+        from evetac_cli.stages import label_review
+
+        assert isinstance(job, label_review.ReviewJob)
+        return label_review.run(job, params)
     with open_recording(job.inputs[0]) as recording:
         recipe = _recipe(params, recording.header)
         simulated = recording.header["simulated"]

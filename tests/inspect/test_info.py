@@ -128,6 +128,16 @@ def test_an_onset_that_is_not_there_is_empty(tmp_path: Path) -> None:
         assert row["onset_ms"] == (None if onset < 0 else onset)
 
 
+def test_labels_that_abstain_say_why(tmp_path: Path) -> None:
+    """Assert that info of labels, and of features made from them, says that they abstain, and why."""
+    of = small_files.recording(tmp_path / "a.recording.h5")
+    small_files.unsure_labels(tmp_path / "a.labels.h5", of)
+    (row,) = info.run([tmp_path / "a.labels.h5"]).rows
+    assert (row["abstained"], row["doubt"]) == (True, "it slides slowly")
+    assert row["earliest_ms"] <= row["onset_ms"] <= row["latest_ms"]
+    assert row["slices_not_examined"] == row["latest_ms"] - row["earliest_ms"] + 1
+
+
 def test_touch_at_a_glance(tmp_path: Path) -> None:
     """Assert contacts, extremes of touched slices with their deviations, maps and stiffness."""
     tracks = small_files.tracks(tmp_path / "a.tracks.h5", small_files.recording(tmp_path / "a.recording.h5"))

@@ -35,8 +35,8 @@ def test_every_command_is_counted(costs: Costs) -> None:
     assert trained == 10_000 + (9 * 12 + 9 * 2) + 9 * 2 * 3  # steps, files read, files judged by three checkpoints
     tracked = [step for step in planned if step.experiment == "tracking" and step.command.startswith("track ")]
     assert sum(step.tasks for step in tracked) == 4 * (50 + 5 + 2 * (5 + 1))
-    (labels,) = [step for step in planned if step.command == "evaluate labels" and step.experiment == "labels"]
-    assert (labels.tasks, labels.cpu_s) == (1, 100.0)
+    (labels,) = [step for step in planned if step.command == "evaluate labels" and step.experiment == "demo"]
+    assert (labels.tasks, labels.cpu_s) == (1, 9.0)  # of nine recordings
     force = [step for step in planned if step.experiment == "force" and step.command.startswith("track")]
     assert [step.tasks for step in force] == [10, 10]
 

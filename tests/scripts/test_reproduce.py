@@ -28,12 +28,37 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import experiment_tables
 import reproduce
 import results
-from experiment_tables import Evaluation
-from experiments import EXPERIMENTS
+from experiment_steps import evetac
+from experiment_tables import Column, Evaluation, Table, summaries
+from experiments import EXPERIMENTS, Experiment
 from reproduce import Refusal
 
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
 COMMAND_LINE = typer.main.get_command(app)
+EXAMPLE = Experiment(
+    "labels", "slip labels against truth", "data/labels", 0.5,
+    full={"seed": 0, "objects": "1-20", "each": 5}, small={"objects": "3,11", "each": 1},
+    steps=lambda sizes: iter([
+        evetac("record", "--object", sizes["objects"], "--count", sizes["each"], "--seed", sizes["seed"], "--out", "."),
+        evetac("label", "*.recording.h5"),
+    ]),
+    evaluations=lambda sizes: {"labels": evetac("evaluate", "labels", "*.labels.h5")},
+    tables=(
+        Table(
+            "labels",
+            "Slip labels against true gross slip, {recordings} trajectories of objects {objects}",
+            ("labels",),
+            summaries,
+            (
+                Column("onsets that have a label", "{onsets_found} of {trajectories}"),
+                Column("median error [ms]", "{onset_error_ms_median:.0f}"),
+                Column("worst [ms]", "{onset_error_ms_worst:.0f}"),
+                Column("share in -4..+3 ms", "{within_minus4_plus3_ms:.2f}"),
+                Column("over 4 ms before gross slip", "{earlier_than_4_ms_before_gross_slip}"),
+            ),
+        ),
+    ),
+)  # fmt: skip
 SMALLNESS = pytest.mark.parametrize("small", [False, True])
 
 
@@ -72,9 +97,9 @@ class FakeEvetac:
 
 
 def run_labels(tmp_path: Path, objects: list[int], *, replace: bool = False) -> FakeEvetac:
-    """The experiment `labels`, whose program labels these objects whatever it is asked."""
+    """An experiment whose program labels these objects whatever it is asked."""
     fake = FakeEvetac(objects)
-    experiment = BY_NAME["labels"]
+    experiment = EXAMPLE
     reproduce.perform(
         experiment, dict(experiment.full), tmp_path, tmp_path / "results",
         jobs=3, replace=replace, run=fake.run, header=fake.header,
@@ -129,7 +154,7 @@ def test_other_tables_stay(tmp_path: Path) -> None:
 
 def test_a_command_that_fails_ends_the_run(tmp_path: Path) -> None:
     """Assert that the refusal names the command and its exit code, and that no table is written."""
-    experiment = BY_NAME["labels"]
+    experiment = EXAMPLE
     with pytest.raises(Refusal, match="evetac record .* exit code 3"):
         reproduce.perform(
             experiment, dict(experiment.full), tmp_path, tmp_path / "results",
@@ -217,8 +242,8 @@ def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
     assert ["--horizon-ms" in words for words in of_recipe] == [False] * len(sizes["models"]) + [True]
 
 
-@pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "labels", "--size", "steps=7"],
-                                   ["--only", "labels", "--size", "each=many"]])  # fmt: skip
+@pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "tracking", "--size", "steps=7"],
+                                   ["--only", "tracking", "--size", "edges=many"]])  # fmt: skip
 def test_wrong_names_and_sizes_are_refused(words: list[str]) -> None:
     """Assert that an experiment or size that does not exist, and a size of another type, end with an error."""
     with pytest.raises(SystemExit, match="error: "):

@@ -13,7 +13,7 @@ from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.slip_detectors import read_series
+from evetac_cli.stages.slip_detectors import read_series, read_trajectory
 from evetac_cli.stages.touch.sticking_share import StickingShare
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.recordings.read import open_recording
@@ -163,3 +163,18 @@ def test_the_sticking_share_is_told_on_request(made: Made, tmp_path: Path) -> No
     assert np.isnan(share).any() and np.nanmin(share) < 0.5 < np.nanmax(share)
     assert isinstance(seen, DotsAndExtras)
     np.testing.assert_array_equal(seen.extras[:, 2], share)
+
+
+def test_labels_that_abstain_are_features_that_are_not_timed(tmp_path: Path) -> None:
+    """Assert that features say that their labels abstain, and that a trajectory of them is not timed."""
+    recording = tmp_path / "a.recording.h5"
+    of = small_files.recording(recording, lost_slices=False)
+    small_files.tracks(tmp_path / "a.tracks.h5", of)
+    timed = []
+    for make in (small_files.labels, small_files.unsure_labels):
+        make(tmp_path / "a.labels.h5", of)
+        (job,) = featurize.jobs([recording], Featurize(), None)
+        (row,) = featurize.run(job, Featurize(), force=True).rows
+        trajectory = read_trajectory(job.output, ARCHITECTURES["fast-slow"])
+        timed.append((row["abstained"], trajectory.timed, int((trajectory.label < 0).sum())))
+    assert timed == [(False, True, 0), (True, False, 3)]

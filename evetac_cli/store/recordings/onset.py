@@ -39,22 +39,20 @@ class LabelledOnset(NamedTuple):
         return f"The labels abstain: {self.doubt}." if self.doubt else ""
 
 
+def told_onset(onset: int, earliest: int, latest: int, confidence: float, doubt: str) -> LabelledOnset:
+    """The onset as labels have it, in which -1 and NaN stand for none."""
+    first, last = (None if value < 0 else value for value in (earliest, latest))
+    sure = confidence if np.isfinite(confidence) else None
+    return LabelledOnset(None if onset < 0 else onset, first, last, sure, doubt)
+
+
 def labelled_onset(labels: StageFile) -> LabelledOnset:
     """The onset in a labels file."""
-
-    def slice_of(name: str) -> int | None:
-        value = int(labels.read(name)) if labels.has(name) else -1
-        return value if value >= 0 else None
-
-    confidence = float(labels.read("confidence"))
-    doubt = str(labels.read("doubt")) if labels.has("doubt") else ""
-    return LabelledOnset(
-        slice_of("onset_slice"),
-        slice_of("earliest_slice"),
-        slice_of("latest_slice"),
-        confidence if np.isfinite(confidence) else None,
-        doubt,
+    earliest, latest = (
+        int(labels.read(name)) if labels.has(name) else -1 for name in ("earliest_slice", "latest_slice")
     )
+    doubt = str(labels.read("doubt")) if labels.has("doubt") else ""
+    return told_onset(int(labels.read("onset_slice")), earliest, latest, float(labels.read("confidence")), doubt)
 
 
 def is_unsure(file: StageFile) -> bool:

@@ -5,7 +5,6 @@ The view is a process of its own, behind all others (process.py).
 """
 
 import multiprocessing
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,14 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evetac_cli import console
+from evetac_cli import console, page_address
 from evetac_cli.devices import losses
 from evetac_cli.errors import DeviceError, missing_extra
 from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import start_shielded, wait_while_computing
-from evetac_cli.trials.live_view import browser
 from evetac_cli.trials.live_view.messages import (
     BROWSER,
     TERMINAL,
@@ -180,7 +178,11 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
     view = LiveView(where, title, partial(open_view_detector, asked.model, asked.preset, asked.threshold))
     ended = "ended"
     try:
-        with browser.announced(view.url, opens=_has_display()) if where == BROWSER else nullcontext():
+        with (
+            page_address.announced(view.url, "live view", opens=page_address.has_display())
+            if where == BROWSER
+            else nullcontext()
+        ):
             yield view
     except BaseException as error:
         ended = str(error).splitlines()[0] if str(error) else "interrupted"
@@ -200,14 +202,7 @@ def place(asked: str) -> str:
         raise missing_extra(message, "plot", where="--live-in browser", otherwise=otherwise)
     if asked in (BROWSER, TERMINAL):
         return asked
-    return BROWSER if can_serve and _has_display() else TERMINAL
-
-
-def _has_display() -> bool:
-    """Whether a browser that is opened here is seen by whoever sits at the terminal."""
-    if "SSH_CONNECTION" in os.environ:
-        return False
-    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return BROWSER if can_serve and page_address.has_display() else TERMINAL
 
 
 def shown_in_real_time(

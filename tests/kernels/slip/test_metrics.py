@@ -1,5 +1,7 @@
 """Slip timing, outcomes and F1, against hand counts and scikit-learn; the choice of checkpoint and threshold."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -160,6 +162,14 @@ def test_score_of_hand_made_trajectories() -> None:
     assert row["f1_pooled"] == pytest.approx(2 * 50 / (2 * 50 + 61 + 30))
     assert row["precision"] == pytest.approx(50 / 111)
     assert row["recall"] == pytest.approx(50 / 80)
+
+
+def test_an_onset_that_labels_cannot_tell_is_not_timed() -> None:
+    """Assert that timing is that of the other trajectories, and that a detection is then no alarm without slip."""
+    sure, unsure = prediction(200, 100, 95), prediction(200, 100, 20)
+    assert metrics.score([sure, unsure], 0.5)["slip_early"] == 0.5
+    row = metrics.score([sure, dataclasses.replace(unsure, timed=False)], 0.5)
+    assert (row["slips"], row["slip_correct"], row["alarms_without_slip"], row["trajectories"]) == (1, 1.0, 0, 2)
 
 
 def test_score_without_slip_has_no_shares() -> None:

@@ -186,6 +186,22 @@ def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
     assert f"Flow that labels slip, {html.escape(method)} " in trial.with_name("a.html").read_text(encoding="utf-8")
 
 
+def test_labels_that_abstain_say_so(trial: Path) -> None:
+    """Assert that a page notes why labels abstain, and shows the interval of their onset; and who labelled by hand."""
+    with open_recording(trial) as recording:
+        header = recording.header
+    told = {"earliest_slice": np.int64(ONSET - 5), "latest_slice": np.int64(ONSET + 5), "doubt": "it is <slow>"}
+    arrays = {"onset_slice": np.int64(ONSET), "abstained": np.uint8(1), **told}
+    write_labels(trial.with_name("a.labels.h5"), header, ONSET, method="person", by="Ada", unknown=5, arrays=arrays)
+    data = shown(trial, images=1)
+    assert "The labels abstain: it is <slow>." in data.notes
+    assert "The labels are those of a person: Ada." in data.notes
+    view.run([trial], View(images=1), None)
+    text = trial.with_name("a.html").read_text(encoding="utf-8")
+    assert f"abstains, within {(ONSET - 5) / 1000:.3f} to {(ONSET + 5) / 1000:.3f} s" in text
+    assert "it is &lt;slow&gt;" in text
+
+
 def test_neighbours_are_found_from_any_file(trial: Path) -> None:
     """Assert that each file of a trial leads to the others, also to a recording of another name."""
     for kind in ("recording", "tracks", "labels"):

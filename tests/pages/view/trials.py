@@ -2,7 +2,9 @@
 
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -135,21 +137,29 @@ def write_labels(
     slices: int = SLICES,
     begins: int = 50,
     relative_flow_px: np.ndarray | None = None,
+    unknown: int = -1,
+    arrays: Mapping[str, Any] = MappingProxyType({}),
     **more: Any,
 ) -> Header:
-    """Labels that examine the slices [begins, ends); `more`: their parameters."""
+    """Labels that examine the slices [begins, ends), but so many either way of the onset; `more`: their parameters.
+
+    arrays: datasets beside the usual ones.
+    """
     label = np.full(slices, -1, np.int8)
     label[begins:ends] = 0
     label[onset:ends] = 1
+    if unknown >= 0:
+        label[onset - unknown : onset + unknown + 1] = -1
     flow = np.where(label < 0, np.nan, 0.1 + label) if relative_flow_px is None else relative_flow_px
-    arrays = {
+    written = {
         "label": label,
         "relative_flow_px": flow.astype(np.float32),
         "onset_slice": np.int64(onset if onset < slices else -1),
         "confidence": np.float64(1.0),
         "flow_pairs_computed": np.int64(9),
+        **arrays,
     }
-    return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), arrays)
+    return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), written)
 
 
 def write_touch(trial: Path, changes: dict[str, Any] | None = None, *, adapted: bool = False, **chosen: Any) -> Path:

@@ -46,6 +46,9 @@ def everything(folder: Path) -> list[str]:
         ({"relative_flow_px": np.full(100, np.inf, np.float32)}, "relative_flow_px is impossible"),
         ({"onset_slice": np.int64(100)}, "onset_slice is impossible"),
         ({"onset_slice": np.int64(71)}, "70, the first slice of slip"),
+        ({"abstained": np.uint8(1), "onset_slice": np.int64(69)}, "a slice before all slip whose label is -1"),
+        ({"abstained": np.uint8(1)}, "a slice before all slip whose label is -1"),
+        ({"latest_slice": np.int64(100)}, "latest_slice is impossible"),
         ({"confidence": np.float64(1.5)}, "confidence is impossible"),
         ({"flow_pairs_computed": np.int64(-1)}, "flow_pairs_computed is impossible"),
     ],
@@ -176,3 +179,14 @@ def test_a_stage_that_computes_nonsense_writes_nothing(tmp_path: Path, monkeypat
     assert refused.value.where == str(job.output)
     assert "evetac validate" in str(refused.value)
     assert everything(tmp_path) == [recording.name]
+
+
+def test_labels_may_abstain(tmp_path: Path) -> None:
+    """Assert that an onset which cannot be told may lie in slices that are not examined, before all slip."""
+    label = (np.arange(100) >= 70).astype(np.int8)
+    label[60:70] = -1
+    path = tmp_path / "a.labels.h5"
+    write_stage(path, LABELS, labels(label=label, onset_slice=np.int64(65), abstained=np.uint8(1), doubt="slow"))
+    with StageFile(path, "labels") as file:
+        file.check()
+        assert int(file.read("onset_slice")) == 65

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from evetac_cli.trials.live_view.browser import announced
+from evetac_cli.page_address import announced
 from tests.browser import Browser
 from tests.trials.live_view.test_live_view import shown
 from tests.trials.live_view.test_server import Served
@@ -89,7 +89,7 @@ def test_the_file_leads_a_browser_to_the_page(browser: Browser) -> None:
     """Assert that a browser that is started with the file comes to the view, and is shown pictures."""
     served = Served(bytes(640 * 480))
     try:
-        with announced(served.server.url, opens=False) as page:
+        with announced(served.server.url, "live view", opens=False) as page:
             browser.visit(page.as_uri())
             browser.until(f"location.href === '{served.server.url}' && document.readyState === 'complete'")
             browser.until("document.getElementById('state') !== null")

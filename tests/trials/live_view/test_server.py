@@ -20,7 +20,7 @@ pytest.importorskip("tornado")
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
-from evetac_cli.trials.live_view import server
+from evetac_cli import page_server
 from evetac_cli.trials.live_view.server import CONTENT, MOST_CLIENTS, PageServer
 
 
@@ -313,7 +313,7 @@ SILENT = {
 @pytest.mark.parametrize("said", SILENT.values(), ids=SILENT.keys())
 def test_a_connection_without_a_request_is_closed(said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that whoever has not asked for something after a while, and with the token, is not held."""
-    monkeypatch.setattr(server, "REQUEST_S", 0.1)
+    monkeypatch.setattr(page_server, "REQUEST_S", 0.1)
     served = Served()
     try:
         connection = plain_socket(served)
@@ -327,7 +327,7 @@ def test_a_connection_without_a_request_is_closed(said: bytes, monkeypatch: pyte
 
 def test_a_slow_trickle_is_no_request(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that bytes that go on coming do not hold a connection for longer."""
-    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    monkeypatch.setattr(page_server, "REQUEST_S", 0.3)
     served = Served()
     try:
         connection = plain_socket(served)
@@ -344,8 +344,8 @@ def test_a_slow_trickle_is_no_request(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_who_waits_in_hundreds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the page comes however many connections say nothing, and that the oldest of them go for new ones."""
-    monkeypatch.setattr(server, "MOST_WAITING", 130)
-    monkeypatch.setattr(server, "REQUEST_S", 3600.0)  # on a busy machine, too, only their number ends them
+    monkeypatch.setattr(page_server, "MOST_WAITING", 130)
+    monkeypatch.setattr(page_server, "REQUEST_S", 3600.0)  # on a busy machine, too, only their number ends them
     served = Served()
     with ExitStack() as opened:
         opened.callback(served.close)
@@ -356,13 +356,13 @@ def test_who_waits_in_hundreds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch)
         def open_page() -> None:
             assert answer(served, f"/{served.server.token}/")[0] == 200
 
-        first = silent(2 * server.MOST_WAITING)
-        assert until(lambda: len(served.server.waiting) == server.MOST_WAITING)
+        first = silent(2 * page_server.MOST_WAITING)
+        assert until(lambda: len(served.server.waiting) == page_server.MOST_WAITING)
         open_page()
 
         async def look_on() -> None:
             socket_ = await connect(served, served.server.token)
-            silent(2 * server.MOST_WAITING)
+            silent(2 * page_server.MOST_WAITING)
             await socket_.write_message("next")
             assert await asyncio.wait_for(socket_.read_message(), PATIENCE_S)  # who looks is never closed for others
             await close(socket_)

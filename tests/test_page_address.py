@@ -1,4 +1,4 @@
-"""Who gets to know the address of a live view."""
+"""Who gets to know the address of a page."""
 
 import os
 import stat
@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from evetac_cli.trials.live_view import browser
+from evetac_cli import page_address
 
 TOKEN = "Zk3_-abcdefghijklmnopqrstuvwxyz01"
 URL = f"http://127.0.0.1:40571/{TOKEN}/"
@@ -24,7 +24,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     addresses: list[str] = []
     monkeypatch.setattr(webbrowser, "open", addresses.append)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(browser, "SNAPS", tmp_path / "none")
+    monkeypatch.setattr(page_address, "SNAPS", tmp_path / "none")
     return addresses
 
 
@@ -43,7 +43,7 @@ def test_a_browser_is_opened_without_the_token(
     """Assert that its argument is a file of mode 0600 in a folder of mode 0700, which leads on, and goes at the end."""
     before = os.umask(0)
     try:
-        with browser.announced(URL, opens=True):
+        with page_address.announced(URL, "live view", opens=True):
             (address,) = opened
             assert TOKEN not in address
             page = Path(unquote(urlsplit(address).path))
@@ -59,7 +59,7 @@ def test_a_browser_is_opened_without_the_token(
 def test_nothing_is_left_of_a_recording_that_fails(opened: list[str], tmp_path: Path) -> None:
     """Assert that the file goes however the block ends, and that without a display no browser is opened."""
     for error in (KeyboardInterrupt, OSError, SystemExit):
-        with pytest.raises(error), browser.announced(URL, opens=False):
+        with pytest.raises(error), page_address.announced(URL, "live view", opens=False):
             raise error
     assert (list(tmp_path.iterdir()), opened) == ([], [])
 
@@ -67,7 +67,7 @@ def test_nothing_is_left_of_a_recording_that_fails(opened: list[str], tmp_path: 
 @pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o666])
 def test_a_log_that_others_read_has_no_token(opened: list[str], tmp_path: Path, mode: int) -> None:
     """Assert that such a log names the file, which leads to the view."""
-    with stderr_to(tmp_path / "log", mode), browser.announced(URL, opens=False):
+    with stderr_to(tmp_path / "log", mode), page_address.announced(URL, "live view", opens=False):
         said = (tmp_path / "log").read_text()
         assert TOKEN not in said
         page = Path(said.split()[3].removesuffix(";"))
@@ -77,11 +77,11 @@ def test_a_log_that_others_read_has_no_token(opened: list[str], tmp_path: Path, 
 @pytest.mark.parametrize("mode", [0o600, 0o400, 0o620])
 def test_a_log_of_the_users_own_has_it(opened: list[str], tmp_path: Path, mode: int) -> None:
     """Assert that the address stands where only the user reads it."""
-    with stderr_to(tmp_path / "log", mode), browser.announced(URL, opens=False):
+    with stderr_to(tmp_path / "log", mode), page_address.announced(URL, "live view", opens=False):
         assert (tmp_path / "log").read_text() == f"live view: {URL}\n"
 
 
-@pytest.mark.parametrize("name", browser.BROWSERS)
+@pytest.mark.parametrize("name", page_address.BROWSERS)
 def test_a_browser_in_a_snap_sees_the_file(
     opened: list[str], tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,12 +90,12 @@ def test_a_browser_in_a_snap_sees_the_file(
     snaps.mkdir()
     home.mkdir()
     (snaps / name).touch()
-    monkeypatch.setattr(browser, "SNAPS", snaps)
+    monkeypatch.setattr(page_address, "SNAPS", snaps)
     monkeypatch.setenv("HOME", str(home))
-    with browser.announced(URL, opens=True):
+    with page_address.announced(URL, "live view", opens=True):
         (folder,) = home.iterdir()
         assert not folder.name.startswith(".") and folder.stat().st_mode & 0o077 == 0
     assert list(home.iterdir()) == []
     monkeypatch.setenv("HOME", str(tmp_path / "none"))
-    with browser.announced(URL, opens=True):
+    with page_address.announced(URL, "live view", opens=True):
         assert Path(unquote(urlsplit(opened[-1]).path)).parent.parent == tmp_path

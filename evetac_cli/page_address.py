@@ -1,4 +1,4 @@
-"""Tells the address of a live view to its user alone, and opens it in a browser where there is a display.
+"""Tells the address of a served page to its user alone, and opens it in a browser where there is a display.
 
 Why so: the address holds the token by which anybody can let go of the gripper, and all users of a computer see the
 arguments with which programs are started. So a browser is started with a file that only this user can read, in a folder
@@ -21,8 +21,8 @@ PAGE = """<!doctype html>
 <meta charset="utf-8">
 <meta name="referrer" content="no-referrer">
 <meta http-equiv="refresh" content="0; url={url}">
-<title>evetac live view</title>
-<p><a href="{url}">live view</a></p>
+<title>evetac {name}</title>
+<p><a href="{url}">{name}</a></p>
 </html>
 """
 SNAPS = Path("/snap/bin")
@@ -30,16 +30,19 @@ BROWSERS = ("firefox", "chromium", "brave", "opera")
 
 
 @contextmanager
-def announced(url: str, *, opens: bool) -> Iterator[Path]:
-    """Say where the view is; opens: show it in a browser too. Yields the file that leads there, gone at the end."""
-    with tempfile.TemporaryDirectory(prefix="evetac-live-view-", dir=_seen_by_browsers()) as folder:
-        page = Path(folder) / "live-view.html"
+def announced(url: str, name: str, *, opens: bool) -> Iterator[Path]:
+    """Say where the page of this name is; opens: show it in a browser too.
+
+    Yields the file that leads there, which is gone at the end.
+    """
+    with tempfile.TemporaryDirectory(prefix=f"evetac-{name.replace(' ', '-')}-", dir=_seen_by_browsers()) as folder:
+        page = Path(folder) / f"{name.replace(' ', '-')}.html"
         with open(os.open(page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(PAGE.format(url=url))
+            file.write(PAGE.format(url=url, name=name))
         if _is_read_by_others():
-            console.say(f"live view: open {page}; the address is not in this log, which others can read")
+            console.say(f"{name}: open {page}; the address is not in this log, which others can read")
         else:
-            console.say(f"live view: {url}")
+            console.say(f"{name}: {url}")
         if opens:
             webbrowser.open(page.as_uri())
         yield page
@@ -65,3 +68,10 @@ def _is_read_by_others() -> bool:
     except (AttributeError, OSError, ValueError):  # there is no such file
         return False
     return stat.S_ISREG(mode) and bool(mode & (stat.S_IRGRP | stat.S_IROTH))
+
+
+def has_display() -> bool:
+    """Whether a browser that is opened here is seen by whoever sits at the terminal."""
+    if "SSH_CONNECTION" in os.environ:
+        return False
+    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

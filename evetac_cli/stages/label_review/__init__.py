@@ -1,0 +1,67 @@
+"""label --review: a page on which a person looks at the onset of each recording, moves it, and keeps it as a label.
+
+It works for real recordings, which have no truth, and never shows the truth of simulated ones. What a person keeps is a
+labels file of the method `person`, with who gave it in its header, and what it took the place of. A recording without
+labels is shown with those of `event-flow`, which are not kept unless the person does.
+"""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from evetac_cli import page_address
+from evetac_cli.commands.label import Label
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Job, Outcome, Rows
+from evetac_cli.stages import one_file
+from evetac_cli.store.files import output_path
+from evetac_cli.store.recordings.read import open_recording
+
+
+@dataclass(frozen=True)
+class ReviewJob(Job):
+    """All recordings that a person looks at, one after the other; labels: the file of each."""
+
+    exclusive = True  # there is one person
+    labels: tuple[Path, ...]
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """The labels of each recording."""
+        return self.labels
+
+
+def jobs(files: Sequence[Path], out: Path | None) -> list[ReviewJob]:
+    """One job of all recordings."""
+    one_file(files, out)
+    labels = tuple(output_path(file, "labels", out) for file in files)
+    return [ReviewJob(tuple(files), labels[0], labels)] if labels else []
+
+
+def run(job: ReviewJob, params: Label) -> Outcome:
+    """Serve the page until the person is done; a row for every label that was kept. MissingLibrary without tornado."""
+    from importlib.util import find_spec
+
+    from evetac_cli.errors import missing_extra
+
+    if find_spec("tornado") is None:
+        raise missing_extra("the page needs the library tornado", "plot", where="--review")
+    for path in job.labels:
+        if not path.parent.is_dir():
+            raise InputError("no such folder", where=str(path.parent))
+    simulated = []
+    for file in job.inputs:
+        with open_recording(file) as recording:
+            simulated.append(bool(recording.header["simulated"]))
+    return Outcome(asyncio.run(_serve(job, params)), any(simulated))
+
+
+async def _serve(job: ReviewJob, params: Label) -> Rows:
+    from evetac_cli.stages.label_review.server import ReviewServer
+
+    server = ReviewServer(job.inputs, job.labels, params)
+    with page_address.announced(server.url, "label review", opens=page_address.has_display()):
+        await server.done.wait()
+    await server.end()
+    return server.rows

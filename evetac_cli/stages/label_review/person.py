@@ -1,0 +1,116 @@
+"""The label that a person gives, as a labels file with its provenance."""
+
+import getpass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evetac_cli.errors import InputError
+from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.onset import labelled_onset
+from evetac_cli.store.recordings.read import Recording, ramp_start
+
+METHOD_NAME = "person"
+METHOD = 1  # raised when what is written for the same verdict changes
+CANNOT_TELL = "a person who looked at it cannot tell"
+LONGEST_NAME = 100
+
+
+class Verdict(NamedTuple):
+    """What a person says of a recording: onset, a slice or -1 for no slip, and where else it may lie.
+
+    earliest, latest: -1 where the person gives none; can_tell: whether the onset is sure enough to train on.
+    """
+
+    onset: int
+    earliest: int = -1
+    latest: int = -1
+    can_tell: bool = True
+
+
+def name_of(by: str) -> str:
+    """Who labels: the name given, or that of the login; InputError for none, or one that is no line of text."""
+    name = by.strip()
+    if not name:
+        try:
+            name = getpass.getuser()
+        except (KeyError, OSError, ImportError):  # no such user on this system
+            raise InputError("nobody knows who labels", where="--by", expected="a name") from None
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise InputError("no name", where="--by", expected=f"up to {LONGEST_NAME} printed characters", found=name[:20])
+    return name
+
+
+def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms: int) -> dict[str, Any]:
+    """Write the labels of a verdict, in the place of those that are there; the row of it.
+
+    Slices before the onset are no slip, those of the next after_ms are slip. InputError for an onset that lies before
+    the ramp or outside the recording, or outside its own interval.
+    """
+    slices, start = len(recording), ramp_start(recording)
+    _check(verdict, start, slices)
+    replaced = _replaced(labels)
+    label = np.zeros(slices, np.int8)
+    label[:start] = -1
+    if verdict.onset >= 0:
+        stop = verdict.onset + max(after_ms, 1)
+        label[verdict.onset : stop] = 1
+        label[stop:] = -1
+        if not verdict.can_tell:
+            first, last = (verdict.earliest, verdict.latest) if verdict.earliest >= 0 else (verdict.onset,) * 2
+            label[first : last + 1] = -1
+    abstained = verdict.onset >= 0 and not verdict.can_tell
+    given = {"onset_slice": verdict.onset, "earliest_slice": verdict.earliest, "latest_slice": verdict.latest}
+    arrays = {
+        "label": label,
+        "relative_flow_px": np.full(slices, np.nan, np.float32),
+        **{name: np.int64(value) for name, value in given.items()},
+        "abstained": np.uint8(abstained),
+        "doubt": CANNOT_TELL if abstained else "",
+        "confidence": np.float64(1.0 if verdict.onset >= 0 else np.nan),
+        "flow_pairs_computed": np.int64(0),
+    }
+    told = {**given, "can_tell": verdict.can_tell, "after_ms": after_ms}
+    parameters = {"method": METHOD_NAME, "by": by, **told, "replaced": replaced}
+    header = write_stage(labels, Recipe("labels", METHOD, parameters, parents=(recording.header,)), arrays)
+    before = replaced[-1]["onset_slice"] if replaced else -1
+    return {
+        "output": str(labels),
+        "status": "kept",
+        "by": by,
+        "onset_ms": verdict.onset if verdict.onset >= 0 else None,
+        "abstained": abstained,
+        "replaced_method": replaced[-1]["method"] if replaced else None,
+        "replaced_onset_ms": before if before >= 0 else None,
+        "kept_at": header["made"].get("at"),
+    }
+
+
+def _check(verdict: Verdict, start: int, slices: int) -> None:
+    onset, earliest, latest = verdict.onset, verdict.earliest, verdict.latest
+    if onset != -1 and not start <= onset < slices:
+        raise InputError("no such onset", where="onset", expected=f"{start} to {slices - 1} ms", found=str(onset))
+    if (earliest, latest) != (-1, -1) and not (onset >= 0 and start <= earliest <= onset <= latest < slices):
+        expected = f"from {start} on, about the onset of {onset} ms"
+        raise InputError("no such interval", where="interval", expected=expected, found=f"{earliest} to {latest} ms")
+
+
+def _replaced(labels: Path) -> list[Header]:
+    """What the labels in this place said, the oldest first, as it stays in the header; none where there are none."""
+    if not labels.exists():
+        return []
+    with StageFile(labels, "labels") as file:
+        told, header = labelled_onset(file), file.header
+    earlier: list[Header] = header["parameters"].get("replaced", [])
+    slices = {"onset_slice": told.slice_, "earliest_slice": told.earliest, "latest_slice": told.latest}
+    about = {
+        "id": header["id"],
+        "method": header["parameters"].get("method"),
+        "by": header["parameters"].get("by"),
+        "at": header["made"].get("at"),
+        **{name: -1 if value is None else value for name, value in slices.items()},
+        "doubt": told.doubt,
+    }
+    return [*earlier, about]

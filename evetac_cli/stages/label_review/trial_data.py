@@ -1,0 +1,139 @@
+"""What the page of a review shows of a recording: its events, window, flow and dots about a moment, as JSON."""
+
+from base64 import b64encode
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.commands.label import Label
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.labelling.flow import Labels
+from evetac_cli.kernels.tracking import tracker
+from evetac_cli.kernels.tracking.presets import PRESETS
+from evetac_cli.stages import label
+from evetac_cli.stages.related_files import check_made_from
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset, told_onset
+from evetac_cli.store.recordings.read import Recording, ramp_start
+
+BEFORE_MS, AFTER_MS = 250, 150  # of the moment that is looked at
+SHORTEST_MS = 40  # either way, however many events there are
+MOST_EVENTS = 400_000  # in an answer: 2 MB
+MOST_BINS = 1200  # of the overview
+TRACKED_MS = 2000  # dots are tracked from so long before what is shown, or from the start
+
+
+def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[str, Any]]:
+    """The onset that stands, and what is known of where it is from: of the file, or of `event-flow` without one."""
+    if labels.exists():
+        with StageFile(labels, "labels") as file:
+            check_made_from(file, recording)
+            made = file.header["parameters"]
+            about = {"method": made.get("method"), "by": made.get("by"), "at": file.header["made"].get("at")}
+            return labelled_onset(file), {**about, "kept": True}
+    computed = by_flow(recording)
+    if computed is None:
+        return LabelledOnset(None, None, None, None, ""), {"method": None, "kept": False}
+    told = told_onset(computed.onset, computed.earliest, computed.latest, computed.confidence, computed.doubt)
+    return told, {"method": "event-flow", "kept": False}
+
+
+def by_flow(recording: Recording) -> Labels | None:
+    """Labels by `event-flow`; None where the recording lacks what they need."""
+    try:
+        return label.compute(recording, Label())
+    except InputError:
+        return None
+
+
+def trial_data(recording: Recording, labels: Path, at: int | None) -> dict[str, Any]:
+    """Everything that the page draws about slice `at`, or about the onset; text is text, numbers are plain."""
+    slices, start = len(recording), ramp_start(recording)
+    told, about = onset_now(recording, labels)
+    middle = at if at is not None else told.slice_ if told.slice_ is not None else (start + slices) // 2
+    first, stop = _span(recording.starts, min(max(middle, 0), max(slices - 1, 0)))
+    events = recording.between(first, stop)
+    window = recording.window_px
+    flow = by_flow(recording)
+    counts = _window_counts(recording, first, stop)
+    data: dict[str, Any] = {
+        "name": recording.path.name,
+        "simulated": bool(recording.header["simulated"]),
+        "slices": slices,
+        "start": start,
+        "span": [first, stop],
+        "frame": list(recording.frame_px),
+        "window": list(window) if window is not None else None,
+        "label": {**told.row(), **about},
+        "starts": (recording.starts[first : stop + 1] - recording.starts[first]).tolist(),
+        "x": _packed(events.x, "<u2"),
+        "y": _packed(events.y, "<u2"),
+        "p": _packed(events.p, "<u1"),
+        "counts": counts.tolist(),
+        "flow": None if flow is None else [_or_none(value) for value in flow.relative_flow_px[first:stop].tolist()],
+        "overview": _overview(recording),
+    }
+    return data | _dots(recording, first, stop)
+
+
+def _span(starts: NDArray[np.int64], middle: int) -> tuple[int, int]:
+    """Slices about a moment, fewer where they hold too many events."""
+    slices = len(starts) - 1
+    before, after = BEFORE_MS, AFTER_MS
+    while True:
+        first, stop = max(middle - before, 0), min(middle + after, slices)
+        if before <= SHORTEST_MS or starts[stop] - starts[first] <= MOST_EVENTS:
+            return first, stop
+        before, after = max(before // 2, SHORTEST_MS), max(after // 2, SHORTEST_MS)
+
+
+def _window_counts(recording: Recording, first: int, stop: int) -> NDArray[np.int64]:
+    """Events of the window in each slice, of the whole frame where there is none."""
+    events, window = recording.between(first, stop), recording.window_px
+    slices = events.t // 1000 - first
+    if window is not None:
+        x0, y0, x1, y1 = window
+        slices = slices[(events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)]
+    return np.bincount(slices, minlength=stop - first)
+
+
+def _overview(recording: Recording) -> dict[str, Any]:
+    """Events of the whole recording in bins of so many slices."""
+    slices = len(recording)
+    width = max(-(-slices // MOST_BINS), 1)
+    edges = np.minimum(np.arange(0, slices + width, width), slices)
+    return {"ms": width, "events": np.diff(recording.starts[edges]).tolist()}
+
+
+def _dots(recording: Recording, first: int, stop: int) -> dict[str, Any]:
+    """Where the tracker sees the dots at the end of each slice, and how far the three farthest are from rest."""
+    grid, radius_px = recording.dot_xy_px, recording.dot_radius_px
+    if grid is None or radius_px is None:
+        return {"dots": 0}
+    rest = np.ascontiguousarray(grid.reshape(-1, 2)[np.isfinite(grid.reshape(-1, 2)).all(axis=1)], np.float64)
+    begin = max(first - TRACKED_MS, 0)
+    try:
+        state = tracker.start(rest, PRESETS["stable"].for_dots(radius_px))
+        events = recording.between(begin, stop)
+        starts = recording.starts[begin : stop + 1] - recording.starts[begin]
+        dots = tracker.fold(state, events.x, events.y, events.p, starts).dot_xy_px[first - begin :]
+    except ValueError:  # a grid, or a frame, that the tracker does not follow
+        return {"dots": 0}
+    away = np.sort(np.hypot(*np.moveaxis(dots - rest, 2, 0)), axis=1)[:, -3:].mean(axis=1)
+    return {
+        "dots": len(rest),
+        "radius": radius_px,
+        "rest": _packed(rest, "<f4"),
+        "at": _packed(dots, "<f4"),
+        "away": [round(value, 4) for value in away.tolist()],
+    }
+
+
+def _packed(array: NDArray[Any], kind: str) -> str:
+    return b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()
+
+
+def _or_none(value: float) -> float | None:
+    return round(value, 4) if np.isfinite(value) else None

@@ -1,0 +1,176 @@
+"""How well labels tell the onset of slip, `event-flow` and the paper's `farneback` beside each other.
+
+`python scripts/judge_labels.py --seeds 50000-50009 --rows FOLDER` plays 200 slips of all twenty objects on `evetac`,
+100 on sensors `randomized:SEED`, one each, and 60 on `realistic` (docs/results/labels.json). Slips are played in
+memory, as `evetac record` would write them (label_trials.py). Rows, one a trial and method, are kept in the folder as
+they come, and what is there is not played again; --trials has fewer or more.
+
+Errors are as `evaluate labels` says: how far the object truly slid between the labels' onset and the true one, and ms.
+Intervals of 95 % are of whole objects drawn again with replacement, as trials of one object are alike.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from label_trials import PlayedSlip, play_slip
+from script_tables import RESULTS, table_of, write
+
+from evetac_cli.commands.label import Label
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate.labels import is_near, judged, summary, true_onsets
+from evetac_cli.jobs import Row
+from evetac_cli.stages import label
+from evetac_cli.store.recordings.onset import LabelledOnset, told_onset
+
+NAME = "labels"
+METHODS = ("event-flow", "farneback")
+OBJECTS = range(1, 21)
+SENSORS = ("evetac", "randomized", "realistic")
+TRIALS = (200, 100, 60)  # of each
+RESAMPLES = 2000
+
+
+class Slip(NamedTuple):
+    """Which slip is played."""
+
+    sensors: str
+    sensor: str
+    object: int
+    seed: int
+
+
+def slips(sensors: str, seeds: range, trials: int) -> Iterator[Slip]:
+    """So many slips: object after object of each seed; a randomised sensor for each."""
+    if trials > len(seeds) * len(OBJECTS):
+        raise SystemExit(f"{sensors}: {len(seeds)} seeds are too few for {trials} trials")
+    for number in range(trials):
+        sensor = f"{sensors}:{seeds[0] + number}" if sensors == "randomized" else sensors
+        yield Slip(sensors, sensor, OBJECTS[number % len(OBJECTS)], seeds[number // len(OBJECTS)])
+
+
+def rows_of(slip: Slip) -> list[Row]:
+    """A row for each method."""
+    played = play_slip(slip.object, slip.seed, slip.sensor)
+    true = true_onsets(played.as_recording())
+    return [{**slip._asdict(), "method": method, **row_of(played, true, method)} for method in METHODS]
+
+
+def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
+    """What a method says of a slip, held against truth; run time is the processor's."""
+    began_s = time.process_time()
+    try:
+        told = label.compute(played.as_recording(), Label(method=method))
+    except InputError as error:
+        onset = LabelledOnset(None, None, None, None, str(error).splitlines()[0])
+    else:
+        onset = told_onset(told.onset, told.earliest, told.latest, told.confidence, told.doubt)
+    took_s = time.process_time() - began_s
+    return {**judged(onset, true, played.read("truth/slid_px")), "cpu_s": took_s, "slices": len(played)}
+
+
+def all_rows(sensors: str, seeds: range, trials: int, folder: Path) -> list[Row]:
+    """The rows of all slips of some sensors, from the folder as far as they are there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{sensors}.jsonl"
+    known: dict[Slip, list[Row]] = {}
+    for line in path.read_text().splitlines() if path.exists() else []:
+        row = json.loads(line)
+        known.setdefault(Slip(*(row[name] for name in Slip._fields)), []).append(row)
+    rows: list[Row] = []
+    for slip in slips(sensors, seeds, trials):
+        if slip not in known:
+            known[slip] = rows_of(slip)
+            with path.open("a") as file:
+                file.writelines(json.dumps(row) + "\n" for row in known[slip])
+        rows += known[slip]
+    return rows
+
+
+def shown(sensors: str, method: str, rows: list[Row]) -> Row:
+    """A row of the table."""
+    low, high = interval([(row["object"], is_near(row)) for row in rows if _counts(row)])
+    figures = summary(rows)
+    return {
+        "sensors": sensors,
+        "slips": sum(row["t_s_ms"] is not None for row in rows),
+        **figures,
+        "method": method,
+        "abstained_share": figures["abstained_share"] or 0.0,
+        "interval": "" if low is None else f"{low:.2f} to {high:.2f}",
+        "rest_worst_early_ms": min((row["onset_error_ms"] or 0 for row in rows if _counts(row)), default=0),
+        "cpu_s": float(np.median([row["cpu_s"] for row in rows])),
+    }
+
+
+def _counts(row: Row) -> bool:
+    return row["t_s_ms"] is not None and not row["abstained"]
+
+
+def interval(flags: list[tuple[int, bool]]) -> tuple[float | None, float | None]:
+    """95 % of the share of flags, objects drawn again; None where there is one object at most."""
+    groups: dict[int, list[bool]] = {}
+    for number, flag in flags:
+        groups.setdefault(number, []).append(flag)
+    if len(groups) < 2:
+        return None, None
+    hits = np.array([sum(group) for group in groups.values()])
+    sizes = np.array([len(group) for group in groups.values()])
+    drawn = np.random.default_rng(0).integers(0, len(groups), (RESAMPLES, len(groups)))
+    low, high = np.percentile(hits[drawn].sum(axis=1) / sizes[drawn].sum(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+COLUMNS = {
+    "sensors": "{sensors}",
+    "method": "{method}",
+    "slips": "{slips}",
+    "abstained": "{abstained_share:.0%}",
+    "of the rest within 0.5 px slid": "{rest_within_half_px:.2f} ({interval})",
+    "over 10 ms early": "{rest_over_10_ms_early}",
+    "in -4..+3 ms": "{rest_within_minus4_plus3_ms:.2f}",
+    "interval covers": "{interval_coverage:.2f}",
+    "its median width [px]": "{interval_width_px_median:.2f}",
+    "[ms]": "{interval_width_ms_median:.0f}",
+    "of all within 0.5 px": "{within_half_px:.2f}",
+    "median error of all [px]": "{onset_error_px_median:.2f}",
+    "[ms], of all": "{onset_error_ms_median:.0f}",
+    "run time [s]": "{cpu_s:.2f}",
+}
+NOTE = (
+    "px: how far the object truly slid as one body. Rest: what did not abstain. Farneback is the paper's method, at"
+    " our constants. Run time: of the processor, a trial, in the median."
+)
+
+
+def main() -> None:
+    """Measure and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", required=True, help="FIRST-LAST; a trial of each object per seed")
+    parser.add_argument("--trials", default=",".join(map(str, TRIALS)), help="on " + ", ".join(SENSORS))
+    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file for each kind of sensor")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
+    chosen = parser.parse_args()
+    first, _, last = chosen.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    table: list[Row] = []
+    sizes: dict[str, Any] = {"recording_seeds": list(seeds), "objects": list(OBJECTS)}
+    for sensors, trials in zip(SENSORS, map(int, chosen.trials.split(",")), strict=True):
+        rows = all_rows(sensors, seeds, trials, chosen.rows) if trials else []
+        sizes[f"trials_{sensors}"] = trials
+        for method in METHODS if rows else ():
+            table.append(shown(sensors, method, [row for row in rows if row["method"] == method]))
+            sys.stdout.write(json.dumps(table[-1]) + "\n")
+    title = "Onsets of slip by labels against true gross slip"
+    command = f"python scripts/judge_labels.py --seeds {chosen.seeds} --trials {chosen.trials} --rows labels"
+    made = table_of(NAME, title, COLUMNS, table, command, sizes, notes=(NOTE,))
+    write(chosen.out, made | {"methods": {"label": label.METHOD}})
+
+
+if __name__ == "__main__":
+    main()
