@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SLIPS = ("slip", "slip-varied")  # unloaded at the speed of the paper's ramp
-FROM_EVENTS = "from-events"  # folder of labels and features that know no truth
+FROM_EVENTS, STICKING = "from-events", "sticking"  # folders of labels that know no truth, and of more features
 TRACKER = "stable"
 
 
@@ -28,6 +28,7 @@ class Variant:
     negatives: bool = True
     labels: str = "truth"
     true_share: bool = True
+    sticking: bool = False  # whether the share that sticks is told, to a network that sees it
     horizon_ms: int = 10
     steps: int = 10_000
     preset: str = "adamw"
@@ -45,8 +46,9 @@ VARIANTS = {
     "slips-events": Variant(speeds=False, negatives=False, true_share=False, labels="event-flow"),
     "speeds": Variant(negatives=False, true_share=False),
     "negatives": Variant(true_share=False),
-    "share": Variant(),
+    "true-share": Variant(),
     "grip": Variant(model="disp-xy-grip"),
+    "sticking": Variant(model="disp-xy-grip", sticking=True),
     "fast-slow": Variant(model="fast-slow"),
     "paper": Variant(model="fast-slow", speeds=False, negatives=False, true_share=False, preset="paper", steps=150_000),
 }
@@ -60,30 +62,40 @@ def run(*words: object) -> None:
         raise SystemExit(f"evetac {' '.join(map(str, words))}: {done.stderr}")
 
 
+def motions_in(role: Path) -> list[Path]:
+    """The folders of a role, one a motion."""
+    return sorted(path for path in role.iterdir() if path.is_dir() and path.name not in (FROM_EVENTS, STICKING))
+
+
 def make_features(data: Path) -> None:
     """Label, track and featurize the recordings of both roles; slips also with labels from events."""
-    for role in ("choose", "learn"):
-        for folder in sorted(path for path in (data / role).iterdir() if path.is_dir() and path.name != FROM_EVENTS):
+    for role in (data / "choose", data / "learn"):
+        for folder in motions_in(role):
             run("label", folder, "--method", "truth", "--from-start")
             run("track", folder, "--preset", TRACKER)
             run("featurize", folder, "--true-slip-share")
-            if role == "learn" and folder.name in SLIPS:
-                own = folder.parent / FROM_EVENTS / folder.name
+            beside = ("--tracks", folder, "--labels", folder, "--out", role / STICKING / folder.name)
+            run("featurize", folder, "--true-slip-share", "--sticking-share", *beside)
+            if role.name == "learn" and folder.name in SLIPS:
+                own = role / FROM_EVENTS / folder.name
                 run("label", folder, "--out", own)
                 run("featurize", folder, "--tracks", folder, "--labels", own, "--out", own)
             sys.stdout.write(f"{folder}\n")
+            sys.stdout.flush()
 
 
 def folders_of(variant: Variant, learn: Path) -> list[Path]:
     """The folders of features that a variant is trained on."""
-    names = [path.name for path in sorted(learn.iterdir()) if path.is_dir() and path.name != FROM_EVENTS]
-    chosen = [
-        name
-        for name in names
-        if name in SLIPS or (name == "slip-speeds" and variant.speeds) or (name != "slip-speeds" and variant.negatives)
-    ]
-    own = learn / FROM_EVENTS if variant.labels == "event-flow" else learn
-    return [(own if name in SLIPS else learn) / name for name in chosen]
+    chosen = []
+    for folder in motions_in(learn):
+        is_slip = folder.name in SLIPS
+        if not (is_slip or (variant.speeds if folder.name == "slip-speeds" else variant.negatives)):
+            continue
+        if is_slip and variant.labels == "event-flow":
+            chosen.append(learn / FROM_EVENTS / folder.name)
+        else:
+            chosen.append(learn / STICKING / folder.name if variant.sticking else folder)
+    return chosen
 
 
 def main() -> None:
@@ -100,7 +112,8 @@ def main() -> None:
         return
     for name in chosen.variant:
         variant = VARIANTS[name]
-        validate = ["--validate", str(chosen.data / "choose" / "*" / "*.features.h5")]
+        choose = chosen.data / "choose" / STICKING if variant.sticking else chosen.data / "choose"
+        validate = ["--validate", str(choose / "*" / "*.features.h5")]
         folders = folders_of(variant, chosen.data / "learn")
         run("train", *folders, *validate, *variant.words(), "--seeds", chosen.seeds, "--out", chosen.out / name)
         sys.stdout.write(f"{name}\n")
