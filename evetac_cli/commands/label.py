@@ -20,7 +20,7 @@ class Label:
         choices=("event-flow", "farneback", "dis", "event-count", "truth"),
     )
     slip_distance_px: float = parameter(
-        0.36, "Slide of the object on the gel, as counted, that is the onset of slip; event-flow.", unit="px", low=0.01
+        0.3, "Slide of the object on the gel, as counted, that is the onset of slip; event-flow.", unit="px", low=0.01
     )
     threshold_px: float = parameter(
         0.3,

@@ -40,7 +40,7 @@ TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been se
 class EventFlowConstants:
     """Constants of slip labels by counting; ValueError unless all are finite and in range."""
 
-    slip_distance_px: float = 0.36  # the object has slid so far, as counted: the onset, at 0.5 px in truth
+    slip_distance_px: float = 0.3  # the object has slid so far, as counted: the onset, at 0.5 px in truth
     lasting_px: float = 1.5  # a slide that goes on so far is slip
     pause_ms: int = 3  # with pauses of so many slices
     search_ms: int = 200  # a slip began so long before at most
@@ -49,10 +49,10 @@ class EventFlowConstants:
     follows: float = -3.1  # ... and so much for each pixel that a dot goes with a pixel of the object ...
     speed: float = 1.35  # ... and so much for each e-fold of the speed against the gel in px/ms
     most: float = 3.0  # log odds of a single slice, either way
-    trust: float = 0.55  # power of the posterior: slices share their mistakes ...
+    trust: float = 0.45  # power of the posterior: slices share their mistakes ...
     doubtful_trust: float = 0.1  # ... the more where the interval is wide, which it makes wider still
     outside: float = 0.03  # share of the posterior on either side of the interval
-    widest_px: float = 1.3  # in a wider interval the label abstains
+    widest_px: float = 1.2  # in a wider interval the label abstains
     least_confidence: float = 0.5  # and where fewer of the slices after the onset slip
     look_ahead_ms: int = 4  # relative flow is summed over so many slices
     seen_slide_px: float = 10.0  # of a slide beyond, the window's events are no measure: relative flow is NaN

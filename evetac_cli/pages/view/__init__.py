@@ -26,7 +26,7 @@ from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of
-from evetac_cli.store.recordings.onset import labelled_onset
+from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 
 
 def run(
@@ -130,7 +130,7 @@ def _label_notes(trial: OpenTrial) -> list[str]:
         return []
     made = trial.labels.header["parameters"]
     notes = ["The labels were copied from the truth (simulated)."] if made.get("method") == "truth" else []
-    if made.get("method") == "person":
+    if made.get("method") == PERSON:
         notes.append(f"The labels are those of a person: {made.get('by')}.")
     return [*notes, *filter(None, [labelled_onset(trial.labels).in_words()])]
 

@@ -9,10 +9,9 @@ import numpy as np
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
-from evetac_cli.store.recordings.onset import labelled_onset
+from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 from evetac_cli.store.recordings.read import Recording, ramp_start
 
-METHOD_NAME = "person"
 METHOD = 1  # raised when what is written for the same verdict changes
 CANNOT_TELL = "a person who looked at it cannot tell"
 LONGEST_NAME = 100
@@ -73,7 +72,7 @@ def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms
         "flow_pairs_computed": np.int64(0),
     }
     told = {**given, "can_tell": verdict.can_tell, "after_ms": after_ms}
-    parameters = {"method": METHOD_NAME, "by": by, **told, "replaced": replaced}
+    parameters = {"method": PERSON, "by": by, **told, "replaced": replaced}
     header = write_stage(labels, Recipe("labels", METHOD, parameters, parents=(recording.header,)), arrays)
     before = replaced[-1]["onset_slice"] if replaced else -1
     return {

@@ -55,6 +55,7 @@ from evetac_cli.stages.train.plan import group_parameters, series_bytes, state_f
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
+from evetac_cli.store.recordings.onset import PERSON, is_unsure
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining
@@ -231,7 +232,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
     settings, adapted = _settings(params)
     architecture = named_architecture(settings.model)
-    headers, shapes, memory_bytes, know_truth, slip = [], [], [], [], []
+    headers, shapes, memory_bytes, know_truth, slip, unsure = [], [], [], [], [], []
     for number, path in enumerate(job.inputs):
         progress(number, len(job.inputs), "files looked at")
         with StageFile(path, "features") as file:
@@ -240,6 +241,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             memory_bytes.append(series_bytes(file, architecture))
             know_truth.append(any(map(file.has, TRUE_SLIP_SHARES)))
             slip.append(not file.has("onset_slice") or int(file.read("onset_slice")) >= 0)
+            unsure.append(is_unsure(file))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
@@ -371,6 +373,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         labels=labels,
         learned_true_slip_share=_learned_truth(params, adapted) or None,
         trajectories=learn,
+        abstained=sum(unsure),
         validated_on=sum(len(fold.evaluated_on) for fold in folds),
         folds=params.folds,
         networks=settings.networks,
@@ -399,16 +402,17 @@ def _warning(model: Path) -> str | None:
 
 
 def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[bool]) -> str:
-    """The method that labelled the training files, `truth` included; InputError if they are labelled differently.
+    """The methods that labelled the training files, `truth` included; InputError if they are labelled differently.
 
     Files in which nothing slips may be labelled otherwise, as when one knows that nothing did: no onset differs by it.
+    A person's labels go with those of any other method, which they correct, but not with copies of the truth.
     """
     methods: dict[str, Path] = {}
     for path, header, slips in zip(paths, headers, slip, strict=True):
         for ancestor in header["history"].values():
             if slips and ancestor["kind"] == "labels":
                 methods.setdefault(str(ancestor["parameters"].get("method", "farneback")), path)
-    if len(methods) > 1:
+    if len(methods) > 1 and (len(methods.keys() - {PERSON}) > 1 or "truth" in methods):
         (first, path), (other, elsewhere) = list(methods.items())[:2]
         raise InputError(
             "the files to train on are labelled by different methods",
@@ -416,7 +420,7 @@ def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[boo
             expected=f"{first} as in {path}",
             found=other,
         )
-    return next(iter(methods), "none")
+    return ", ".join(sorted(methods)) or "none"
 
 
 def _common_shape(paths: Sequence[Path], of_each: Sequence[tuple[int, ...]]) -> tuple[int, int]:

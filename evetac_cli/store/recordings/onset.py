@@ -7,6 +7,7 @@ import numpy as np
 from evetac_cli.store.files import StageFile
 
 UNSURE = "abstained"  # dataset of labels, and of features made from them
+PERSON = "person"  # method of labels that a person gave (`label --review`)
 
 
 class LabelledOnset(NamedTuple):

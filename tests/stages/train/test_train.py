@@ -366,6 +366,18 @@ def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path
         assert model_files.labelled_by(model.header) == "event-flow, truth"
 
 
+def test_labels_of_a_person_go_with_those_they_correct(trials: list[Path], tmp_path: Path) -> None:
+    """Assert that a training takes a person's labels beside a method's, not beside truth, and says both."""
+    mended = features_file(tmp_path, 10, method="person")
+    params = small(max_steps=5, validate=str(trials[0]))
+    (job,) = train.jobs([mended, trials[1]], params, tmp_path)
+    (row,) = train.run(job, params).rows
+    assert (row["labels"], row["abstained"]) == ("event-flow, person", 0)
+    (job,) = train.jobs([mended, features_file(tmp_path, 11, method="truth")], params, tmp_path / "mixed")
+    with pytest.raises(InputError, match="labelled by different methods"):
+        train.run(job, params)
+
+
 def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:
     """Assert that --object keeps the files of these objects alone, and that none of them is an error."""
     (job,) = train.jobs(trials, Train(objects="2"), tmp_path)
