@@ -94,7 +94,7 @@ class Train:
         None,
         "Choose the lowest threshold at which alarms come at most so often where nothing slips, in the files that"
         " validate: at least 200 ms from slip, or in trials without any. Default: 1, and for preset paper the paper's"
-        " rule, the best mean of timing and F1.",
+        " rule, the best mean of timing and F1; that, too, where there are less than 5 minutes of them.",
         unit="1/min",
         low=0.0,
         high=300.0,

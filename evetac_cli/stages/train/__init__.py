@@ -50,6 +50,7 @@ from evetac_cli.stages.model_files import (
 )
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
+from evetac_cli.stages.train import validating
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
 from evetac_cli.stages.train.plan import group_parameters, series_bytes, state_file
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
@@ -63,7 +64,6 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 OUTPUT = "model"
 METHOD = 8
 VALIDATE_EVERY = 8
-LEAST_MINUTES = 5.0  # without slip: with fewer, one alarm per minute is five alarms or fewer
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
 
 
@@ -160,11 +160,11 @@ def _few(validated_on: int) -> str:
 
 def _short(minutes: float) -> str:
     """What is said where false alarms are counted in too short a time to choose a threshold by; nothing elsewhere."""
-    if minutes >= LEAST_MINUTES:
+    if minutes >= validating.LEAST_MINUTES:
         return ""
     return (
         f"false alarms are counted in {minutes:.1f} minutes without slip: too few to say how often they come; add to"
-        f" --validate {LEAST_MINUTES:g} minutes or more in which fingers open, push or shake and nothing slips"
+        f" --validate {validating.LEAST_MINUTES:g} minutes or more in which fingers open or push and nothing slips"
     )
 
 
@@ -279,7 +279,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     from evetac_cli.kernels.slip.detector import Detector
     from evetac_cli.stages.slip_detectors import predict, read_trajectory
     from evetac_cli.stages.train.networks import Networks
-    from evetac_cli.stages.train.validating import Validated
 
     log = log_folder(output) if params.log is not None else None
     if log is not None:
@@ -325,7 +324,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 for detector, of_detector in zip(detectors, predictions, strict=True):
                     of_detector.append(predict(detector, trajectory, headers[index], settings.horizon_ms))
-        validated = Validated.of(predictions, networks.preset, params.false_alarms_per_min)
+        validated = validating.Validated.of(predictions, networks.preset, params.false_alarms_per_min)
         choice = validated.choice
         layer = last_layer(architecture, *shape)
         last = [

@@ -1,7 +1,8 @@
 """What the trajectories that validate decide of a trained model: checkpoint, calibration, threshold.
 
 Every checkpoint that may be chosen is calibrated, unless the preset is the paper's; the checkpoint is chosen by the
-paper's rule. Its threshold is the lowest with few enough false alarms per minute, or the paper's.
+paper's rule. Its threshold is the lowest with few enough false alarms per minute, where there is time enough to count
+them in, or the paper's.
 
 Why so: thresholds that the paper's rule finds equally good, 0.7 and 0.95 of the first detector of evetac, warn 18 and 8
 ms ahead, and say nothing of how often they do so where nothing slips.
@@ -22,6 +23,7 @@ from evetac_cli.kernels.slip.warning_curve import WarningCurve
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset
 
+LEAST_MINUTES = 5.0  # without slip, to choose a threshold by: with fewer, one alarm per minute is less than five alarms
 FALSE_ALARMS_PER_MIN = 1.0  # where none are named, as the warnings of all detectors are compared
 
 
@@ -41,8 +43,8 @@ class Validated:
     def of(cls, checkpoints: Sequence[Sequence[Prediction]], preset: "Preset", per_min: float | None) -> "Validated":
         """From what the checkpoints predict for the trajectories that validate; per_min: of false alarms, as named.
 
-        InputError where a number is named and there is no slice to count false alarms in; where none is, the paper's
-        rule is taken then.
+        Where none are named and there are few minutes to count them in, the paper's rule is taken. InputError where a
+        number is named and there is no slice to count in.
         """
         calibrations = [_calibration(predictions) if preset.calibrated else None for predictions in checkpoints]
         calibrated = [
@@ -60,7 +62,7 @@ class Validated:
                 found="none",
                 hint="name such trials with --validate, or leave the option out",
             )
-        if curve.minutes and (per_min is not None or preset.calibrated):
+        if per_min is not None or (preset.calibrated and curve.minutes >= LEAST_MINUTES):
             threshold = curve.threshold_for(FALSE_ALARMS_PER_MIN if per_min is None else per_min)
             detected_share, slip_share = metrics.shares(chosen, threshold)
             choice = choice._replace(threshold=threshold, detected_share=detected_share, slip_share=slip_share)

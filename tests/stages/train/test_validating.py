@@ -67,7 +67,7 @@ def model(trials: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     held.mkdir()
     for path in trials[4:]:
         (held / path.name).symlink_to(path)
-    output, _ = run_stage(train, trials[:4], params(trials, validate=str(held)), folder)
+    output, _ = run_stage(train, trials[:4], params(trials, validate=str(held), false_alarms_per_min=1.0), folder)
     return output
 
 
@@ -152,8 +152,8 @@ def steady(probability: NDArray[np.floating], onset: int = -1) -> Prediction:
 
 
 def some() -> list[Prediction]:
-    """A slip of which 0.6 is said at its onset and 0.9 later, and a minute without slip of which 0.7 is said twice."""
-    slip, quiet = np.full(500, 0.02), np.full(60_000, 0.02)
+    """A slip of which 0.6 is said at its onset and 0.9 later; six minutes without slip, of which 0.7 is said twice."""
+    slip, quiet = np.full(500, 0.02), np.full(360_000, 0.02)
     slip[400:], slip[405:] = 0.6, 0.9
     quiet[1000:1003], quiet[9000:9003] = 0.7, 0.7
     return [steady(slip, 400), steady(quiet)]
@@ -161,11 +161,11 @@ def some() -> list[Prediction]:
 
 def test_the_papers_preset_keeps_the_papers_rule() -> None:
     """Assert that preset paper is not calibrated and has the best mean of timing and F1, unless a number is named."""
-    paper, named = Validated.of([some()], PAPER, None), Validated.of([some()], PAPER, 1.0)
+    paper, named = Validated.of([some()], PAPER, None), Validated.of([some()], PAPER, 0.1)
     assert paper.calibrations == named.calibrations == [None]
     assert paper.choice.threshold < 0.6 < 0.7 < named.choice.threshold < 0.9
-    assert paper.curve.at(paper.choice.threshold)[0] == pytest.approx(2, rel=0.01)
-    ours = Validated.of([some()], ADAM, None)
+    assert paper.curve.at(paper.choice.threshold)[0] == pytest.approx(2 / 6, rel=0.01)
+    ours = Validated.of([some()], ADAM, 0.1)
     assert ours.curve.at(ours.choice.threshold)[0] == 0.0
     assert ours.figures()["calibrated"] is True
 
@@ -183,7 +183,13 @@ def test_the_papers_rule_means_the_same_once_calibrated() -> None:
 
 
 def test_without_quiet_slices_the_papers_rule_is_taken_and_a_number_refused() -> None:
-    """Assert so for trials that are near slip throughout."""
+    """Assert so for trials that are near slip throughout, and the rule alone where there are a few minutes."""
+    few = [some()[0], replace(some()[1], probability=some()[1].probability[:9100], label=some()[1].label[:9100])]
+    plain, ours = Validated.of([few], PAPER, None), Validated.of([few], ADAM, None)
+    assert 0.1 < ours.curve.minutes < 5
+    assert ours.choice.score == plain.choice.score
+    assert ours.choice.detected_share == plain.choice.detected_share > 0
+    assert Validated.of([few], ADAM, 1.0).choice.threshold > ours.choice.threshold
     near = [steady(np.linspace(0, 1, 300), 150)]
     assert Validated.of([near], ADAM, None).figures()["false_alarms_per_min"] is None
     with pytest.raises(InputError, match="cannot be counted"):
