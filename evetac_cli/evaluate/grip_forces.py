@@ -5,13 +5,15 @@ Rows are grasps, as `evaluate grasp` and scripts have them: their `setting` or l
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.evaluate import picture
 from evetac_cli.jobs import Row, Rows
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 
 CLASSES_G = ((30.0, 100.0), (100.0, 250.0), (250.0, 600.0))
 STAYED_MM = 3.0  # an object that moved less has stayed where it was
@@ -69,16 +71,27 @@ def _quantile(values: Sequence[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
-def draw(figure: Any, trials: Mapping[str, Rows], series: Any) -> Any:
-    """Grip force at the end against what just holds, of the held grasps of each setting, with the line between both.
+def draw(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
+    """Grip force at the end against weight, with what just holds each object; number of series, setting, held trials.
 
-    series: style of the series of a number. Returns the axes.
+    Both on logarithmic axes: proportion is a slope of 1.
     """
     axes = figure.subplots()
-    shown = {
-        name: [row for row in rows if row["balanced"] and row.get("holding_end_n")] for name, rows in trials.items()
-    }
-    for number, (name, rows) in enumerate(shown.items()):
-        x = [row["carried_g"] for row in rows]
-        axes.plot(x, [row["force_end_n"] for row in rows], label=name, **{**series(number), "linestyle": "none"})
-    return axes
+    weights_n, holding_n = [], []
+    for number, name, trials in settings:
+        x_n = [row["carried_g"] * 1e-3 * GRAVITY_M_S2 for row in trials]
+        weights_n += x_n
+        holding_n += [row["holding_end_n"] for row in trials]
+        style = {**picture.series(number), "linestyle": "none"}
+        axes.plot(x_n, [row["force_end_n"] for row in trials], label=f"controller {name}", **style)
+    axes.plot(weights_n, holding_n, "_", color="0.35", markersize=10, label="what just holds that object")
+    middle = float(np.median(np.array(holding_n) / np.array(weights_n)))
+    ends = np.array([min(weights_n), max(weights_n)])
+    axes.plot(ends, middle * ends, color="0.35", linewidth=1, label="... at the friction in the middle")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        picture.log_axis(axis)
+    axes.set_xlabel("weight carried at the end [N]")
+    axes.set_ylabel("grip force at the end [N]")
+    axes.legend(fontsize="small")

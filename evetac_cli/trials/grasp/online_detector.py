@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.errors import MAKE_MODEL, InputError
-from evetac_cli.events import Events
+from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
@@ -26,6 +26,7 @@ from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
+from evetac_cli.trials.grasp.online_sticking import OnlineSticking
 
 
 def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.bool_]:
@@ -65,6 +66,7 @@ class OnlineSlipDetector:
     threshold: float
     count: int = 0  # slices with slip so far: what the controller reads
     probability: float = float("nan")
+    sticking: OnlineSticking | None = None  # for a law that asks what sticks
 
     @classmethod
     def start(
@@ -94,27 +96,42 @@ class OnlineSlipDetector:
         """Slip probability after one more slice; NaN until the history is full."""
         self.probability = self.live.step(events.x, events.y, events.p)
         self.count += is_slip(self.probability, self.threshold)
+        if self.sticking is not None:
+            self.sticking.step(self.tracking.dot_xy_px, self.tracking.lost != 0)
         return self.probability
 
     @property
     def signal(self) -> SlipSignal:
-        """The signal to the controller after the last slice, with the mean displacement of all dots in px."""
-        x_px, y_px = tracker.mean_displacement_px(self.live.tracking.record)
-        return SlipSignal(self.count, self.probability, x_px, y_px)
+        """The signal to the controller after the last slice, with how far all dots have moved."""
+        record = self.live.tracking.record
+        told = SlipSignal(self.count, self.probability, *tracker.mean_displacement_px(record))
+        if self.sticking is None:
+            return told
+        return told._replace(turn_px=tracker.turn_px(record), sticking_share=self.sticking.share)
 
 
 def open_detector(
-    model: StageFile, sensor: Mapping[str, Any], constants: presets.TrackerConstants, threshold: float
+    model: StageFile,
+    sensor: Mapping[str, Any],
+    constants: presets.TrackerConstants,
+    threshold: float,
+    *,
+    sticking: bool = False,
 ) -> OnlineSlipDetector:
     """The detector of a model, for a sensor with these datasets `sensor/...`, with a threshold other than its own.
 
-    constants: of the tracker, for dots of the usual size. InputError if the model is for another dot grid.
+    constants: of the tracker, for dots of the usual size; sticking: whether it tells what sticks, too. InputError if
+    the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
     detector = OnlineSlipDetector.start(
         model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
     )
     detector.threshold = threshold
+    if sticking:
+        width_px, height_px = (int(side) for side in sensor.get("sensor/frame_px", FRAME_PX))
+        detector.sticking = OnlineSticking(detector.tracking.rest_xy_px, (width_px, height_px))
+        tracker.turn_px(detector.tracking.record)  # as above
     return detector
 
 
