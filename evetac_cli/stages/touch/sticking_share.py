@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels.touch import dot_field, sticking
+from evetac_cli.kernels.touch import dot_field, rest, sticking
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.sticking import StickingState
 from evetac_cli.kernels.touch.touch_map import BEGINS, ENDS, apart_rms
@@ -32,6 +32,7 @@ class StickingShare:
         noise = DotNoise(TRACKER_PX * MM_PER_PX, DRIFT_PX * MM_PER_PX)
         self._own_mm = noise.own_mm
         self._touches = False
+        self._slices = 0
         self._state: StickingState | None = None
         if np.count_nonzero(np.isfinite(self._rest_mm).all(axis=1)) >= dot_field.LEAST_DOTS:
             self._state = sticking.start(self._rest_mm, sticking_network.shipped(), noise)
@@ -42,13 +43,16 @@ class StickingShare:
             return self.share
         # as tracks are stored, so that a live dot and one from a file are the same
         dot_mm = (np.asarray(dot_xy_px, np.float32) - self._middle_px) * MM_PER_PX
-        moved = dot_mm - self._rest_mm
         gone: Flags = np.asarray(lost) != 0
-        trusted = np.isfinite(moved[:, 0]) & np.isfinite(moved[:, 1]) & ~gone
-        if np.count_nonzero(trusted) < LEAST_TOUCHED:
-            touches = False
-        else:
-            limit = (ENDS if self._touches else BEGINS) * self._own_mm
-            touches = self._touches = apart_rms(moved[trusted]) > limit
-        self.share = sticking.step(self._state, dot_mm, gone, touches).sticking_share
+        self._slices += 1
+        if self._slices % rest.BLOCK_MS == 0:  # as often as the network looks
+            self._touches = self._is_touched(dot_mm, gone)
+        self.share = sticking.step(self._state, dot_mm, gone, self._touches).sticking_share
         return self.share
+
+    def _is_touched(self, dot_mm: Floats, lost: Flags) -> bool:
+        moved = dot_mm - self._rest_mm
+        trusted = np.isfinite(moved[:, 0]) & np.isfinite(moved[:, 1]) & ~lost
+        if np.count_nonzero(trusted) < LEAST_TOUCHED:
+            return False
+        return apart_rms(moved[trusted]) > (ENDS if self._touches else BEGINS) * self._own_mm
