@@ -54,6 +54,13 @@ class Grasp(Devices, Trials):
     gain: float = parameter(
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
     )
+    grip_margin: float = parameter(
+        1.3,
+        "How many times the force that is needed load-proportional aims at; others have none.",
+        low=1.0,
+        high=5.0,
+        panel=GRIP,
+    )
     latency_ms: int = parameter(
         0, "The slip signal reaches the controller so much later.", unit="ms", low=0, high=1000, panel=GRIP
     )

@@ -7,9 +7,11 @@ one: a column is an object with a gain. The paper's figures stand beside.
 
 Balance counts the trials that lifted, as in the paper; `success` is both phases. How far an object moved, the
 force on it and how far the gripper opened again are means (or medians) over the trials that held it to the end: an
-object that fell has moved by any distance.
+object that fell has moved by any distance. Force over what just holds, and whether it follows weight, are those of
+grip_forces.py.
 """
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,10 +21,11 @@ import numpy as np
 from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import paper, picture, report, report_job
+from evetac_cli.evaluate import grip_forces, paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.kernels.grip.load_proportional import MARGIN
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.store.files import StageFile
@@ -30,7 +33,7 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only where they differ
 MEANS = (
     "opening_after_lift_ticks",
@@ -42,7 +45,7 @@ MEANS = (
 
 Lines = list[tuple[int, dict[str, Any]]]  # of the picture, from the top down: number and row
 
-WIDTH_IN = 13.0
+WIDTH_IN, FORCES_IN = 13.0, 4.5  # of the picture, and the height of its part on force against weight
 PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
 MOST_SETTINGS = 8  # marks that can be distinguished
 # Column of the rows by object, that of the trials behind it, if any, and words.
@@ -106,11 +109,17 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     planned = header["parameters"]
     plan = read_plan(planned, str(path))
     with StageFile(path, "recording") as recording:
-        rows = {name: recording.read(name) for name in grasp_outcome.NEEDED}
+        known = [name for name in (*grasp_outcome.NEEDED, grasp_outcome.HOLDING) if recording.has(name)]
+        rows = {name: recording.read(name) for name in known}
+        mass_g = 1e3 * json.loads(recording.read("truth/sampled_parameters"))["mass_kg"]
         nodes = slip_grid.nodes_of(recording)
     seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
-    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds))
-    names = {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name}
+    newton_per_ma = plan.sensor.gripper.force_per_current_n_ma
+    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds), newton_per_ma)
+    drop = plan.scene.drop
+    if drop is not None and plan.scene.time.touch_s + planned["lift_s"] + drop.after_s < seconds:
+        mass_g += drop.mass_g
+    names = {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, "carried_g": mass_g}
     return {**names, **figures, slip_grid.COLUMN: nodes}
 
 
@@ -120,6 +129,9 @@ def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
     chosen = {name: planned.get(name, usual) for name, usual in USUAL.items()}
     if chosen["gain"] != 1.0:
         words.append(f"gain {chosen['gain']:g}")
+    margin = planned.get("law", {}).get("margin", MARGIN) if planned["controller"] == "load-proportional" else MARGIN
+    if margin != MARGIN:
+        words.append(f"margin {margin:g}")
     if plan.scene.name != "lift":
         words.append(plan.scene.name)
     if plan.sensor_name != "evetac":
@@ -146,8 +158,13 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
         row = {"setting": name, "columns": len(columns), **figures(members)}
         row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
+        row |= {key: value for key, value in grip_forces.firmness(members).items() if key not in ("grasps", "kept")}
         whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
-    shares = {f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")}
+    shares: dict[str, Any] = {
+        f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")
+    }
+    follows = [(row["setting"], row["force_follows_weight"]) for row in whole]
+    shares["force_follows_weight"] = ", ".join(f"{name} {value:.2f}" for name, value in follows if value is not None)
     return [*whole, *objects, *trials], {"grasps": len(trials), **shares}
 
 
@@ -201,7 +218,8 @@ def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
     lines, shown = _lines(_by_object(rows))
     styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
     legend_in = picture.legend_height_in([*shown, INTERVAL, *styles], WIDTH_IN)
-    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + legend_in
+    forces_in = FORCES_IN if _weighed(rows, shown) else 0.0
+    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + legend_in + forces_in
 
 
 def _by_object(rows: Rows) -> Rows:
@@ -220,7 +238,25 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
     return lines, shown
 
 
+def _weighed(rows: Rows, shown: Sequence[str]) -> dict[str, Rows]:
+    """The trials of each setting that is drawn, of those of which force can be held against weight; {} for none."""
+    trials = [row for row in rows if "file" in row and row["balanced"] and row.get("holding_end_n")]
+    named = {name: [row for row in trials if without_gain(row["setting"]) == without_gain(name)] for name in shown}
+    return {name: members for name, members in named.items() if members}
+
+
 def _draw(figure: Any, rows: Rows, source: Source) -> None:
+    """A line for every setting of every object, and below it grip force against weight where that is known."""
+    shown = _lines(_by_object(rows))[1]
+    weighed = _weighed(rows, shown)
+    if weighed:
+        height_in = figure.get_size_inches()[1]
+        figure, below = figure.subfigures(2, 1, height_ratios=(height_in - FORCES_IN, FORCES_IN))
+        grip_forces.draw(below, [(shown.index(name), name, members) for name, members in weighed.items()])
+    _draw_lines(figure, rows, source)
+
+
+def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
     """A line for every setting of every object: share of trials, then figures of the trials that held their object."""
     by_object = _by_object(rows)
     lines, shown = _lines(by_object)

@@ -54,7 +54,7 @@ class SharedStatus:
     def _attach(self) -> None:
         memory = memoryview(self._block).cast("B")
         self._rung_slips = 0
-        self._status = SharedRow(memory, 0, f"q3dq3d{REMEMBERED}d")
+        self._status = SharedRow(memory, 0, f"q{len(SlipSignal._fields) - 1}dq3d{REMEMBERED}d")
         self._stop = SharedRow(memory, _STOP_AT, "q")
         self._recorder = SharedRow(memory, _RECORDER_AT, "d")
         self._controller = SharedRow(memory, _CONTROLLER_AT, "d")
@@ -82,10 +82,11 @@ class SharedStatus:
         row = self._status.read()
         if row is None:
             return None
-        slips, *displacement, slices, at_us, heard_us, zero_us = row[1][:8]
+        single = len(SlipSignal._fields) + 4
+        slips, *felt, slices, at_us, heard_us, zero_us = row[1][:single]
         known = min(int(slips), REMEMBERED)
-        slip_us = row[1][8 + REMEMBERED - known :]
-        return DetectorStatus(SlipSignal(int(slips), *displacement), int(slices), at_us, heard_us, zero_us, slip_us)
+        slip_us = row[1][single + REMEMBERED - known :]
+        return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
         """For the controller: where the fingers were read, and the goal that they were given."""

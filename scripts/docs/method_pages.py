@@ -48,8 +48,8 @@ LABELS = {
 CONTROLLERS = {
     "paper": "The paper's law. In balance it sets its reference at the first slip and closes at every slip.",
     "paper-reset": "The paper's law, read so that the reference is set anew at every slip.",
-    "load-proportional": "Ours: grips in proportion to the load, which the mean displacement of the dots shows; slip"
-    " tells how much of it is needed.",
+    "load-proportional": "Ours: grips in proportion to the load, which displacement and turn of the dots show; what"
+    " stops a slide and what a slow release shows tell how much of it is needed.",
     "none": "Stays where light contact ended: the paper's control experiment, without a detector.",
     "fixed:N": f"Closes N ticks, 1 to {MOST_FIXED_TICKS}, beyond light contact and stays, without a detector.",
 }

@@ -39,6 +39,14 @@ def row_of(setting: str = "paper", number: int = 11, *, lifted: bool = True, hel
         "force_lift_n": 1.4,
         "force_end_n": 1.0,
         "slip_events": 3,
+        "false_slip_events": 1,
+        "lost": "" if lifted and held else "fell in balance",
+        "carried_g": 100.0,
+        "holding_end_n": 0.5 if lifted and held else None,
+        "over_holding_end": 2.0 if lifted and held else None,
+        "over_holding_mean": 2.5 if lifted and held else None,
+        "over_holding_peak": 3.0 if lifted and held else None,
+        "motor_work_j": 0.02,
     }
     return {"setting": setting, "object": number, "file": "x.recording.h5", **figures, **more}
 
@@ -138,6 +146,7 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
     [
         ({}, "paper"),
         ({"controller": "load-proportional"}, "load-proportional"),
+        ({"controller": "load-proportional", "law": {"margin": 1.5}}, "load-proportional, margin 1.5"),
         ({"gain": 2.0}, "paper, gain 2"),
         (first_plan("drop-20g").parameters(), "paper, drop-20g"),
         (first_plan("lift", sensor="second", gel="closed").parameters(), "paper, second, closed gel"),
@@ -164,7 +173,8 @@ def test_the_picture() -> None:
     ):
         figure = Figure()
         evaluate_grasp._draw(figure, tables(trials)[0], Source(simulated=True))
-        assert len(figure.axes) == len(evaluate_grasp.PANELS)
+        weighed = any(row["balanced"] for row in trials)
+        assert len(figure.axes) == len(evaluate_grasp.PANELS) + weighed
 
 
 def test_a_table_of_a_real_grasp(made, tmp_path) -> None:

@@ -13,7 +13,7 @@ NUMBER = st.floats(-1e12, 1e12)
 
 @given(
     slips=st.integers(0, 2**40),
-    displacement=st.tuples(NUMBER, NUMBER, NUMBER),
+    displacement=st.tuples(*[NUMBER] * (len(SlipSignal._fields) - 1)),
     times=st.tuples(NUMBER, NUMBER, NUMBER),
     slices=st.integers(0, 2**40),
     slip_us=st.lists(NUMBER, max_size=REMEMBERED + 5),

@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import gripper
-from evetac_cli.sim.grasp_outcome import NEEDED, opening_mm, outcome
+from evetac_cli.sim.grasp_outcome import HOLDING, NEEDED, opening_mm, outcome
 
 MM_PER_PX = 0.03
 TOUCH_MS, LIFT_MS, END_MS = 100, 300, 500
@@ -24,12 +24,16 @@ def rows(**changes: Any) -> dict[str, Any]:
         "truth/table_gap_mm": np.where(np.arange(END_MS) < TOUCH_MS + 10, 0.0, 60.0),
         "truth/normal_force_n": np.full(END_MS, 1.5),
         "truth/object_xy_px": object_px,
+        "truth/visible_slip_share": np.where(np.abs(np.arange(END_MS) - 110) < 5, 0.5, 0.0),
+        "truth/closing_ticks": np.where(np.arange(END_MS) < LIFT_MS, 3.0, 1.0),
+        HOLDING: np.where(np.arange(END_MS) < LIFT_MS, 0.5, 1.0),
+        "gripper/current_ma": np.full(len(at_ms), -20.0),
         "gripper/position_ticks": np.select([at_ms < TOUCH_MS, at_ms < LIFT_MS], [200, 210], 206),
         "control/t_us": (at_ms + 1) * 1000,
         "control/phase": phase,
         "control/slip": np.isin(at_ms, (50, 120, 122, 140, 400)).astype(np.uint8),
     }
-    assert set(whole) == set(NEEDED)
+    assert set(whole) == {*NEEDED, HOLDING}
     return {**whole, **changes}
 
 
@@ -45,6 +49,33 @@ def test_a_grasp_that_holds() -> None:
     assert result["moved_mm"] == pytest.approx(MM_PER_PX * np.hypot(10, 5))
     assert result["force_end_n"] == 1.5
     assert result["slip_events"] == 3  # that of the contact phase is none; two slices on end are one
+    assert result["false_slip_events"] == 1  # that at 400 ms: those at 120 and 140 have slip at 105 to 114 behind them
+    assert result["lost"] == ""
+
+
+def test_force_over_what_just_holds() -> None:
+    """Assert the ratios from where the object leaves the table, by hand, and none where nothing is known or held."""
+    result = outcome(rows(), MM_PER_PX, END_MS)
+    assert result["holding_end_n"] == pytest.approx(1.0)
+    assert result["over_holding_end"] == pytest.approx(1.5)
+    hangs_ms = END_MS - TOUCH_MS - 10
+    light_ms = LIFT_MS - TOUCH_MS - 10
+    mean_n = (0.5 * light_ms + 1.0 * (hangs_ms - light_ms)) / hangs_ms
+    assert result["over_holding_mean"] == pytest.approx(1.5 / mean_n)
+    assert result["over_holding_peak"] == pytest.approx(1.5)
+    unknown = rows()
+    del unknown[HOLDING]
+    assert outcome(unknown, MM_PER_PX, END_MS)["over_holding_end"] is None
+    fallen = outcome(rows(**{"truth/table_gap_mm": np.zeros(END_MS)}), MM_PER_PX, END_MS)
+    assert fallen["over_holding_mean"] is None
+    assert fallen["lost"] == "stayed on the table"
+
+
+def test_work_of_the_motors() -> None:
+    """Assert the current's force times the way of both fingers, whichever way they move."""
+    way_m = 2.0 * gripper.metres_per_tick(gripper.gap_m(206))
+    result = outcome(rows(), MM_PER_PX, END_MS, newton_per_ma=0.3)
+    assert result["motor_work_j"] == pytest.approx(0.3 * 20.0 * way_m, rel=1e-2)
 
 
 def test_how_a_grasp_fails() -> None:
@@ -62,6 +93,7 @@ def test_how_a_grasp_fails() -> None:
     ):
         result = outcome(rows(**change), MM_PER_PX, END_MS)
         assert result["lifted"] == lifted
+        assert (result["lost"] == "fell in balance") == lifted
         assert not result["balanced"]
     assert not outcome(rows(), MM_PER_PX, END_MS + 1)["balanced"]  # it ended before its time
 

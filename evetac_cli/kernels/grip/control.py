@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 from evetac_cli.checks import check_range
 from evetac_cli.errors import EvetacError
 from evetac_cli.kernels.grip import load_proportional, paper
-from evetac_cli.kernels.grip.load_proportional import LoadLaw
+from evetac_cli.kernels.grip.load_proportional import MARGIN, Felt, LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase, GripLaw
 
 LAWS: dict[str, GripLaw | LoadLaw] = {
@@ -35,6 +35,8 @@ class SlipSignal(NamedTuple):
     probability: float = math.nan  # of slip, in the last slice
     mean_displacement_x_px: float = 0.0  # of all dots: a load cell (see load_proportional.py)
     mean_displacement_y_px: float = 0.0
+    turn_px: float = 0.0  # of all dots about their middle, in rms; from here on only for a law that asks for it
+    sticking_share: float = math.nan  # of the contact; NaN where nothing is felt
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class PluginLaw:
 
     method: ClassVar[int]
     needs_detector: ClassVar[bool] = True  # whether its goals depend on the slip detector at all
+    needs_sticking: ClassVar[bool] = False  # ... on the turn of the dots and on what sticks, too
 
     def start(self, control_hz: float) -> LawState:
         """The state before the first step; control_hz: how many there will be a second."""
@@ -82,11 +85,11 @@ class PluginLaw:
 Law = GripLaw | LoadLaw | FixedGrip | PluginLaw
 
 
-def make_law(name: str, gain: float = 1.0) -> Law:
+def make_law(name: str, gain: float = 1.0, margin: float = MARGIN) -> Law:
     """The law of a controller: paper, paper-reset, load-proportional, none, or fixed:N.
 
-    gain: K_p of the paper's law in balance, in multiples; the others have none. ValueError if there is no controller of
-    this name, or none with a gain.
+    gain: K_p of the paper's law in balance, in multiples; margin: how many times what is needed load-proportional aims
+    at; the others have none. ValueError if there is no controller of this name, or none with a gain or margin.
     """
     if name.startswith(FIXED):
         ticks = name.removeprefix(FIXED)
@@ -99,16 +102,25 @@ def make_law(name: str, gain: float = 1.0) -> Law:
         law = LAWS[name]
     else:
         raise ValueError(f"expected {', '.join(LAWS)}, none or fixed:N, found {name}")
-    if gain == 1.0:
-        return law
-    if not isinstance(law, GripLaw):
-        raise ValueError(f"a gain is for paper and paper-reset, found {name} with gain {gain:g}")
-    return replace(law, gain=gain)
+    if margin != MARGIN:
+        if not isinstance(law, LoadLaw):
+            raise ValueError(f"a margin is for load-proportional, found {name} with margin {margin:g}")
+        law = replace(law, margin=margin)
+    if gain != 1.0:
+        if not isinstance(law, GripLaw):
+            raise ValueError(f"a gain is for paper and paper-reset, found {name} with gain {gain:g}")
+        law = replace(law, gain=gain)
+    return law
 
 
 def uses_detector(law: Law) -> bool:
     """Whether the goals of a controller depend on the slip detector at all."""
     return law.needs_detector if isinstance(law, PluginLaw) else not isinstance(law, FixedGrip)
+
+
+def uses_sticking(law: Law) -> bool:
+    """Whether the goals of a controller depend on the turn of the dots and on the share that sticks."""
+    return law.needs_sticking if isinstance(law, PluginLaw) else isinstance(law, LoadLaw)
 
 
 @dataclass
@@ -145,15 +157,8 @@ class Control:
         self.slip = signal.slips > self._slips
         self._slips = signal.slips
         if isinstance(self.law, LoadLaw):
-            return load_proportional.step(
-                self._state,
-                phase,
-                self.slip,
-                (signal.mean_displacement_x_px, signal.mean_displacement_y_px),
-                position_ticks,
-                1.0 / self.control_hz,
-                self.law,
-            )
+            felt = Felt(self.slip, *signal[2:])
+            return load_proportional.step(self._state, phase, felt, position_ticks, 1.0 / self.control_hz, self.law)
         if isinstance(self.law, PluginLaw):
             return self._step_other(self.law, phase, signal, position_ticks)
         if isinstance(self.law, FixedGrip) and phase is not GraspPhase.CONTACT:

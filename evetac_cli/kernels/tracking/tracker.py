@@ -15,6 +15,7 @@ Why so:
   whose true radius is about 8 px; with dots of 15 px it loses them, as the code does.
 """
 
+import math
 from dataclasses import fields
 from math import inf, sqrt
 from typing import Any, NamedTuple
@@ -341,6 +342,32 @@ def mean_displacement_px(record: NDArray[np.void]) -> tuple[float, float]:
             y_px += centre_xy_px[i, 1] - rest_xy_px[i, 1]
             present += 1
     return x_px / present, y_px / present
+
+
+@njit(cache=True)
+def turn_px(record: NDArray[np.void]) -> float:
+    """How far all dots but the missing ones have turned about their middle, in rms; > 0 from right to down.
+
+    record: of a `TrackerState`.
+    """
+    state = record[0]
+    centre_xy_px, rest_xy_px = state["centre_xy_px"][:], state["rest_xy_px"][: state["dots"]]
+    x_px = y_px = 0.0
+    present = 0
+    for i in range(rest_xy_px.shape[0]):
+        if not np.isnan(rest_xy_px[i, 0]):
+            x_px += rest_xy_px[i, 0]
+            y_px += rest_xy_px[i, 1]
+            present += 1
+    x_px, y_px = x_px / present, y_px / present
+    moment = square = 0.0
+    for i in range(rest_xy_px.shape[0]):
+        if not np.isnan(rest_xy_px[i, 0]):
+            across, down = rest_xy_px[i, 0] - x_px, rest_xy_px[i, 1] - y_px
+            moment += across * (centre_xy_px[i, 1] - rest_xy_px[i, 1])
+            moment -= down * (centre_xy_px[i, 0] - rest_xy_px[i, 0])
+            square += across * across + down * down
+    return moment / math.sqrt(present * square) if square > 0.0 else 0.0
 
 
 def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:

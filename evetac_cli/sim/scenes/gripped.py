@@ -50,6 +50,7 @@ from evetac_cli.sim.setup.sensor import Sensor
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
 GONE_M = 0.02  # an object that slid this far is lost
 CLOSING_S, CLOSING_STEPS = 0.5, 10  # of a finger on what a ramp holds, before the trial begins
+LEAST_FRICTION = 1e-6  # below, what would hold an object is no finite force
 APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
 TEXTURE_PX = (1024, 1024)
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
@@ -100,6 +101,7 @@ class GraspSimulation:
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
+        self._pulls = 1.0  # the hand's motion and gravity, over gravity
         self._nearer_at_m = -1.0  # the indentation for which _nearer_m is
         self._nearer_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._seen = (self._nearer_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
@@ -170,9 +172,8 @@ class GraspSimulation:
         )
         self._friction_factor = friction_factor(sensor, nodes)
         self._pressure_law = pressure_law(sampled)
-        self._slip_limit_n = slip_limit_n(
-            sampled, self._curve, self._gaps, nodes, self._friction_factor, self._second, self._pressure_law
-        )
+        self._nodes_m = nodes
+        self._slip_limit_n = self._limit_n(sampled.mass_kg)
         start_n = self._scene.gripper.start_n
         if start_n is not None and start_n < self._slip_limit_n:
             raise ValueError(f"gripper.start_n: {start_n:g} N do not hold what slides below {self._slip_limit_n:.3g} N")
@@ -205,6 +206,7 @@ class GraspSimulation:
         self._pads = (self._gel,) if second_pad is None else (self._gel, second_pad)
         self._gel_slices = GelSlices(self._gel, self._solver, second_pad, timer)
         self._friction = friction_of(sampled)
+        self._friction_before = self._friction.static  # a scene may change it
         if self._kind == "ramp":
             self._close(second_pad)
             self._middle_m = self._gel.pose[:2].copy()
@@ -238,6 +240,18 @@ class GraspSimulation:
         starts_n = gripper.opening_push_n(self.drive, self.finger.force_n, rests=True)
         push_n = min(slides_n, starts_n)
         return push_n / self.drive.force_per_current_n_ma
+
+    def _limit_n(self, mass_kg: float) -> float:
+        """Normal force at which an object of this mass, sampled as the trial's in all else, slides or turns."""
+        return slip_limit_n(
+            replace(self.sampled, mass_kg=mass_kg),
+            self._curve,
+            self._gaps,
+            self._nodes_m,
+            self._friction_factor,
+            self._second,
+            self._pressure_law,
+        )
 
     def nodes_of_slip(self) -> float:
         """Half the wavelength of unstable slip at the slip limit, in nodes of the grid; infinity where it is stable."""
@@ -307,6 +321,7 @@ class GraspSimulation:
         if self._drop is not None and self.slices == self._drops_at:
             self._catch_weight()
         acceleration = self._hand.accelerate(self.slices)
+        self._pulls = max(1.0 + acceleration / GRAVITY_M_S2, 0.0)
         if self._kind == "lift":
             done = self._move_over_table(shares, force_n, acceleration)
         elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
@@ -410,6 +425,7 @@ class GraspSimulation:
         self._gel.twist[self._down] = speed + share * (self._drop.speed_m_s - speed)
         self._mass_kg += weight_kg
         self._gel.inertia[:2] = self._mass_kg
+        self._slip_limit_n = self._limit_n(self._mass_kg)
 
     def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float], acceleration: float) -> Slice:
         """With the table under the object: where it would sink into the table, the table carries it.
@@ -449,6 +465,19 @@ class GraspSimulation:
         self._lost_for = self._lost_for + 1 if gone else 0
         return bool(self._lost_for > self._time.after_lost_s / STEP_S)
 
+    @property
+    def carried_kg(self) -> float:
+        """Mass of the object, with a weight that fell on it."""
+        return self._mass_kg
+
+    @property
+    def holding_n(self) -> float:
+        """Normal force that just holds the object at this moment, were it hanging.
+
+        Against its weight, with a weight that fell on it, the moment of both, and the inertia of the hand's motion.
+        """
+        return self._slip_limit_n * self._pulls * self._friction_before / max(self._friction.static, LEAST_FRICTION)
+
     def truth(self) -> dict[str, Any]:
         """What only a simulation knows, at the end of the slice made last; schema paths."""
         moved_m = self._gel.pose[:2] - self._middle_m
@@ -463,4 +492,5 @@ class GraspSimulation:
         }
         if self._kind == "lift":
             row["truth/table_gap_mm"] = (self._table_m - self._fallen_m()) * 1e3
+            row["truth/holding_force_n"] = self.holding_n
         return row

@@ -67,7 +67,7 @@ class OnlineSlipDetector:
     live: Live
     alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
     probability: float = float("nan")
-    sticking: StickingShare | None = None  # for a network that learned with it
+    sticking: StickingShare | None = None  # for a network that learned with it, or a law that asks what sticks
     _told: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
 
     @classmethod
@@ -88,11 +88,17 @@ class OnlineSlipDetector:
         detector = load_detector(model)
         live = Live(detector, tracking, window_px, sensor, known)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now and not in the first slice
-        sticking = None
+        started = cls(live, alarms.start(chosen_threshold(model)))
         if "sticking" in detector.learned_extras:
-            sticking, first = (StickingShare(tracking.rest_xy_px) for _ in range(2))
-            first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now and not in the first slice
-        return cls(live, alarms.start(chosen_threshold(model)), sticking=sticking)
+            started.tell_what_sticks()
+        return started
+
+    def tell_what_sticks(self) -> None:
+        """Before the first slice: let the signal and the network know which share of the contact sticks."""
+        tracking = self.tracking
+        self.sticking, first = (StickingShare(tracking.rest_xy_px) for _ in range(2))
+        first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now and not in the first slice
+        tracker.turn_px(tracking.record)  # as well
 
     @property
     def threshold(self) -> float:
@@ -138,25 +144,36 @@ class OnlineSlipDetector:
 
     @property
     def signal(self) -> SlipSignal:
-        """The signal to the controller after the last slice, with the mean displacement of all dots in px."""
-        x_px, y_px = tracker.mean_displacement_px(self.live.tracking.record)
-        return SlipSignal(self.count, self.probability, x_px, y_px)
+        """The signal to the controller after the last slice, with how far all dots have moved."""
+        record = self.live.tracking.record
+        told = SlipSignal(self.count, self.probability, *tracker.mean_displacement_px(record))
+        if self.sticking is None:
+            return told
+        return told._replace(turn_px=tracker.turn_px(record), sticking_share=self.sticking.share)
 
 
 def open_detector(
-    model: StageFile, sensor: Mapping[str, Any], constants: presets.TrackerConstants, threshold: float | None = None
+    model: StageFile,
+    sensor: Mapping[str, Any],
+    constants: presets.TrackerConstants,
+    threshold: float | None = None,
+    *,
+    sticking: bool = False,
 ) -> OnlineSlipDetector:
     """The detector of a model, for a sensor with these datasets `sensor/...`, as a controller is told of slip.
 
     threshold: None for what `controller_threshold` chooses.
 
-    constants: of the tracker, for dots of the usual size. InputError if the model is for another dot grid.
+    constants: of the tracker, for dots of the usual size; sticking: whether it tells what sticks, too. InputError if
+    the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
     detector = OnlineSlipDetector.start(
         model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
     )
     detector.threshold = controller_threshold(model) if threshold is None else threshold
+    if sticking:
+        detector.tell_what_sticks()
     return detector
 
 

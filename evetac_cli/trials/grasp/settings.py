@@ -14,6 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
+from evetac_cli.kernels.grip.load_proportional import MARGIN
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
 from evetac_cli.stages.model_files import controller_threshold, require_useful
@@ -34,7 +35,8 @@ class DetectorModel:
     """The model of a slip detector, checked, and how it is run.
 
     header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: which probability
-    three slices on end have to reach, for the controller to be told of slip.
+    three slices on end have to reach, for the controller to be told of slip; sticking: whether it is told what sticks,
+    too.
     """
 
     path: Path
@@ -42,9 +44,10 @@ class DetectorModel:
     preset: str
     constants: TrackerConstants
     threshold: float
+    sticking: bool = False
 
     @classmethod
-    def of(cls, params: Grasp) -> "DetectorModel":
+    def of(cls, params: Grasp, *, sticking: bool = False) -> "DetectorModel":
         """The model that the flags name; InputError if it must not be run, or is of no use.
 
         Why so: asked before any device is touched, and a graph is better refused now than in the detector's process.
@@ -56,14 +59,15 @@ class DetectorModel:
             require_useful(model)
             header = model.header
             threshold = controller_threshold(model, params.slip_threshold, params.false_alarms_per_min)
-        return cls(path, header, params.tracker, presets.PRESETS[params.tracker], threshold)
+        constants = presets.PRESETS[params.tracker]
+        return cls(path, header, params.tracker, constants, threshold, sticking)
 
     def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:
         """The detector for a sensor with these datasets `sensor/...`; InputError if its file was replaced meanwhile."""
         with StageFile(self.path, "model") as model:
             if model.header["id"] != self.header["id"]:
                 raise InputError("the model was replaced since this command began", where=str(self.path))
-            return open_detector(model, sensor, self.constants, self.threshold)
+            return open_detector(model, sensor, self.constants, self.threshold, sticking=self.sticking)
 
     def require_dots(self, dot_xy_px: NDArray[np.float64]) -> None:
         """InputError for dots, at rest at (rows, columns, 2), that the model is not for."""
@@ -71,17 +75,20 @@ class DetectorModel:
             dots_for(model, dot_xy_px)
 
 
-def _law(name: str, gain: float) -> Law:
-    """The law of a controller, ours or a plug-in's; InputError if there is none of this name and gain."""
+def _law(name: str, gain: float, margin: float) -> Law:
+    """The law of a controller, ours or a plug-in's; InputError if there is none of this name, gain and margin."""
     law = plugins.find(plugins.CONTROLLERS, name, PluginLaw)
     if law is not None and gain != 1.0:
         raise InputError("a gain is for paper and paper-reset", where="--gain", found=f"{name} with gain {gain:g}")
+    if law is not None and margin != MARGIN:
+        found = f"{name} with margin {margin:g}"
+        raise InputError("a margin is for load-proportional", where="--grip-margin", found=found)
     if law is not None:
         return law
     try:
-        return grip_control.make_law(name, gain)
+        return grip_control.make_law(name, gain, margin)
     except ValueError as error:
-        where = "--controller" if gain == 1.0 else "--controller, --gain"
+        where = "--controller" + ", --gain" * (gain != 1.0) + ", --grip-margin" * (margin != MARGIN)
         more = "".join(f", or {other}" for other in plugins.usable(plugins.CONTROLLERS))
         raise InputError("unknown value", where=where, expected=f"{error}{more}".removeprefix("expected ")) from None
 
@@ -102,8 +109,9 @@ class GraspSettings:
     @classmethod
     def of(cls, params: Grasp) -> "GraspSettings":
         """As the flags say; InputError if there is no such controller, none with that gain, or no such model."""
-        law = _law(params.controller, params.gain)
-        detector = DetectorModel.of(params) if grip_control.uses_detector(law) else None
+        law = _law(params.controller, params.gain, params.grip_margin)
+        sticking = grip_control.uses_sticking(law)
+        detector = DetectorModel.of(params, sticking=sticking) if grip_control.uses_detector(law) else None
         lasts_s = params.lift_s, params.balance_s
         return cls(params.controller, params.gain, law, params.control_hz, params.latency_ms, *lasts_s, detector)
 

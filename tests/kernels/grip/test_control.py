@@ -18,8 +18,9 @@ from evetac_cli.kernels.grip.control import (
     SlipSignal,
     make_law,
     uses_detector,
+    uses_sticking,
 )
-from evetac_cli.kernels.grip.load_proportional import LoadLaw
+from evetac_cli.kernels.grip.load_proportional import Felt, LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
 
 CONTACT, LIFT, BALANCE = GraspPhase.CONTACT, GraspPhase.LIFT, GraspPhase.BALANCE
@@ -33,7 +34,9 @@ def test_names() -> None:
     assert make_law("paper", 2.0) == paper.GripLaw(gain=2.0)
     assert make_law("none") == FixedGrip(0)
     assert make_law("fixed:12") == FixedGrip(12)
+    assert make_law("load-proportional", margin=1.5) == LoadLaw(margin=1.5)
     assert [uses_detector(make_law(name)) for name in (*LAWS, "none", "fixed:3")] == [True] * 3 + [False] * 2
+    assert [name for name in (*LAWS, "none", "fixed:3") if uses_sticking(make_law(name))] == ["load-proportional"]
 
 
 @pytest.mark.parametrize("name", ["", "Paper", "fixed", "fixed:", "fixed:0", "fixed:-3", "fixed:1.5", "fixed:9999"])
@@ -48,6 +51,15 @@ def test_only_the_paper_has_a_gain(name: str) -> None:
     """Assert that a gain is refused where it would have no effect."""
     with pytest.raises(ValueError, match="gain"):
         make_law(name, 2.0)
+
+
+@pytest.mark.parametrize("name", ["paper", "none", "fixed:4"])
+def test_only_the_load_has_a_margin(name: str) -> None:
+    """Assert that a margin is refused where it would have no effect, and one out of range wherever it is asked for."""
+    with pytest.raises(ValueError, match="margin"):
+        make_law(name, margin=1.5)
+    with pytest.raises(ValueError, match="margin"):
+        make_law("load-proportional", margin=0.9)
 
 
 def test_slip_is_a_count_that_rose() -> None:
@@ -74,16 +86,16 @@ def test_the_paper_s_law_behind_its_name(name: str) -> None:
         assert control.x_ref_ticks == pytest.approx(state.x_ref, nan_ok=True)
 
 
-def test_load_proportional_gets_the_mean_displacement() -> None:
-    """Assert that it is given the mean displacement and the time of a step at its own rate."""
+def test_load_proportional_gets_what_is_felt() -> None:
+    """Assert that it is given displacement, turn and sticking share, and the time of a step at its own rate."""
     control, state = Control(make_law("load-proportional"), 250.0), load_proportional.start()
     for phase, signal, position in (
-        (CONTACT, SlipSignal(0, 0.0, 0.1, 0.2), 100),
-        (LIFT, SlipSignal(1, 0.9, 3.1, 0.2), 100),
-        (LIFT, SlipSignal(1, 0.1, 3.1, 0.3), 108),
+        (CONTACT, SlipSignal(0, 0.0, 0.1, 0.2, 0.3), 100),
+        (LIFT, SlipSignal(1, 0.9, 3.1, 0.2, 0.4, 0.9), 100),
+        (LIFT, SlipSignal(1, 0.1, 3.1, 0.3, 0.4, 0.8), 108),
     ):
         slip = signal.slips > 0 and position == 100
-        goal = load_proportional.step(state, phase, slip, signal[2:], position, 1 / 250, LoadLaw())
+        goal = load_proportional.step(state, phase, Felt(slip, *signal[2:]), position, 1 / 250, LoadLaw())
         assert control.step(phase, signal, position) == goal
     assert control.x_ref_ticks == state.wanted_ticks
 

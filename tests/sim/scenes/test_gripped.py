@@ -331,3 +331,21 @@ def test_a_texture_that_nobody_looks_at(sensor: str) -> None:
         assert one.keys() == other.keys()
         for key, value in one.items():
             np.testing.assert_array_equal(value, other[key], err_msg=key)
+
+
+def test_what_just_holds_follows_the_hand_and_the_weight() -> None:
+    """Assert weight over twice the friction for a round object at rest, more as the hand starts and a weight falls."""
+    world_ = world(11, name="drop-100g")
+    world_.step()
+    sampled = world_.sampled
+    rest_n = sampled.mass_kg * GRAVITY_M_S2 / (2 * sampled.static_friction)
+    if sampled.lever_m == 0.0:
+        assert world_.holding_n == pytest.approx(rest_n, rel=1e-6)
+    assert world_.truth()["truth/holding_force_n"] == world_.holding_n >= rest_n * (1 - 1e-6)
+    before_n, before_kg = world_.holding_n, world_.carried_kg
+    world_._pulls = 1.1
+    assert world_.holding_n == pytest.approx(1.1 * before_n)
+    world_._pulls = 1.0
+    world_._catch_weight()
+    assert world_.carried_kg == pytest.approx(before_kg + 0.1)
+    assert world_.holding_n > before_n

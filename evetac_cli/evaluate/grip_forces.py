@@ -1,0 +1,97 @@
+"""How firmly laws hold: grip force over what just holds the object, by class of mass, and whether it follows weight.
+
+Rows are grasps, as `evaluate grasp` and scripts have them: their `setting` or law, what sim/grasp_outcome.py says, and
+`carried_g`, what the gripper carried at the end. Force counts where the object was held to the end.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.evaluate import picture
+from evetac_cli.jobs import Row, Rows
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+
+CLASSES_G = ((30.0, 100.0), (100.0, 250.0), (250.0, 600.0))
+STAYED_MM = 3.0  # an object that moved less has stayed where it was
+
+
+def firmness(trials: Rows) -> Row:
+    """How many grasps of one law kept their object, with how much more force than just holds it; None where unknown."""
+    held = [row for row in trials if row["balanced"]]
+    known = [row for row in held if row.get("over_holding_end") is not None]
+    row: Row = {
+        "grasps": len(trials),
+        "kept": len(held) / len(trials),
+        "lost": ", ".join(f"{count} {how}" for how, count in Counter(_losses(trials)).most_common()),
+    }
+    for name in ("end", "mean", "peak"):
+        values = [one[f"over_holding_{name}"] for one in known]
+        row |= {
+            f"over_holding_{name}_median": _quantile(values, 0.5),
+            f"over_holding_{name}_p95": _quantile(values, 0.95),
+        }
+    for low, high in CLASSES_G:
+        values = [one["over_holding_end"] for one in known if low <= one["carried_g"] < high]
+        row[f"over_holding_end_p95_{low:g}_{high:g}_g"] = _quantile(values, 0.95)
+    row["force_follows_weight"] = rank_correlation(
+        [one["carried_g"] for one in known], [one["force_end_n"] for one in known]
+    )
+    row["stayed_share"] = float(np.mean([one["moved_mm"] < STAYED_MM for one in held])) if held else None
+    row["motor_work_j_median"] = _quantile([one["motor_work_j"] for one in held], 0.5)
+    reactions, false = (sum(one[name] for one in trials) for name in ("slip_events", "false_slip_events"))
+    return {**row, "reactions_mean": reactions / len(trials), "false_share": false / reactions if reactions else None}
+
+
+def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float | None:
+    """Spearman's rank correlation of two columns, equal values sharing their rank; None where it is not defined."""
+    if len(first) < 3:
+        return None
+    ranks = [_ranks(np.asarray(values, np.float64)) for values in (first, second)]
+    if any(np.ptp(each) == 0.0 for each in ranks):
+        return None
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
+
+
+def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ends = np.cumsum(counts)
+    ranks: NDArray[np.float64] = (ends - (counts - 1) / 2)[places]
+    return ranks
+
+
+def _losses(trials: Rows) -> list[str]:
+    return [str(row["lost"]) for row in trials if row["lost"]]
+
+
+def _quantile(values: Sequence[float], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
+
+
+def draw(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
+    """Grip force at the end against weight, with what just holds each object; number of series, setting, held trials.
+
+    Both on logarithmic axes: proportion is a slope of 1.
+    """
+    axes = figure.subplots()
+    weights_n, holding_n = [], []
+    for number, name, trials in settings:
+        x_n = [row["carried_g"] * 1e-3 * GRAVITY_M_S2 for row in trials]
+        weights_n += x_n
+        holding_n += [row["holding_end_n"] for row in trials]
+        style = {**picture.series(number), "linestyle": "none"}
+        axes.plot(x_n, [row["force_end_n"] for row in trials], label=f"controller {name}", **style)
+    axes.plot(weights_n, holding_n, "_", color="0.35", markersize=10, label="what just holds that object")
+    middle = float(np.median(np.array(holding_n) / np.array(weights_n)))
+    ends = np.array([min(weights_n), max(weights_n)])
+    axes.plot(ends, middle * ends, color="0.35", linewidth=1, label="... at the friction in the middle")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        picture.log_axis(axis)
+    axes.set_xlabel("weight carried at the end [N]")
+    axes.set_ylabel("grip force at the end [N]")
+    axes.legend(fontsize="small")

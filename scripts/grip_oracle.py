@@ -1,0 +1,77 @@
+"""A grip law that knows what no controller can: mass, friction and the force on the object, at every moment.
+
+It stands beside the laws as a bound of what a gripper of whole ticks and rubbing gear permits; it is no controller of
+`grasp`. At each step it wants `margin` times what just holds the object now, with what its motion adds, and pushes by
+what moves the finger from the force that there is. An object that slides is held by less friction, so it wants more
+until SETTLED_STEPS after nearly all of the contact has stopped. It knows nothing of what is to come.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from evetac_cli.kernels.grip.control import LawState, PluginLaw, SlipSignal
+from evetac_cli.kernels.grip.paper import GraspPhase
+from evetac_cli.sim.scenes.gripped import GraspSimulation
+
+NAME = "oracle"
+MARGIN = 1.3
+LIGHT_N = 0.1  # of light contact
+SHORT, LONG = 0.98, 1.04  # of what is wanted: it closes below, and opens above
+OPENS_TICKS = 0.5  # of push beyond what holds the finger: opens by pulses
+PAUSE_STEPS = 4  # after one, so that the finger rests and late commands have come
+SLIDES = 0.9  # of the contact slips
+SETTLED_STEPS = 50
+GAIN = 2.0  # ticks of push for each N that is lacking
+
+
+@dataclass
+class OracleState(LawState):
+    """Steps until the next pulse that opens, and until a slide is over."""
+
+    pause: int = 0
+    slides: int = 0
+
+
+@dataclass(frozen=True)
+class Oracle(PluginLaw):
+    """Holds with margin times what just holds the object of a simulation."""
+
+    simulation: GraspSimulation
+    margin: float = MARGIN
+    method: ClassVar[int] = 1
+    needs_detector: ClassVar[bool] = False
+
+    def start(self, control_hz: float) -> OracleState:
+        """The state before the first step."""
+        return OracleState()
+
+    def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
+        """One control step."""
+        assert isinstance(state, OracleState)
+        simulation = self.simulation
+        drive, force_n = simulation.drive, simulation.finger.force_n
+        sampled = simulation.sampled
+        slides = float(simulation.truth()["truth/slip_share"]) >= SLIDES
+        state.slides = SETTLED_STEPS if slides else max(state.slides - 1, 0)
+        falls = sampled.static_friction / sampled.kinetic_friction if state.slides else 1.0
+        wanted_n = LIGHT_N if phase is GraspPhase.CONTACT else self.margin * falls * simulation.holding_n
+        per_tick_n = drive.gain_ma_tick * drive.force_per_current_n_ma
+        holds = force_n / per_tick_n  # ticks of push that the force of the object takes
+        band = (drive.friction_n + drive.friction_share * force_n) / per_tick_n
+        state.pause -= 1
+        if force_n < SHORT * wanted_n:
+            ahead = holds + band + min(GAIN * (wanted_n - force_n), 10.0)
+            return position_ticks + math.floor(ahead) + 1
+        if force_n > LONG * wanted_n and state.pause <= 0:
+            state.pause = PAUSE_STEPS
+            return position_ticks + math.ceil(holds - band - min(GAIN * (force_n - wanted_n), 4.0)) - 1
+        return position_ticks + round(holds)
+
+
+def of_name(name: str, simulation: GraspSimulation) -> Oracle:
+    """The oracle of a name such as oracle:1.5; ValueError where it names no margin from 1 to 10."""
+    margin = float(name.partition(":")[2] or MARGIN)
+    if not 1.0 <= margin <= 10.0:
+        raise ValueError(f"expected a margin from 1 to 10, found {name}")
+    return Oracle(simulation, margin)

@@ -1,0 +1,252 @@
+"""Grasps of randomised objects by a grip law, in memory: what was lost, and force over what just holds.
+
+    python scripts/grip_trials.py --law load-proportional --seeds 0-99 --rows rows/grip --jobs 2
+    python scripts/grip_trials.py --law paper fixed:40 oracle --seeds 0-99 --rows rows/grip
+    python scripts/grip_trials.py --table --rows rows/grip
+
+A grasp is determined by law and seed. A seed draws the object (30 to 600 g, friction 0.3 to 1.2, shape, width, centre
+of mass up to 20 mm beside the fingers), its sensor (evetac, or a randomized one of the seed's number), the friction of
+the gear times 0.7 to 1.3, 0 to 6 ms from detector to controller, and a disturbance: none, a weight that falls on the
+object, a knock against the arm, or a hand that lifts it fast. Camera, tracker, detector and law are those of `grasp`;
+1.5 s of contact, 6 s of lift, 10 s of balance. Laws that use no detector are played without the camera, which changes
+nothing for them. Rows are JSON lines in FOLDER/LAW.jsonl, written as grasps end; those that are there are not played
+again. All of it simulated.
+
+`oracle` and `oracle:1.5` know mass, friction and the force on the object at every moment (grip_oracle.py).
+"""
+
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import grip_oracle
+import numpy as np
+from sticking_trials import without_camera
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.devices import Rig
+from evetac_cli.devices.simulated import SimulatedGripper, rig
+from evetac_cli.evaluate.grip_forces import firmness
+from evetac_cli.jobs import Row, Rows
+from evetac_cli.kernels.grip.control import Control, uses_detector
+from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.parts import untimed
+from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.setup.held import FallingWeight, HandJerk
+from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.store.recordings.trial_writer import TrialBuffer
+from evetac_cli.trials.grasp.loop import grasp_slices
+from evetac_cli.trials.grasp.settings import GraspSettings
+from evetac_cli.trials.trial import SimulatedTrial
+
+LIFT_S, BALANCE_S = 6.0, 10.0
+MASS_G, FRICTION, WIDTH_MM, HEIGHT_MM = (30.0, 600.0), (0.3, 1.2), (10.0, 95.0), (60.0, 200.0)
+LEVER_MM = 20.0
+# What no gripper should need: the force of the strongest grip of the RH-P12-RN(A) at the limit of its motor's current
+# that the paper's authors set is several times as large. A centre of mass that asks for more is drawn again.
+MOST_HOLDING_N = 20.0
+GEAR, LATENCY_MS = (0.7, 1.3), 6
+DISTURBANCES = ("none", "weight", "knock", "hand")
+CALLED = "drawn"
+STREAM = 41  # with the seed of a grasp: what draws it
+SHAPES: tuple[Literal["flat", "cylinder", "sphere"], ...] = ("flat", "cylinder", "sphere")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A grasp that a seed draws, but for the law."""
+
+    seed: int
+    plan: Plan
+    latency_ms: int
+    disturbance: str
+
+    def rig(self, *, camera: bool) -> Rig:
+        """Its devices; without a camera slices are empty."""
+        one = SimulatedTrial((), Path(), 0, self.seed, self.plan)
+        timer = untimed if camera else without_camera
+        return rig(self.plan, one.seeds(), timer, lift_s=LIFT_S, balance_s=BALANCE_S)
+
+
+def drawn(seed: int) -> Drawn:
+    """The grasp of a seed."""
+    rng = np.random.default_rng([STREAM, seed])
+    of_lever, of_disturbance = rng.spawn(2)
+    mass_g = float(np.exp(rng.uniform(*np.log(MASS_G))))
+    friction = float(rng.uniform(*FRICTION))
+    touched = TouchedObject(
+        shape=SHAPES[int(rng.integers(len(SHAPES)))],
+        static_friction=friction,
+        mass_g=mass_g,
+        width_mm=float(np.exp(rng.uniform(*np.log(WIDTH_MM)))),
+        height_mm=float(rng.uniform(*HEIGHT_MM)),
+    )
+    plan = first_plan("lift", "11", "evetac" if rng.random() < 0.5 else f"randomized:{seed}")
+    # friction is that of the object on this gel
+    touched = replace(touched, static_friction=friction / plan.sensor.static_friction_factor)
+    scene = plan.scene
+    gear, latency_ms = float(rng.uniform(*GEAR)), int(rng.integers(LATENCY_MS + 1))
+    varied = replace(scene.randomise, static_friction=(1.0, 1.0), mass=(1.0, 1.0), lever_mm=0.0)
+    scene = replace(scene, gripper=replace(scene.gripper, friction_factor=(gear, gear)), randomise=varied)
+    disturbance = DISTURBANCES[int(rng.integers(len(DISTURBANCES)))]
+    scene = _disturbed(scene, disturbance, mass_g, of_disturbance)
+    plan = replace(plan, scene=scene, called=CALLED)
+    while True:
+        lever_mm = float(of_lever.uniform(-LEVER_MM, LEVER_MM))
+        one = Drawn(seed, replace(plan, touched=replace(touched, lever_mm=lever_mm)), latency_ms, disturbance)
+        if _simulation(one.rig(camera=False)).holding_n <= MOST_HOLDING_N:
+            return one
+
+
+def _disturbed(scene: Any, disturbance: str, mass_g: float, rng: np.random.Generator) -> Any:
+    """The scene with what happens to the object on the way."""
+    if disturbance == "weight":
+        drop = FallingWeight(
+            mass_g=mass_g * float(rng.uniform(0.1, 0.5)),
+            after_s=float(rng.uniform(1.0, 6.0)),
+            speed_m_s=float(rng.uniform(0.0, 0.5)),
+        )
+        return replace(scene, drop=drop)
+    if disturbance == "knock":
+        jerk = HandJerk(
+            at_s=float(rng.uniform(4.0, 15.0)),
+            speed_mm_s=float(rng.uniform(10.0, 80.0)) * float(rng.choice([-1.0, 1.0])),
+            lasts_s=float(np.exp(rng.uniform(math.log(0.05), math.log(0.3)))),
+        )
+        return replace(scene, hand=replace(scene.hand, jerk=jerk))
+    if disturbance == "hand":
+        hand = replace(
+            scene.hand,
+            speed_mm_s=float(rng.uniform(40.0, 150.0)),
+            acceleration_mm_s2=float(np.exp(rng.uniform(math.log(300.0), math.log(3000.0)))),
+        )
+        return replace(scene, hand=hand)
+    return scene
+
+
+def _simulation(devices: Rig) -> GraspSimulation:
+    assert isinstance(devices.gripper, SimulatedGripper)
+    return devices.gripper.simulation
+
+
+def settings_of(law: str, latency_ms: int, margin: float | None) -> GraspSettings:
+    """Law, detector and timing, as the flags of `grasp` make them; of an oracle without the law."""
+    named = "none" if law.startswith(grip_oracle.NAME) else law
+    own = {} if margin is None or named != "load-proportional" else {"grip_margin": margin}
+    return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, lift_s=LIFT_S, balance_s=BALANCE_S, **own))
+
+
+def play(law: str, seed: int, margin: float | None = None) -> tuple[dict[str, Any], Row]:
+    """Rows of a grasp by their paths in a recording, without events, and what became of it."""
+    one = drawn(seed)
+    settings = settings_of(law, one.latency_ms, margin)
+    timing = settings.timing(one.plan.scene.time.touch_s)
+    camera = uses_detector(settings.law)
+    devices = one.rig(camera=camera)
+    buffer = TrialBuffer()
+    try:
+        simulation = _simulation(devices)
+        detector = None if settings.detector is None else settings.detector.open(devices.camera.sensor)
+        control = settings.control()
+        if law.startswith(grip_oracle.NAME):
+            control = Control(grip_oracle.of_name(law, simulation), timing.control_hz, law)
+        for _, rows in grasp_slices(devices, detector, control, timing):
+            buffer.append_rows(rows)
+    finally:
+        devices.close()
+    arrays = buffer.row_arrays()
+    sensor = one.plan.sensor
+    figures = grasp_outcome.outcome(arrays, sensor.mm_per_px, timing.end_ms, sensor.gripper.force_per_current_n_ma)
+    touched = one.plan.touched
+    assert touched is not None
+    return arrays, {
+        "law": law,
+        "seed": seed,
+        "margin": margin,
+        "sensor": one.plan.sensor_name,
+        "shape": touched.shape,
+        "mass_g": touched.mass_g,
+        "friction": simulation.sampled.static_friction,
+        "width_mm": touched.width_mm,
+        "lever_mm": touched.lever_mm,
+        "carried_g": simulation.carried_kg * 1e3,
+        "gear_friction": simulation.sampled.gear_friction_factor,
+        "latency_ms": one.latency_ms,
+        "disturbance": one.disturbance,
+        **figures,
+    }
+
+
+def _of_pair(pair: tuple[str, int, float | None]) -> Row:
+    return play(*pair)[1]
+
+
+def rows_in(path: Path) -> Rows:
+    """The rows of a file of JSON lines, none where there is no such file."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, margin: float | None = None) -> Rows:
+    """The rows of some grasps by a law, those that are not yet in its file first played and added to it."""
+    name = law.replace(":", "-") + ("" if margin is None else f"-margin-{margin:g}")
+    path = folder / f"{name}.jsonl"
+    there = {row["seed"] for row in rows_in(path)}
+    missing = [(law, seed, margin) for seed in seeds if seed not in there]
+    folder.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        for row in _each(missing, jobs):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            sys.stderr.write(f"{law} {row['seed']}: {row['lost'] or 'kept'}\n")
+    return [row for row in rows_in(path) if row["seed"] in set(seeds)]
+
+
+def _each(pairs: Sequence[tuple[str, int, float | None]], jobs: int) -> Iterator[Row]:
+    if jobs == 1 or len(pairs) < 2:
+        yield from map(_of_pair, pairs)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        yield from pool.imap_unordered(_of_pair, pairs)
+
+
+def main() -> None:
+    """Play what is missing, and print a table of all that the folder holds of these seeds."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--law", nargs="+", default=[], help="laws of --controller, or oracle[:MARGIN]")
+    parser.add_argument("--seeds", default="0-99", help="first and last, as in 0-99")
+    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows")
+    parser.add_argument("--grip-margin", type=float, help="of load-proportional, where not its default")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--table", action="store_true", help="print a table of the rows")
+    chosen = parser.parse_args()
+    first, _, last = chosen.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, chosen.grip_margin)]
+    if chosen.table and not chosen.law:
+        rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in seeds]
+    for row in summary(rows):
+        sys.stdout.write(json.dumps(row) + "\n")
+
+
+def summary(rows: Rows) -> Rows:
+    """A row for each law, with the margin that was asked of it."""
+    laws = dict.fromkeys((row["law"], row["margin"]) for row in rows)
+    return [
+        {
+            "law": law,
+            "margin": margin,
+            **firmness([row for row in rows if (row["law"], row["margin"]) == (law, margin)]),
+        }
+        for law, margin in laws
+    ]
+
+
+if __name__ == "__main__":
+    main()

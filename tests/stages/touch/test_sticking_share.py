@@ -1,0 +1,47 @@
+"""The share that sticks, told slice by slice: as kernels/touch/sticking.py tells it of the same dots."""
+
+import math
+
+import numpy as np
+
+from evetac_cli.kernels.touch import rest, sticking
+from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.stages.touch import sticking_network
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, MM_PER_PX, TRACKER_PX
+from evetac_cli.stages.touch.sticking_share import StickingShare
+
+X, Y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
+DOTS_PX = np.stack([X, Y], axis=-1).reshape(-1, 2)
+NOTHING_LOST = np.zeros(len(DOTS_PX), np.bool_)
+
+
+def pressed(slice_: int) -> np.ndarray:
+    """Dots that a touch moves apart from slice 20 on, and pulls along from slice 60 on."""
+    apart = (DOTS_PX - DOTS_PX.mean(axis=0)) * 0.01 * min(max(slice_ - 20, 0) / 20, 1.0)
+    near = np.exp(-0.5 * ((DOTS_PX - DOTS_PX.mean(axis=0)) ** 2).sum(axis=1) / 100.0**2)[:, None]
+    return DOTS_PX + apart + near * np.array([0.05, 0.0]) * max(slice_ - 60, 0)
+
+
+def test_as_the_kernel_tells_it() -> None:
+    """Assert no share before a touch, and then that of the kernel that is given the same dots and the same touch."""
+    online = StickingShare(DOTS_PX)
+    noise = DotNoise(TRACKER_PX * MM_PER_PX, DRIFT_PX * MM_PER_PX)
+    middle_px = np.array([320.0, 240.0])
+    state = sticking.start((DOTS_PX - middle_px) * MM_PER_PX, sticking_network.shipped(), noise)
+    shares = []
+    for slice_ in range(160):
+        at_px = pressed(slice_).astype(np.float32)  # as tracks are stored
+        shares.append(online.step(at_px, NOTHING_LOST))
+        told = sticking.step(state, (at_px - middle_px) * MM_PER_PX, NOTHING_LOST, online._touches)
+        assert shares[-1] == told.sticking_share or (math.isnan(shares[-1]) and math.isnan(told.sticking_share))
+    assert all(map(math.isnan, shares[:20]))
+    assert all(0.0 <= share <= 1.0 for share in shares[60 + rest.BLOCK_MS :])
+
+
+def test_too_few_dots_tell_nothing() -> None:
+    """Assert that neither few dots at rest nor few that are tracked are taken for more than they are."""
+    few = np.full_like(DOTS_PX, np.nan)
+    few[:3] = DOTS_PX[:3]
+    assert math.isnan(StickingShare(few).step(few, NOTHING_LOST))
+    online = StickingShare(DOTS_PX)
+    assert all(math.isnan(online.step(pressed(100), ~NOTHING_LOST)) for _ in range(20))
