@@ -67,8 +67,7 @@ class OnlineSlipDetector:
     live: Live
     alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
     probability: float = float("nan")
-    sticking: StickingShare | None = None  # for a network that learned with it, or a law that asks for it
-    _learned_sticking: bool = False  # else the network is not told of it
+    sticking: StickingShare | None = None  # for a network that learned with it, or a law that asks what sticks
     _told: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
 
     @classmethod
@@ -89,12 +88,17 @@ class OnlineSlipDetector:
         detector = load_detector(model)
         live = Live(detector, tracking, window_px, sensor, known)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now and not in the first slice
-        sticking = None
+        started = cls(live, alarms.start(chosen_threshold(model)))
         if "sticking" in detector.learned_extras:
-            sticking, first = (StickingShare(tracking.rest_xy_px) for _ in range(2))
-            first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now and not in the first slice
-        learned = sticking is not None
-        return cls(live, alarms.start(chosen_threshold(model)), sticking=sticking, _learned_sticking=learned)
+            started.tell_what_sticks()
+        return started
+
+    def tell_what_sticks(self) -> None:
+        """Before the first slice: let the signal and the network know which share of the contact sticks."""
+        tracking = self.tracking
+        self.sticking, first = (StickingShare(tracking.rest_xy_px) for _ in range(2))
+        first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now and not in the first slice
+        tracker.turn_px(tracking.record)  # as well
 
     @property
     def threshold(self) -> float:
@@ -136,8 +140,7 @@ class OnlineSlipDetector:
 
     def _tell(self) -> None:
         """Tell the network of the next slice what is known before it."""
-        share = float("nan") if self.sticking is None or not self._learned_sticking else self.sticking.share
-        self.live.tell(*self._told, share)
+        self.live.tell(*self._told, float("nan") if self.sticking is None else self.sticking.share)
 
     @property
     def signal(self) -> SlipSignal:
@@ -159,18 +162,18 @@ def open_detector(
 ) -> OnlineSlipDetector:
     """The detector of a model, for a sensor with these datasets `sensor/...`, as a controller is told of slip.
 
-    constants: of the tracker, for dots of the usual size; threshold: None for what `controller_threshold` chooses;
-    sticking: whether it tells what sticks, too. InputError if the model is for another dot grid.
+    threshold: None for what `controller_threshold` chooses.
+
+    constants: of the tracker, for dots of the usual size; sticking: whether it tells what sticks, too. InputError if
+    the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
     detector = OnlineSlipDetector.start(
         model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
     )
     detector.threshold = controller_threshold(model) if threshold is None else threshold
-    if sticking and detector.sticking is None:
-        detector.sticking = StickingShare(detector.tracking.rest_xy_px)
     if sticking:
-        tracker.turn_px(detector.tracking.record)  # compiles or loads it now and not in the first slice
+        detector.tell_what_sticks()
     return detector
 
 

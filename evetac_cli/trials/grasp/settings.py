@@ -35,7 +35,8 @@ class DetectorModel:
     """The model of a slip detector, checked, and how it is run.
 
     header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: which probability
-    three slices on end have to reach, for the controller to be told of slip; sticking: whether it is told what sticks.
+    three slices on end have to reach, for the controller to be told of slip; sticking: whether it is told what sticks,
+    too.
     """
 
     path: Path
@@ -58,7 +59,8 @@ class DetectorModel:
             require_useful(model)
             header = model.header
             threshold = controller_threshold(model, params.slip_threshold, params.false_alarms_per_min)
-        return cls(path, header, params.tracker, presets.PRESETS[params.tracker], threshold, sticking)
+        constants = presets.PRESETS[params.tracker]
+        return cls(path, header, params.tracker, constants, threshold, sticking)
 
     def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:
         """The detector for a sensor with these datasets `sensor/...`; InputError if its file was replaced meanwhile."""

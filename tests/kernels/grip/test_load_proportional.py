@@ -96,7 +96,7 @@ def test_without_a_slip_signal_the_lift_asks_the_load() -> None:
     world = World(4.0, 5.0, tells=False).follow(LIFT, 6.0)
     assert world.load_px == 4.0
     assert world.state.slid_on_table
-    assert world.grip_ticks < 1.5 * 20.0
+    assert world.grip_ticks < 2.0 * 20.0  # a probe beyond what stopped it, and what is held more in the lift
 
 
 def test_a_detector_that_cries_closes_by_a_bounded_share() -> None:
@@ -148,8 +148,8 @@ def test_more_weight_is_gripped_in_proportion() -> None:
 
 def test_a_larger_margin_holds_more_firmly() -> None:
     """Assert that the grip in the end is in proportion to the margin that is asked for."""
-    held = [World(6.0, 6.0, replace(LAW, margin=m)).follow(LIFT, 5.0).follow(BALANCE, 4.0) for m in (1.2, 1.5)]
-    assert held[1].state.needed / held[0].state.needed == pytest.approx(1.5 / 1.2, rel=0.05)
+    held = [World(6.0, 6.0, replace(LAW, margin=m)).follow(LIFT, 5.0).follow(BALANCE, 12.0) for m in (1.2, 1.5)]
+    assert held[1].state.ratio / held[0].state.ratio == pytest.approx(1.5 / 1.2, rel=0.05)
     assert held[1].grip_ticks > 1.1 * held[0].grip_ticks
 
 

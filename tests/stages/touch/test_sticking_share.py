@@ -1,4 +1,4 @@
-"""The share that sticks without a touch map: as kernels/touch/sticking.py tells it of the same dots."""
+"""The share that sticks, told slice by slice: as kernels/touch/sticking.py tells it of the same dots."""
 
 import math
 
@@ -30,9 +30,9 @@ def test_as_the_kernel_tells_it() -> None:
     state = sticking.start((DOTS_PX - middle_px) * MM_PER_PX, sticking_network.shipped(), noise)
     shares = []
     for slice_ in range(160):
-        at_px = pressed(slice_)
+        at_px = pressed(slice_).astype(np.float32)  # as tracks are stored
         shares.append(online.step(at_px, NOTHING_LOST))
-        told = sticking.step(state, (at_px.astype(np.float32) - middle_px) * MM_PER_PX, NOTHING_LOST, online._touches)
+        told = sticking.step(state, (at_px - middle_px) * MM_PER_PX, NOTHING_LOST, online._touches)
         assert shares[-1] == told.sticking_share or (math.isnan(shares[-1]) and math.isnan(told.sticking_share))
     assert all(map(math.isnan, shares[:20]))
     assert all(0.0 <= share <= 1.0 for share in shares[60 + rest.BLOCK_MS :])

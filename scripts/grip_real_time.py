@@ -1,0 +1,87 @@
+"""Grasps in real time on virtual devices beside the same grasps simulated: what became of both, and how late it was.
+
+    python scripts/grip_real_time.py --seeds 0-19 -o rows.jsonl
+
+A seed draws object and sensor as in grip_trials.py; the scene is `lift`, with the phases of these trials and without a
+disturbance. Each grasp is made twice by `evetac grasp` with one law, detector and threshold: with --camera virtual
+--gripper virtual, in processes that keep real time (a computer that is too slow makes the virtual world wait), and with
+--camera sim. Noise of camera and gripper differ, so that figures agree as those of two seeds do. A row is written as
+its grasps end; rows that are there are not made again. All of it simulated.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from grip_trials import BALANCE_S, LIFT_S, Drawn, drawn, rows_in
+
+from evetac_cli.evaluate.grasp import trial_row
+from evetac_cli.jobs import Row
+from evetac_cli.store.files import StageFile
+
+DEVICES = {"real_time": ("--camera", "virtual", "--gripper", "virtual"), "simulated": ("--camera", "sim")}
+SHOWN = ("balanced", "lost", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
+OBJECT_KEYS = ("static_friction", "mass_g", "width_mm", "height_mm", "lever_mm")
+
+
+def object_text(one: Drawn) -> str:
+    """The file of --object of a grasp's object."""
+    touched = one.plan.touched
+    assert touched is not None
+    numbers = [f"{key} = {getattr(touched, key)!r}" for key in OBJECT_KEYS]
+    return "\n".join((f'name = "drawn-{one.seed}"', f'shape = "{touched.shape}"', *numbers, ""))
+
+
+def lateness(file: StageFile) -> Row:
+    """How late slices were evaluated and steps begun in a recording, in us: median, 99th percentile, most."""
+    paths = {name: f"capture/{name}_late_us" for name in ("slice", "step")}
+    return {f"{name}_late_us": file.read(path).tolist() for name, path in paths.items() if file.has(path)}
+
+
+def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
+    """What became of one grasp with these devices; why there is nothing to tell where the command failed."""
+    (folder / "object.toml").write_text(object_text(one))
+    out = folder / f"{how}.recording.h5"
+    words = [
+        *("grasp", *DEVICES[how], "--controller", law, "--object", "object.toml", "--sensor", one.plan.sensor_name),
+        *("--lift-s", f"{LIFT_S:g}", "--balance-s", f"{BALANCE_S:g}", "--seed", str(one.seed), "-q", "-o", str(out)),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "evetac_cli", *words], cwd=folder, capture_output=True, text=True, check=False
+    )
+    if done.returncode or not out.exists():
+        return {"failed": done.stderr.strip()[-300:] or f"exit code {done.returncode}"}
+    with StageFile(out, "recording") as file:
+        late, header = lateness(file), file.header
+    row = trial_row(out, header)
+    return {**{name: row[name] for name in SHOWN}, **late}
+
+
+def main() -> None:
+    """Make what is missing, and say how many ended alike."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--law", default="load-proportional")
+    parser.add_argument("--seeds", default="0-19", help="first and last, as in 0-19")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a seed")
+    chosen = parser.parse_args()
+    first, _, last = chosen.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    known = {row["seed"] for row in rows_in(chosen.out) if row["law"] == chosen.law}
+    for seed in seeds:
+        if seed in known:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            both = {how: grasped(drawn(seed), chosen.law, how, Path(folder)) for how in DEVICES}
+        with chosen.out.open("a") as file:
+            file.write(json.dumps({"law": chosen.law, "seed": seed, **both}) + "\n")
+    rows = [row for row in rows_in(chosen.out) if row["law"] == chosen.law and row["seed"] in seeds]
+    made = [row for row in rows if not any("failed" in row[how] for how in DEVICES)]
+    alike = sum(row["real_time"]["balanced"] == row["simulated"]["balanced"] for row in made)
+    sys.stdout.write(f"{alike} of {len(rows)} grasps ended alike in real time and simulated\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""scripts/grip_trials.py: what a seed draws, and that rows are not made twice; scripts/grip_oracle.py."""
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+@pytest.fixture
+def trials(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The script as a module."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    return importlib.import_module("grip_trials")
+
+
+def test_a_seed_is_a_grasp(trials: Any) -> None:
+    """Assert that a seed draws the same grasp again, within the ranges that are told, and another seed another."""
+    for seed in (0, 3):
+        one = trials.drawn(seed)
+        assert one == trials.drawn(seed)
+        touched = one.plan.touched
+        assert trials.MASS_G[0] <= touched.mass_g <= trials.MASS_G[1]
+        assert abs(touched.lever_mm) <= trials.LEVER_MM
+        assert 0 <= one.latency_ms <= trials.LATENCY_MS
+        devices = one.rig(camera=False)
+        simulation = devices.gripper.simulation
+        assert trials.FRICTION[0] <= simulation.sampled.static_friction <= trials.FRICTION[1] + 1e-9
+        assert simulation.holding_n <= trials.MOST_HOLDING_N
+        devices.close()
+    assert trials.drawn(0) != trials.drawn(3)
+
+
+def test_rows_are_not_made_twice(trials: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a grasp whose row is there is not played, and that the row of another is added."""
+    asked = []
+
+    def play(law: str, seed: int, margin: float | None) -> tuple[dict, dict]:
+        asked.append(seed)
+        return {}, {"law": law, "seed": seed, "margin": margin, "lost": ""}
+
+    monkeypatch.setattr(trials, "play", play)
+    (tmp_path / "fixed-9.jsonl").write_text(json.dumps({"law": "fixed:9", "seed": 1}) + "\n")
+    rows = trials.played("fixed:9", range(3), tmp_path, 1)
+    assert asked == [0, 2]
+    assert sorted(row["seed"] for row in rows) == [0, 1, 2]
+    assert len((tmp_path / "fixed-9.jsonl").read_text().splitlines()) == 3
+
+
+def test_the_oracle_holds_by_its_margin(trials: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a light object is kept with little more than 1.5 times what just holds it; margins are refused."""
+    monkeypatch.setattr(trials, "LIFT_S", 4.0)
+    monkeypatch.setattr(trials, "BALANCE_S", 0.5)
+    _, row = trials.play("oracle:1.5", 23)
+    assert row["over_holding_end"] is None or row["over_holding_end"] == pytest.approx(1.5, rel=0.1)
+    assert row["force_end_n"] == pytest.approx(1.5 * 0.19, rel=0.15)
+    with pytest.raises(ValueError, match="margin"):
+        trials.grip_oracle.of_name("oracle:0.5", None)
