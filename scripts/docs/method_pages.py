@@ -39,7 +39,8 @@ TRAININGS = {
     "adapt": "Small steps from a trained network's weights to those for your sensor: what `train --adapt` takes.",
 }
 LABELS = {
-    "event-flow": "Ours, and the default: dots by the tracker, the object by events of its window; it knows its interval, and abstains.",
+    "event-flow": "Ours, and the default: dots by the tracker, the object by events of its window. Its onset has an"
+    " interval, and it abstains where that is wide.",
     "farneback": "The paper's: dense optical flow between event images of the window.",
     "dis": "Another optical flow (DIS) between the same images.",
     "event-count": "Many events in the window, no matter where: the simplest.",
