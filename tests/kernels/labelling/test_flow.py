@@ -174,3 +174,25 @@ def test_a_window_without_texture_is_refused() -> None:
 
     with pytest.raises(ValueError, match="texture: expected 20 events in an image of the window"):
         flow.label(between, 50, WINDOW, GEL, CONSTANTS)
+
+
+def test_an_interval_follows_from_threshold_and_look_ahead() -> None:
+    """Assert that 0.5 px below the threshold may go unseen before, and motion lies anywhere in the images after."""
+    labels = flow.label(moving(100, 0.5, 0.0), 160, WINDOW, GEL, CONSTANTS)
+    assert (labels.earliest, labels.latest) == (labels.onset - 7, labels.onset + 6)  # 4 * 0.5 / 0.3; 4 + 3 - 1
+    assert labels.earliest <= 100 <= labels.latest
+    assert labels.doubt == ""
+    late = flow.label(moving(100, 0.5, 0.0), 160, WINDOW, GEL, CONSTANTS, start=98)
+    assert late.earliest >= 98
+    none = flow.label(moving(100, 0.5, 0.5), 160, WINDOW, GEL, CONSTANTS)
+    assert (none.onset, none.earliest, none.latest) == (-1, -1, -1)
+
+
+def test_a_slide_that_comes_to_rest_is_doubted() -> None:
+    """Assert that labels abstain where fewer than half of the slices after the onset slip."""
+    constants = replace(CONSTANTS, after_ms=60)
+    labels = flow.label(moving(100, 0.5, 0.0, after=115), 200, WINDOW, GEL, constants)
+    assert labels.onset > 0
+    assert labels.confidence < flow.LEAST_CONFIDENCE
+    assert "came to rest" in labels.doubt
+    assert (labels.label[labels.earliest : labels.latest + 1] == -1).all()

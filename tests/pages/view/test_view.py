@@ -196,6 +196,7 @@ def test_labels_that_abstain_say_so(trial: Path) -> None:
     data = shown(trial, images=1)
     assert "The labels abstain: it is <slow>." in data.notes
     assert "The labels are those of a person: Ada." in data.notes
+    assert data.onsets["label"] == ONSET
     view.run([trial], View(images=1), None)
     text = trial.with_name("a.html").read_text(encoding="utf-8")
     assert f"abstains, within {(ONSET - 5) / 1000:.3f} to {(ONSET + 5) / 1000:.3f} s" in text
