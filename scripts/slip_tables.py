@@ -249,6 +249,8 @@ def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
     for rule in RULES:
         shown = []
         for score in names_of(rows):
+            if score.startswith("share") and score != "share 0 ms":
+                continue  # what it knows is the same whatever the horizon
             at = THRESHOLDS.index(chosen[score][rule])
             row: Row = {"score": score, "threshold": THRESHOLDS[at]}
             ahead = leads(slip_rows(rows), score, rule, at)

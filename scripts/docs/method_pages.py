@@ -39,8 +39,8 @@ TRAININGS = {
     "adapt": "Small steps from a trained network's weights to those for your sensor: what `train --adapt` takes.",
 }
 LABELS = {
-    "event-flow": "Ours, and the default: dots by the tracker, the object by events of its window. Its onset has an"
-    " interval, and it abstains where that is wide.",
+    "event-flow": "Ours, and the default: dots by the tracker, the object by events of its window. It says in which"
+    " interval the onset lies, and abstains where it cannot tell.",
     "farneback": "The paper's: dense optical flow between event images of the window.",
     "dis": "Another optical flow (DIS) between the same images.",
     "event-count": "Many events in the window, no matter where: the simplest.",
@@ -49,8 +49,8 @@ LABELS = {
 CONTROLLERS = {
     "paper": "The paper's law. In balance it sets its reference at the first slip and closes at every slip.",
     "paper-reset": "The paper's law, read so that the reference is set anew at every slip.",
-    "load-proportional": "Ours: grips in proportion to the load, which the mean displacement of the dots shows; slip"
-    " tells how much of it is needed.",
+    "load-proportional": "Ours: grips in proportion to the load, which displacement and turn of the dots show; what"
+    " stops a slide and what a slow release shows tell how much of it is needed.",
     "none": "Stays where light contact ended: the paper's control experiment, without a detector.",
     "fixed:N": f"Closes N ticks, 1 to {MOST_FIXED_TICKS}, beyond light contact and stays, without a detector.",
 }
@@ -67,8 +67,10 @@ MODELS = {
     "no-hist-img-6x6": "As `no-hist-img` on images summed over 6 x 6 px, so that a CPU can train it.",
     "hist10-img-6x6": "As `hist10-img` on images summed over 6 x 6 px, so that a CPU can train it.",
     "disp-xy": "Directions and changes of displacement, and events, over 50 ms. The package's detector is one.",
+    "disp-xy-grip": "As `disp-xy`; and, where they are known, changes of the gripper's position and command, and which"
+    " share of the contact sticks.",
 }
-OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy")
+OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
     "touch": "Shear modulus, creep, offset and the factor of the normal force, with which touch maps of one sensor tell"
@@ -169,6 +171,9 @@ def _models() -> str:
         ]
         if isinstance(architecture, DotArchitecture):
             facts.append(("inputs of a dot", f"{architecture.inputs_per_dot}, of {_channels(architecture)}"))
+            if architecture.extras:
+                told = ", ".join(view.extra for view in architecture.extras)
+                facts.append(("of which told beside it", f"{sum(view.width for view in architecture.extras)}: {told}"))
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))

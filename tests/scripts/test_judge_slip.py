@@ -136,7 +136,7 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     assert len(tables) == len(RULES)
     for table in (timing, *tables):
         shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
-        assert all(cells[0] for cells in shown) and len(shown) == len(slip_trials.oracle_scores(trial()))
+        assert all(cells[0] for cells in shown) and "ahead 10 ms" in {cells[0] for cells in shown}
     rows_of_one = {motion: [with_model(row) for row in of_motion] for motion, of_motion in rows.items()}
     slip_tables.choose_thresholds(rows_of_one, 100)
     (paired,) = slip_tables.paired_table("c", rows_of_one, ["ours"], "command")["rows"]
