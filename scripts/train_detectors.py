@@ -67,19 +67,20 @@ def motions_in(role: Path) -> list[Path]:
     return sorted(path for path in role.iterdir() if path.is_dir() and path.name not in (FROM_EVENTS, STICKING))
 
 
-def make_features(data: Path) -> None:
+def make_features(data: Path, jobs: int) -> None:
     """Label, track and featurize the recordings of both roles; slips also with labels from events."""
+    several = ("--jobs", jobs)
     for role in (data / "choose", data / "learn"):
         for folder in motions_in(role):
-            run("label", folder, "--method", "truth", "--from-start")
-            run("track", folder, "--preset", TRACKER)
-            run("featurize", folder, "--true-slip-share")
+            run("label", folder, "--method", "truth", "--from-start", *several)
+            run("track", folder, "--preset", TRACKER, *several)
+            run("featurize", folder, "--true-slip-share", *several)
             beside = ("--tracks", folder, "--labels", folder, "--out", role / STICKING / folder.name)
-            run("featurize", folder, "--true-slip-share", "--sticking-share", *beside)
+            run("featurize", folder, "--true-slip-share", "--sticking-share", *beside, *several)
             if role.name == "learn" and folder.name in SLIPS:
                 own = role / FROM_EVENTS / folder.name
-                run("label", folder, "--out", own)
-                run("featurize", folder, "--tracks", folder, "--labels", own, "--out", own)
+                run("label", folder, "--out", own, *several)
+                run("featurize", folder, "--tracks", folder, "--labels", own, "--out", own, *several)
             sys.stdout.write(f"{folder}\n")
             sys.stdout.flush()
 
@@ -105,17 +106,29 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder with learn and choose below")
     parser.add_argument("--out", type=Path, help="folder of the models, one folder a variant below")
     parser.add_argument("--variant", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--jobs", type=int, default=1, help="processes that make features, or networks at once")
     parser.add_argument("--seeds", type=int, default=5, help="models of each variant")
     chosen = parser.parse_args()
     if chosen.what == "features":
-        make_features(chosen.data)
+        make_features(chosen.data, chosen.jobs)
         return
     for name in chosen.variant:
         variant = VARIANTS[name]
         choose = chosen.data / "choose" / STICKING if variant.sticking else chosen.data / "choose"
         validate = ["--validate", str(choose / "*" / "*.features.h5")]
         folders = folders_of(variant, chosen.data / "learn")
-        run("train", *folders, *validate, *variant.words(), "--seeds", chosen.seeds, "--out", chosen.out / name)
+        run(
+            "train",
+            *folders,
+            *validate,
+            *variant.words(),
+            "--seeds",
+            chosen.seeds,
+            "--jobs",
+            chosen.jobs,
+            "--out",
+            chosen.out / name,
+        )
         sys.stdout.write(f"{name}\n")
 
 
