@@ -75,7 +75,7 @@ class LoadLaw:
     little_sticks: float = 0.3  # of the contact: ends a release
     quiet_s: float = 0.06  # without slip: it is over
     steady_s: float = 0.15  # for which a load is steady before it is asked whether it is carried
-    steady: float = 0.03  # share by which a load may change in quiet_s that is steady
+    steady: float = 0.08  # share by which a load may change in quiet_s that is steady
     probe: float = 0.15  # share by which the lift closes to ask whether the object is carried
     probe_ticks: float = 3.0  # ... and by so much, which is more than the lost motion of most grippers
     probe_s: float = 0.06
@@ -83,7 +83,7 @@ class LoadLaw:
     knee: float = 1.4  # ... what holds where a release first shows in the load over that
     release_s: float = 4.0  # time constant of the release
     return_s: float = 2.0  # ... of the way to what is known to be needed
-    lift_more: float = 1.3  # times what carries is held until balance: the hand may shake, and an even slide hides
+    lift_more: float = 1.15  # times what carries is held until balance: the hand may shake, and an even slide hides
     settle_s: float = 0.6  # time constant of a load that is carried, and of the fastest fall of the grip
     window: float = 0.12  # share of the grip in whose release changes are looked at
     moves: float = 0.03  # share of load and turn that a change in a window has to exceed
@@ -257,15 +257,15 @@ def _held_ratio(state: LoadState, law: LoadLaw) -> float:
 
 
 def _ask(state: LoadState) -> None:
-    """Note grip and load, to be asked later whether the load answers to the grip."""
-    state.asked_s, state.asked_ticks, state.asked_px = 0.0, _grip_ticks(state), state.load_px
+    """Note grip and pull, to be asked later whether one answers to the other; a turn swings by itself."""
+    state.asked_s, state.asked_ticks, state.asked_px = 0.0, _grip_ticks(state), state.pull_px
 
 
 def _answer(state: LoadState, law: LoadLaw) -> float:
     """Growth of the load over that of the grip, since both were noted: 1 where something slides, 0 where it hangs."""
     offset = law.contact_ticks if state.carried else 0.0  # where it hangs, rather see a slide too many
     grown = max((_grip_ticks(state) - state.asked_ticks) / (state.asked_ticks + offset), 1e-3)
-    return (state.load_px / max(state.asked_px, 1e-6) - 1.0) / grown
+    return (state.pull_px / max(state.asked_px, 1e-6) - 1.0) / grown
 
 
 def _close(state: LoadState, dt_s: float, law: LoadLaw) -> None:
@@ -330,7 +330,7 @@ def _seek(state: LoadState, dt_s: float, law: LoadLaw) -> None:
         state.ratio = min(state.ratio + grow / state.load_px, law.most_ratio)
     elif state.asked_s > 2 * law.probe_s:
         state.probing = False
-        if _answer(state, law) > law.answer:
+        if _answer(state, law) > 2 * law.answer:  # an object that swings changes the load, too
             state.slid_on_table = True
             return
         state.carried, state.ratio = True, state.ratio_at_slip
