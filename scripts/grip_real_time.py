@@ -23,7 +23,7 @@ from evetac_cli.jobs import Row
 from evetac_cli.store.files import StageFile
 
 DEVICES = {"real_time": ("--camera", "virtual", "--gripper", "virtual"), "simulated": ("--camera", "sim")}
-SHOWN = ("balanced", "lost", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
+SHOWN = ("balanced", "failure", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
 OBJECT_KEYS = ("static_friction", "mass_g", "width_mm", "height_mm", "lever_mm")
 
 
