@@ -18,7 +18,6 @@ from pathlib import Path
 
 from grip_trials import BALANCE_S, LIFT_S, Drawn, drawn, rows_in
 
-from evetac_cli.evaluate.grasp import trial_row
 from evetac_cli.jobs import Row
 from evetac_cli.store.files import StageFile
 
@@ -55,9 +54,8 @@ def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
     if done.returncode or not out.exists():
         return {"failed": done.stderr.strip()[-300:] or f"exit code {done.returncode}"}
     with StageFile(out, "recording") as file:
-        late, header = lateness(file), file.header
-    row = trial_row(out, header)
-    return {**{name: row[name] for name in SHOWN}, **late}
+        row = json.loads(str(file.read("control/outcome")))
+        return {**{name: row[name] for name in SHOWN}, **lateness(file)}
 
 
 def main() -> None:
