@@ -18,12 +18,11 @@ from pathlib import Path
 
 from grip_trials import BALANCE_S, LIFT_S, Drawn, drawn, rows_in
 
-from evetac_cli.evaluate.grasp import trial_row
 from evetac_cli.jobs import Row
 from evetac_cli.store.files import StageFile
 
 DEVICES = {"real_time": ("--camera", "virtual", "--gripper", "virtual"), "simulated": ("--camera", "sim")}
-SHOWN = ("balanced", "lost", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
+SHOWN = ("balanced", "failure", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
 OBJECT_KEYS = ("static_friction", "mass_g", "width_mm", "height_mm", "lever_mm")
 
 
@@ -55,9 +54,8 @@ def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
     if done.returncode or not out.exists():
         return {"failed": done.stderr.strip()[-300:] or f"exit code {done.returncode}"}
     with StageFile(out, "recording") as file:
-        late, header = lateness(file), file.header
-    row = trial_row(out, header)
-    return {**{name: row[name] for name in SHOWN}, **late}
+        row = json.loads(str(file.read("control/outcome")))
+        return {**{name: row[name] for name in SHOWN}, **lateness(file)}
 
 
 def main() -> None:

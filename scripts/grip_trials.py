@@ -204,7 +204,7 @@ def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, margin: floa
         for row in _each(missing, jobs):
             file.write(json.dumps(row) + "\n")
             file.flush()
-            sys.stderr.write(f"{law} {row['seed']}: {row['lost'] or 'kept'}\n")
+            sys.stderr.write(f"{law} {row['seed']}: {row['failure'] or 'kept'}\n")
     return [row for row in rows_in(path) if row["seed"] in set(seeds)]
 
 

@@ -64,7 +64,7 @@ def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _losses(trials: Rows) -> list[str]:
-    return [str(row["lost"]) for row in trials if row["lost"]]
+    return [str(row["failure"]) for row in trials if row["failure"]]
 
 
 def _quantile(values: Sequence[float], share: float) -> float | None:

@@ -47,7 +47,7 @@ def outcome(
 
     planned_ms: how long it should last; newton_per_ma: of a finger's drive, None for the usual one.
     moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reopened_share: by how much of the closing for
-    the lift the gripper opened again in balance, None where it did not close; lost: in words, "" for a grasp that held.
+    the lift the gripper opened again in balance, None where it did not close; failure: how it was lost, "" if it held.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px
@@ -74,7 +74,7 @@ def outcome(
     return {
         "lifted": held,
         "balanced": balanced,
-        "lost": "" if balanced else _lost(gap_mm, lifted_ms, held=held),
+        "failure": "" if balanced else _lost(gap_mm, lifted_ms, held=held),
         "moved_lift_mm": moved_mm(lifted_ms),
         "moved_mm": moved_mm(last_ms),
         "opening_after_lift_ticks": -closed,

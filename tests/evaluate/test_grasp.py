@@ -40,7 +40,7 @@ def row_of(setting: str = "paper", number: int = 11, *, lifted: bool = True, hel
         "force_end_n": 1.0,
         "slip_events": 3,
         "false_slip_events": 1,
-        "lost": "" if lifted and held else "fell in balance",
+        "failure": "" if lifted and held else "fell in balance",
         "carried_g": 100.0,
         "holding_end_n": 0.5 if lifted and held else None,
         "over_holding_end": 2.0 if lifted and held else None,

@@ -8,14 +8,14 @@ from evetac_cli.evaluate.grip_forces import firmness, rank_correlation
 def row(carried_g: float, force_n: float, over: float, **more: object) -> dict:
     """A grasp that held."""
     figures = {"over_holding_end": over, "over_holding_mean": 2 * over, "over_holding_peak": 3 * over}
-    whole = {"balanced": True, "lost": "", "carried_g": carried_g, "force_end_n": force_n, **figures}
+    whole = {"balanced": True, "failure": "", "carried_g": carried_g, "force_end_n": force_n, **figures}
     return {**whole, "moved_mm": 1.0, "motor_work_j": 0.1, "slip_events": 4, "false_slip_events": 1, **more}
 
 
 def test_figures_of_a_law() -> None:
     """Assert medians, the 95th percentile of each class of mass, losses by how, and shares, by hand."""
     trials = [row(40.0, 0.5, 2.0), row(120.0, 0.8, 1.0), row(200.0, 1.5, 1.5), row(500.0, 3.0, 1.2, moved_mm=7.0)]
-    trials += [row(300.0, 0.0, 0.0, balanced=False, lost="fell in balance")]
+    trials += [row(300.0, 0.0, 0.0, balanced=False, failure="fell in balance")]
     result = firmness(trials)
     assert (result["grasps"], result["kept"], result["lost"]) == (5, 0.8, "1 fell in balance")
     assert result["over_holding_end_median"] == pytest.approx(1.35)
@@ -31,7 +31,7 @@ def test_figures_of_a_law() -> None:
 
 def test_nothing_was_held() -> None:
     """Assert that of laws that lose everything no force is told."""
-    result = firmness([row(40.0, 0.0, 0.0, balanced=False, lost="stayed on the table", slip_events=0)])
+    result = firmness([row(40.0, 0.0, 0.0, balanced=False, failure="stayed on the table", slip_events=0)])
     assert result["kept"] == 0.0
     assert result["over_holding_end_median"] is result["force_follows_weight"] is result["stayed_share"] is None
     assert result["false_share"] is None

@@ -40,7 +40,7 @@ def test_rows_are_not_made_twice(trials: Any, tmp_path: Path, monkeypatch: pytes
 
     def play(law: str, seed: int, margin: float | None) -> tuple[dict, dict]:
         asked.append(seed)
-        return {}, {"law": law, "seed": seed, "margin": margin, "lost": ""}
+        return {}, {"law": law, "seed": seed, "margin": margin, "failure": ""}
 
     monkeypatch.setattr(trials, "play", play)
     (tmp_path / "fixed-9.jsonl").write_text(json.dumps({"law": "fixed:9", "seed": 1}) + "\n")

@@ -50,7 +50,7 @@ def test_a_grasp_that_holds() -> None:
     assert result["force_end_n"] == 1.5
     assert result["slip_events"] == 3  # that of the contact phase is none; two slices on end are one
     assert result["false_slip_events"] == 1  # that at 400 ms: those at 120 and 140 have slip at 105 to 114 behind them
-    assert result["lost"] == ""
+    assert result["failure"] == ""
 
 
 def test_force_over_what_just_holds() -> None:
@@ -68,7 +68,7 @@ def test_force_over_what_just_holds() -> None:
     assert outcome(unknown, MM_PER_PX, END_MS)["over_holding_end"] is None
     fallen = outcome(rows(**{"truth/table_gap_mm": np.zeros(END_MS)}), MM_PER_PX, END_MS)
     assert fallen["over_holding_mean"] is None
-    assert fallen["lost"] == "stayed on the table"
+    assert fallen["failure"] == "stayed on the table"
 
 
 def test_work_of_the_motors() -> None:
@@ -93,7 +93,7 @@ def test_how_a_grasp_fails() -> None:
     ):
         result = outcome(rows(**change), MM_PER_PX, END_MS)
         assert result["lifted"] == lifted
-        assert (result["lost"] == "fell in balance") == lifted
+        assert (result["failure"] == "fell in balance") == lifted
         assert not result["balanced"]
     assert not outcome(rows(), MM_PER_PX, END_MS + 1)["balanced"]  # it ended before its time
 
