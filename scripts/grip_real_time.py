@@ -16,7 +16,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from grip_trials import BALANCE_S, LIFT_S, Drawn, drawn, rows_in
+from grip_trials import BALANCE_S, LIFT_S, Drawn, drawn
+from script_rows import add_rows, rows_in, seeds_of
 
 from evetac_cli.jobs import Row
 from evetac_cli.store.files import StageFile
@@ -62,19 +63,17 @@ def main() -> None:
     """Make what is missing, and say how many ended alike."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--law", default="load-proportional")
-    parser.add_argument("--seeds", default="0-19", help="first and last, as in 0-19")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a seed")
+    parser.add_argument("--seeds", type=seeds_of, default="0-19", help="FIRST-LAST")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one per seed")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
+    seeds = chosen.seeds
     known = {row["seed"] for row in rows_in(chosen.out) if row["law"] == chosen.law}
     for seed in seeds:
         if seed in known:
             continue
         with tempfile.TemporaryDirectory() as folder:
             both = {how: grasped(drawn(seed), chosen.law, how, Path(folder)) for how in DEVICES}
-        with chosen.out.open("a") as file:
-            file.write(json.dumps({"law": chosen.law, "seed": seed, **both}) + "\n")
+        add_rows(chosen.out, [{"law": chosen.law, "seed": seed, **both}])
     rows = [row for row in rows_in(chosen.out) if row["law"] == chosen.law and row["seed"] in seeds]
     made = [row for row in rows if not any("failed" in row[how] for how in DEVICES)]
     alike = sum(row["real_time"]["balanced"] == row["simulated"]["balanced"] for row in made)

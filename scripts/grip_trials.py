@@ -28,6 +28,7 @@ from typing import Any, Literal
 import grip_oracle
 import numpy as np
 from motions import without_camera
+from script_rows import add_rows, rows_in, seeds_of
 
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices import Rig
@@ -139,7 +140,7 @@ def _simulation(devices: Rig) -> GraspSimulation:
 def settings_of(law: str, latency_ms: int, margin: float | None) -> GraspSettings:
     """Law, detector and timing, as the flags of `grasp` make them; of an oracle without the law."""
     named = "none" if law.startswith(grip_oracle.NAME) else law
-    own = {} if margin is None or named != "load-proportional" else {"grip_margin": margin}
+    own = {} if margin is None else {"grip_margin": margin}
     return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, lift_s=LIFT_S, balance_s=BALANCE_S, **own))
 
 
@@ -188,23 +189,15 @@ def _of_pair(pair: tuple[str, int, float | None]) -> Row:
     return play(*pair)[1]
 
 
-def rows_in(path: Path) -> Rows:
-    """The rows of a file of JSON lines, none where there is no such file."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
 def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, margin: float | None = None) -> Rows:
     """The rows of some grasps by a law, those that are not yet in its file first played and added to it."""
     name = law.replace(":", "-") + ("" if margin is None else f"-margin-{margin:g}")
     path = folder / f"{name}.jsonl"
     there = {row["seed"] for row in rows_in(path)}
     missing = [(law, seed, margin) for seed in seeds if seed not in there]
-    folder.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        for row in _each(missing, jobs):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            sys.stderr.write(f"{law} {row['seed']}: {row['failure'] or 'kept'}\n")
+    for row in _each(missing, jobs):
+        add_rows(path, [row])
+        sys.stderr.write(f"{law} {row['seed']}: {row['failure'] or 'kept'}\n")
     return [row for row in rows_in(path) if row["seed"] in set(seeds)]
 
 
@@ -220,16 +213,19 @@ def main() -> None:
     """Play what is missing, and print a table of all that the folder holds of these seeds."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--law", nargs="+", default=[], help="laws of --controller, or oracle[:MARGIN]")
-    parser.add_argument("--seeds", default="0-99", help="first and last, as in 0-99")
+    parser.add_argument("--seeds", type=seeds_of, default="0-99", help="FIRST-LAST")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows")
     parser.add_argument("--grip-margin", type=float, help="of load-proportional, where not its default")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--table", action="store_true", help="print a table of the rows")
+    parser.add_argument("--table", action="store_true", help="in place of --law: of all laws that the folder holds")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
+    if bool(chosen.law) == chosen.table:
+        parser.error("expected --law or --table; name one of them")
+    if chosen.grip_margin is not None and chosen.law != ["load-proportional"]:
+        parser.error("--grip-margin is of load-proportional; name that law alone")
+    seeds = chosen.seeds
     rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, chosen.grip_margin)]
-    if chosen.table and not chosen.law:
+    if chosen.table:
         rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in seeds]
     for row in summary(rows):
         sys.stdout.write(json.dumps(row) + "\n")

@@ -19,12 +19,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from label_trials import PlayedSlip, play_slip
+from results import ranges
+from script_rows import add_rows, rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
 
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.labels import is_near, judged, summary, true_onsets
 from evetac_cli.jobs import Row
+from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
 from evetac_cli.stages import label
 from evetac_cli.store.recordings.onset import LabelledOnset, told_onset
 
@@ -33,7 +36,6 @@ METHODS = ("event-flow", "farneback")
 OBJECTS = range(1, 21)
 SENSORS = ("evetac", "randomized", "realistic")
 TRIALS = (200, 100, 60)  # of each
-RESAMPLES = 2000
 
 
 class Slip(NamedTuple):
@@ -76,25 +78,22 @@ def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
 
 def all_rows(sensors: str, seeds: range, trials: int, folder: Path) -> list[Row]:
     """The rows of all slips of some sensors, from the folder as far as they are there."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{sensors}.jsonl"
     known: dict[Slip, list[Row]] = {}
-    for line in path.read_text().splitlines() if path.exists() else []:
-        row = json.loads(line)
+    for row in rows_in(path):
         known.setdefault(Slip(*(row[name] for name in Slip._fields)), []).append(row)
     rows: list[Row] = []
     for slip in slips(sensors, seeds, trials):
         if slip not in known:
             known[slip] = rows_of(slip)
-            with path.open("a") as file:
-                file.writelines(json.dumps(row) + "\n" for row in known[slip])
+            add_rows(path, known[slip])
         rows += known[slip]
     return rows
 
 
 def shown(sensors: str, method: str, rows: list[Row]) -> Row:
     """A row of the table."""
-    low, high = interval([(row["object"], is_near(row)) for row in rows if _counts(row)])
+    near = interval([(row["object"], is_near(row)) for row in rows if _counts(row)])
     figures = summary(rows)
     return {
         "sensors": sensors,
@@ -102,7 +101,7 @@ def shown(sensors: str, method: str, rows: list[Row]) -> Row:
         **figures,
         "method": method,
         "abstained_share": figures["abstained_share"] or 0.0,
-        "interval": "" if low is None else f"{low:.2f} to {high:.2f}",
+        "interval": "" if near is None else f"{near.low:.2f} to {near.high:.2f}",
         "rest_worst_early_ms": min((row["onset_error_ms"] or 0 for row in rows if _counts(row)), default=0),
         "cpu_s": float(np.median([row["cpu_s"] for row in rows])),
     }
@@ -112,18 +111,12 @@ def _counts(row: Row) -> bool:
     return row["t_s_ms"] is not None and not row["abstained"]
 
 
-def interval(flags: list[tuple[int, bool]]) -> tuple[float | None, float | None]:
-    """95 % of the share of flags, objects drawn again; None where there is one object at most."""
-    groups: dict[int, list[bool]] = {}
-    for number, flag in flags:
-        groups.setdefault(number, []).append(flag)
-    if len(groups) < 2:
-        return None, None
-    hits = np.array([sum(group) for group in groups.values()])
-    sizes = np.array([len(group) for group in groups.values()])
-    drawn = np.random.default_rng(0).integers(0, len(groups), (RESAMPLES, len(groups)))
-    low, high = np.percentile(hits[drawn].sum(axis=1) / sizes[drawn].sum(axis=1), [2.5, 97.5])
-    return float(low), float(high)
+def interval(flags: list[tuple[int, bool]]) -> Estimate | None:
+    """The share of flags with its interval, objects drawn again; None where there is one object at most."""
+    objects, told = [number for number, _ in flags], np.array([flag for _, flag in flags], float)
+    if len(set(objects)) < 2:
+        return None
+    return ratio_of_clusters(told, np.ones(len(told)), cluster_weights(objects))
 
 
 COLUMNS = {
@@ -151,13 +144,12 @@ NOTE = (
 def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", required=True, help="FIRST-LAST; a trial of each object per seed")
+    parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST; a trial of each object per seed")
     parser.add_argument("--trials", default=",".join(map(str, TRIALS)), help="on " + ", ".join(SENSORS))
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file for each kind of sensor")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
+    seeds = chosen.seeds
     table: list[Row] = []
     sizes: dict[str, Any] = {"recording_seeds": list(seeds), "objects": list(OBJECTS)}
     for sensors, trials in zip(SENSORS, map(int, chosen.trials.split(",")), strict=True):
@@ -167,7 +159,7 @@ def main() -> None:
             table.append(shown(sensors, method, [row for row in rows if row["method"] == method]))
             sys.stdout.write(json.dumps(table[-1]) + "\n")
     title = "Onsets of slip by labels against true gross slip"
-    command = f"python scripts/judge_labels.py --seeds {chosen.seeds} --trials {chosen.trials} --rows labels"
+    command = f"python scripts/judge_labels.py --seeds {ranges(seeds)} --trials {chosen.trials} --rows labels"
     made = table_of(NAME, title, COLUMNS, table, command, sizes, notes=(NOTE,))
     write(chosen.out, made | {"methods": {"label": label.METHOD}})
 

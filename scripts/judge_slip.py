@@ -42,6 +42,8 @@ def main() -> None:
     models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in chosen.model)}
     objects = motions.CHOSEN_BY if chosen.what == "choose" else motions.JUDGED
     asked = [name for name in chosen.motions.split(",") if name]
+    if unknown := set(asked) - set(motions.MOTIONS):
+        parser.error(f"--motions: expected some of {', '.join(motions.MOTIONS)}, found {', '.join(sorted(unknown))}")
 
     def play(planned: Planned, seed: int) -> tuple[Trial, Scores]:
         trial, scores = seen(planned, seed, models) if models else (motions.played(planned, seed), {})
@@ -54,6 +56,9 @@ def main() -> None:
         path = chosen.rows / f"{motion.replace(' ', '-')}.jsonl"
         limits = (float("inf"), counted) if counted else (chosen.minutes, MOST_TRIALS)
         rows[motion] = slip_trials.rows_of(path, motion, plans, chosen.seed, *limits, play)
+        for row in rows[motion]:
+            if missing := models.keys() - row["scores"].keys():
+                raise SystemExit(f"{path}: expected what {', '.join(missing)} said; name another folder by --rows")
         sys.stdout.write(f"{motion}: {len(rows[motion])} trials\n")
     if asked:
         return

@@ -26,7 +26,9 @@ import numpy as np
 import sticking_trials as trials
 from motions import Trial
 from results import ranges
+from script_rows import add_rows, rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
+from slip_alarms import begins
 from sticking_trials import AFTER_MS, HIGH, LOW, Looks
 
 from evetac_cli.arrays import Flags, Floats, Singles
@@ -76,22 +78,12 @@ def at_slices(looks: Looks, values: Flags, slices: int) -> Flags:
     return whole
 
 
-def onsets(flags: Flags, apart: int) -> list[int]:
-    """Where flags begin to be set after they were not for so many slices."""
-    found, last = [], -apart - 1
-    for at in np.flatnonzero(flags).tolist():
-        if at - last > apart:
-            found.append(at)
-        last = at
-    return found
-
-
 def judged(trial: Trial, looks: Looks) -> Row:
     """Sums of errors and counts of slips and alarms of a trial, by method."""
     truth = trial.slip_share
     at_looks = truth[looks.slices]
     between = (at_looks > LOW) & (at_looks < HIGH)
-    slips = onsets(trial.slips, 3 * APART_MS)
+    slips = begins(trial.slips, 3 * APART_MS)
     recently = trials.recent_largest(truth, AFTER_MS)
     row: Row = {
         "minutes": len(looks.slices) * BLOCK_MS / 60_000,
@@ -103,14 +95,14 @@ def judged(trial: Trial, looks: Looks) -> Row:
         alarm = at_slices(looks, looks.alarm if name == "network" else alarms_of(share), len(truth))
         if name == "constant":
             alarm[:] = False
-        wrong = onsets(alarm & (recently < LOW), APART_MS)
+        wrong = begins(alarm & (recently < LOW), APART_MS)
         row |= {
             f"{name}_error_sum": float(np.abs(share - at_looks)[between].sum()),
             f"{name}_in_time": sum(bool(alarm[max(on - BEFORE_MS, 0) : max(on - AHEAD_MS, 0)].any()) for on in slips),
             f"{name}_false": len(wrong),
             f"{name}_early": sum(bool((truth[on : on + NEAR_MS] >= LOW).any()) for on in wrong),
             f"{name}_late": sum(bool((truth[max(on - NEAR_MS, 0) : on] >= LOW).any()) for on in wrong),
-            f"{name}_after": len(onsets(alarm & (truth < LOW), APART_MS)),
+            f"{name}_after": len(begins(alarm & (truth < LOW), APART_MS)),
         }
     shear = trial.shear_n[looks.slices]
     off = np.angle(np.exp(1j * (looks.direction_rad - np.arctan2(shear[:, 1], shear[:, 0]))))
@@ -143,10 +135,8 @@ def tracked_trial(number: int, seed: int) -> tuple[Trial, Floats]:
 
 def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row]:
     """The rows of a motion until its trials last so long, from the folder as far as they are there."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{motion.replace(' ', '-').replace(',', '')}.jsonl"
-    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    by_trial = {(row["object"], row["seed"]): row for row in known}
+    by_trial = {(row["object"], row["seed"]): row for row in rows_in(path)}
     rows: list[Row] = []
     for seed, number in itertools.product(seeds, motions.JUDGED):
         if sum(row["minutes"] for row in rows) >= minutes:
@@ -154,8 +144,7 @@ def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row
         row = by_trial.get((number, seed))
         if row is None:
             row = {"object": number, "seed": seed, **row_of(motion, number, seed)}
-            with path.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+            add_rows(path, [row])
         rows.append(row)
     raise SystemExit(f"{motion}: {len(seeds)} seeds are too few for {minutes:g} minutes")
 
@@ -224,14 +213,13 @@ NOTE = (
 def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", required=True, help="FIRST-LAST; trials of each object per seed")
+    parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST; trials of each object per seed")
     parser.add_argument("--minutes", type=float, default=20.0, help="of touch, for each motion")
     parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; no table is written")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file a motion")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
+    seeds = chosen.seeds
     asked = [name for name in chosen.motions.split(",") if name]
     shown, every = [], []
     for motion in asked or (*motions.MOTIONS, WITH_CAMERA):
@@ -247,7 +235,7 @@ def main() -> None:
             shown.append(summary("all", every))
             sys.stdout.write(json.dumps(shown[-1]) + "\n")
     if not asked:
-        command = f"python scripts/judge_sticking.py --seeds {seeds[0]}-{seeds[-1]} --minutes {chosen.minutes:g}"
+        command = f"python scripts/judge_sticking.py --seeds {ranges(seeds)} --minutes {chosen.minutes:g}"
         sizes = {"objects": list(motions.JUDGED), "minutes_of_each_motion": chosen.minutes}
         title = "The share of a contact that sticks, by motion"
         write(chosen.out, table_of(NAME, title, COLUMNS, shown, f"{command} --rows sticking", sizes, notes=(NOTE,)))

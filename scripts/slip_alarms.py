@@ -23,15 +23,20 @@ FOLLOWS_MS, LATE_MS = 200, 20
 RULES = ("unmoved", "unfollowed")
 
 
-def slip_begins(slips: Flags) -> list[int]:
-    """Slices at which gross slip begins after APART_MS without any."""
+def begins(flags: Flags, apart_ms: int) -> list[int]:
+    """Slices at which flags begin to be set after they were not for so long."""
     found: list[int] = []
-    last = -APART_MS - 1
-    for at in np.flatnonzero(slips).tolist():
-        if at - last > APART_MS:
+    last = -apart_ms - 1
+    for at in np.flatnonzero(flags).tolist():
+        if at - last > apart_ms:
             found.append(at)
         last = at
     return found
+
+
+def slip_begins(slips: Flags) -> list[int]:
+    """Slices at which gross slip begins after APART_MS without any."""
+    return begins(slips, APART_MS)
 
 
 class Judged(NamedTuple):
@@ -43,9 +48,9 @@ class Judged(NamedTuple):
 
 def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
     """Judge the slices that alarm by the true share of the contact that slips, and by gross slip."""
-    begins = slip_begins(slips)
+    slips_at = slip_begins(slips)
     slides = slips.copy()  # long enough for an alarm to be late
-    for begin in begins:
+    for begin in slips_at:
         slides[begin : begin + LATE_MS + 1] = False
 
     def truths(at: int) -> dict[str, bool]:
@@ -58,7 +63,7 @@ def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
         for rule, is_true in truths(at).items():
             false[rule] += not is_true
     leads: dict[str, list[int | None]] = {rule: [] for rule in RULES}
-    for begin in begins:
+    for begin in slips_at:
         lead = alarms.lead_ms(alarming, begin)
         first = None if lead is None or lead < -LATE_MS else truths(begin - lead)
         for rule in RULES:

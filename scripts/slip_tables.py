@@ -2,9 +2,8 @@
 
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +13,15 @@ from slip_alarms import SLIPS as SLIP_SHARE
 from slip_trials import SLIPS, THRESHOLDS
 
 from evetac_cli.jobs import Row
+from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
 from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS
 from evetac_cli.kernels.slip.metrics import Counts, timing
+from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
 
 HERE = Path(__file__).resolve().parent
 THRESHOLD_FILE = HERE / "slip-thresholds.json"
 PER_MINUTE = 1.0  # false alarms that a warning may cost, in the mean over motions
 WARNED_MS = 10
-DRAWS, BOOTSTRAP_SEED = 2000, 0
 SPEEDS_N_S = (1.5, 4.0)  # slower, between and faster: the paper's ramp makes 2.4 to 3.3 N/s
 Rows = dict[str, list[Row]]  # by motion
 
@@ -90,17 +90,11 @@ def thresholds() -> dict[str, Row]:
     return loaded
 
 
-def interval(
-    values: Sequence[float], clusters: Sequence[Any], of: Callable[[NDArray[np.float64]], float] = np.mean
-) -> tuple[float, float]:
-    """95 % interval of a mean by drawing clusters with replacement."""
-    rng = np.random.default_rng(BOOTSTRAP_SEED)
-    groups = [
-        np.array([v for v, c in zip(values, clusters, strict=True) if c == one]) for one in dict.fromkeys(clusters)
-    ]
-    drawn = [of(np.concatenate([groups[i] for i in rng.integers(len(groups), size=len(groups))])) for _ in range(DRAWS)]
-    low, high = np.quantile(drawn, [0.025, 0.975]).tolist()
-    return low, high
+def mean_of(values: NDArray[np.floating], clusters: Sequence[str]) -> Estimate:
+    """A mean over trials, with its interval by drawing clusters again."""
+    mean = ratio_of_clusters(values.astype(float), np.ones(len(values)), cluster_weights(clusters))
+    assert mean is not None  # there are trials
+    return mean
 
 
 def clusters_of(of_slips: Sequence[Row]) -> list[str]:
@@ -123,15 +117,15 @@ def timing_table(name: str, rows: Rows, command: str) -> Row:
         told = timings(of_slips, score, at)
         right = told == "correct"
         first = [row["scores"][score]["first_ms"][at] for row in of_slips]
-        low, high = interval(right.astype(float).tolist(), clusters_of(of_slips))
+        correct = mean_of(right.astype(float), clusters_of(of_slips))
         shown.append(
             {
                 "score": score,
                 "slips": len(of_slips),
                 "threshold": THRESHOLDS[at],
-                "correct": float(right.mean()),
-                "correct_low": low,
-                "correct_high": high,
+                "correct": correct.value,
+                "correct_low": correct.low,
+                "correct_high": correct.high,
                 "early": float((told == "early").mean()),
                 "late": float((told == "late").mean()),
                 "f1": f1(of_slips, score, at),
@@ -162,10 +156,15 @@ def timing_table(name: str, rows: Rows, command: str) -> Row:
 
 
 def calibration_error(rows: Rows, score: str) -> float | None:
-    """Expected calibration error: mean over slices of what was said less how often it happened, by tenths."""
+    """How far a score is from how often slip happens, as in a report on slip: `reliability.expected_error`."""
     every = [row["scores"][score]["calibration"] for of_motion in rows.values() for row in of_motion]
-    slices, said, happened = np.sum(every, axis=0)
-    return float(np.abs(said - happened).sum() / slices.sum()) if slices.sum() else None
+    return expected_error(
+        [
+            ReliabilityBin(tenth / 10, (tenth + 1) / 10, int(slices), said / slices, happened / slices)
+            for tenth, (slices, said, happened) in enumerate(np.sum(every, axis=0).T.tolist())
+            if slices
+        ]
+    )
 
 
 def paired_table(name: str, rows: Rows, models: Sequence[str], command: str) -> Row:
@@ -202,8 +201,8 @@ def paired_table(name: str, rows: Rows, models: Sequence[str], command: str) -> 
 
 def _difference(key: str, oracle: NDArray[np.float64], model: NDArray[np.float64], clusters: Sequence[str]) -> Row:
     """Mean of a model, and of the oracle less the model, with its interval."""
-    low, high = interval((oracle - model).tolist(), clusters)
-    return {key: model.mean(), f"{key}_less": (oracle - model).mean(), f"{key}_low": low, f"{key}_high": high}
+    less = mean_of(oracle - model, clusters)
+    return {key: float(model.mean()), f"{key}_less": less.value, f"{key}_low": less.low, f"{key}_high": less.high}
 
 
 def sizes_of(rows: Rows) -> Row:

@@ -4,7 +4,6 @@ A score is an oracle's, or the probability of a slip detector that sees the tria
 """
 
 import itertools
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 import slip_alarms
 import slip_oracles
 from motions import EVETAC, Planned, Trial
+from script_rows import add_rows, rows_in
 from slip_alarms import RULES
 
 from evetac_cli.arrays import Singles
@@ -22,6 +22,8 @@ from evetac_cli.errors import SceneError
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import alarms, metrics
 from evetac_cli.kernels.slip.labels import is_slip, shift_labels
+from evetac_cli.kernels.slip.metrics import F1_CUT_MS
+from evetac_cli.kernels.slip.reliability import ABOVE
 
 # Where the rare scores near 0 and 1 differ, thresholds are closer.
 THRESHOLDS = (
@@ -32,7 +34,6 @@ SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset that tim
 RAMP_MS = 900  # in these, what comes before is not examined, as the weight is handed over
 SENSORS = 20
 SPEED_MS = 300  # before slip, over which the speed of unloading is taken
-LEAST_SAID, AFTER_MS = 0.1, 60  # calibration counts slices above, and so long after a slip
 Scores = Mapping[str, tuple[Singles, int]]  # probability of each slice by name, and its horizon in ms
 
 
@@ -95,14 +96,14 @@ def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: 
 
 
 def _calibration(trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> list[list[float]]:
-    """By tenths of what was said above LEAST_SAID: slices, sum of what was said, and how many slipped that much later.
+    """By tenths of what was said from ABOVE on: slices, sum of what was said, and how many slipped that much later.
 
-    Of slices in which the object is held, up to AFTER_MS after its first slip.
+    Of slices in which the object is held, up to F1_CUT_MS after its first slip, as in a report on slip.
     """
     begins = slip_alarms.slip_begins(slips)
-    stop = min((begins[0] + AFTER_MS) if begins else len(score), len(score) - horizon_ms)
+    stop = min((begins[0] + F1_CUT_MS) if begins else len(score), len(score) - horizon_ms)
     said = np.nan_to_num(score[: max(stop, 0)])
-    counted = (trial.normal_n[: len(said)] > 0.0) & (said >= LEAST_SAID)
+    counted = (trial.normal_n[: len(said)] > 0.0) & (said >= ABOVE)
     tenth = np.minimum((10 * said).astype(int), 9)[counted]
     happened = trial.slips[horizon_ms : horizon_ms + len(said)][counted].astype(np.float64)
     columns = [np.bincount(tenth, of, 10) for of in (np.ones(len(tenth)), said[counted], happened)]
@@ -115,24 +116,28 @@ def rows_of(
 ) -> list[Row]:  # fmt: skip
     """The rows of a motion until its trials last so long or are so many; from the file as far as they are there.
 
-    A trial that the simulator refuses leaves a row that says so, and is not among those returned.
+    A trial that the simulator refuses leaves a row that says so, and is not among those returned. SystemExit where the
+    file has rows of other trials.
     """
-    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    path.parent.mkdir(parents=True, exist_ok=True)
+    known = rows_in(path)
     rows: list[Row] = []
     for place, (number, planned) in enumerate(trials):
         judged_so_far = [row for row in rows if "refused" not in row]
         if sum(row["minutes"] for row in judged_so_far) >= minutes or len(judged_so_far) >= most:
             return judged_so_far
+        row: Row = {"object": number, "seed": seed + place, "sensor": planned.plan.sensor_name}
         if place < len(known):
+            there = {key: known[place].get(key) for key in row}
+            if there != row:
+                raise SystemExit(
+                    f"{path}, line {place + 1}: expected {row}, found {there}; name another folder by --rows"
+                )
             rows.append(known[place])
             continue
-        row: Row = {"object": number, "seed": seed + place, "sensor": planned.plan.sensor_name}
         try:
             row |= judged(motion, *play(planned, seed + place))
         except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
             row["refused"] = error.message
         rows.append(row)
-        with path.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        add_rows(path, [row])
     raise ValueError(f"{motion}: expected more than {len(rows)} trials for {minutes:g} minutes or {most} trials")

@@ -21,6 +21,8 @@ from evetac_cli.cli.workers import compute_on_one_thread
 compute_on_one_thread()  # before numpy is loaded
 
 import numpy as np  # noqa: E402
+from results import ranges  # noqa: E402
+from script_rows import seeds_of  # noqa: E402
 from script_tables import RESULTS, table_of, write  # noqa: E402
 from touch_contacts import (  # noqa: E402
     KNOWN,
@@ -221,11 +223,12 @@ PUBLISHED_COLUMNS = {
 def main() -> None:
     """Measure and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="60000-60024", help="FIRST-LAST; a contact of each shape per seed")
+    parser.add_argument(
+        "--seeds", type=seeds_of, default="60000-60024", help="FIRST-LAST; a contact of each shape per seed"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
+    seeds = chosen.seeds
     sensor = named_sensor("evetac")[1]
     assert isinstance(sensor, Sensor)
     rest_mm, mm_per_px = dots_of(sensor), sensor.mm_per_px
@@ -236,7 +239,7 @@ def main() -> None:
     }
     rows = [adapted_row(setting, *of_depth[setting.print_depth_mm], rest_mm, mm_per_px) for setting in SETTINGS]
     published = published_rows(makers[0.0], seeds[0] + 200, rest_mm, mm_per_px)
-    command = f"python scripts/touch_adapted.py --seeds {chosen.seeds}"
+    command = f"python scripts/touch_adapted.py --seeds {ranges(seeds)}"
     title, sizes = "Errors after two minutes under known forces", {"contact_seeds": [*seeds, *own]}
     write(chosen.out, table_of("touch-adapted", title, ADAPTED_COLUMNS, rows, command, sizes))
     title, sizes = (

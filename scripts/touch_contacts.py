@@ -25,6 +25,7 @@ compute_on_one_thread()  # before numpy is loaded: times are those of one core
 
 import numpy as np  # noqa: E402
 from results import ranges  # noqa: E402
+from script_rows import seeds_of  # noqa: E402
 from script_tables import RESULTS, table_of, write  # noqa: E402
 
 from evetac_cli.arrays import Flags, Floats  # noqa: E402
@@ -309,12 +310,13 @@ COST_COLUMNS = {
 def main() -> None:
     """Measure and write the tables, or print the factors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="60000-60024", help="FIRST-LAST; a contact of each shape per seed")
+    parser.add_argument(
+        "--seeds", type=seeds_of, default="60000-60024", help="FIRST-LAST; a contact of each shape per seed"
+    )
     parser.add_argument("--calibrate", action="store_true", help="print factors instead")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = list(range(int(first), int(last or first) + 1))
+    seeds = list(chosen.seeds)
     sensor = named_sensor("evetac")[1]
     assert isinstance(sensor, Sensor)
     rest_mm = dots_of(sensor)

@@ -12,6 +12,8 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from results import ranges
+from script_rows import seeds_of
 from script_tables import RESULTS, table_of, write
 from touch_contacts import contacts_of, dots_of
 
@@ -107,16 +109,17 @@ COLUMNS = {
 def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", default="8000-8003", help="FIRST-LAST; a contact of each shape per seed")
+    parser.add_argument(
+        "--seeds", type=seeds_of, default="8000-8003", help="FIRST-LAST; a contact of each shape per seed"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
     chosen = parser.parse_args()
-    first, _, last = chosen.seeds.partition("-")
-    seeds = list(range(int(first), int(last or first) + 1))
+    seeds = list(chosen.seeds)
     sensor = named_sensor("evetac")[1]
     assert isinstance(sensor, Sensor)
     rest_mm = dots_of(sensor)
     rows = rows_of(contacts_of(ContactMaker(rest_mm), seeds), rest_mm, sensor.mm_per_px)
-    command = f"python scripts/touch_wrong_dots.py --seeds {chosen.seeds}"
+    command = f"python scripts/touch_wrong_dots.py --seeds {ranges(seeds)}"
     title = "Dots that are wrong on purpose; errors are medians over contacts"
     write(chosen.out, table_of("touch-wrong-injected", title, COLUMNS, rows, command, {"contact_seeds": seeds}))
 

@@ -59,10 +59,10 @@ def with_model(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_calibration_counts_what_was_said_and_what_happened() -> None:
-    """Assert that a score that says 0.7 of slices of which 0.5 slip is 0.2 off."""
+    """Assert that a score that says 0.7 of slices of which a half slips is 0.2 off; later ones do not count."""
     told = trial()
     said = np.full(MS, 0.05, np.float32)
-    said[ONSET - 40 : ONSET + 40] = 0.7
+    said[ONSET - 20 : ONSET + 40] = 0.7
     row = slip_trials.judged("slip", told, {"a": (said, 0)})
     assert slip_tables.calibration_error({"slip": [row]}, "a") == pytest.approx(0.2, abs=1e-3)
 
@@ -128,6 +128,8 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     for _ in range(2):
         left = slip_trials.rows_of(tmp_path / "grip", "grip", iter(plans), 100, 99.0, 2, refuse)
         assert [row["seed"] for row in left] == [101, 102]
+    with pytest.raises(SystemExit, match="grip, line 1: expected .*'seed': 900.* found .*'seed': 100"):
+        slip_trials.rows_of(tmp_path / "grip", "grip", iter(plans), 900, 99.0, 2, refuse)
     slip_tables.choose_thresholds(rows, 100)
     timing = slip_tables.timing_table("a", rows, "command")
     ahead = next(row for row in timing["rows"] if row["score"] == "ahead 10 ms")
