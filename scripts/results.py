@@ -97,7 +97,12 @@ SUMMARY = (
         {"setting": "paper"},
         "lifted and kept",
     ),
-    Figure("... ours, `load-proportional`", "grasps-shipped", {"setting": "load-proportional"}, "lifted and kept"),
+    Figure(
+        "... ours, `load-proportional` before 5c5f4c01",
+        "grasps-shipped",
+        {"setting": "load-proportional"},
+        "lifted and kept",
+    ),
     Figure(
         f"bytes per second as a share of an RGB sensor's, over {{columns}} columns (paper: {paper.COLUMNS})",
         "data-rate",
