@@ -1,5 +1,6 @@
 """Which seeds constants saw, and that no table reports them."""
 
+import importlib
 import json
 import re
 from fnmatch import fnmatch
@@ -91,6 +92,16 @@ def test_seeds_that_modules_state_are_in_the_file() -> None:
         for first, last in stated.findall(" ".join(path.read_text().split())):
             if int(first) > 9 and "below" not in first:
                 assert {int(first), int(last or first)} <= seen, (group["module"], first, last)
+
+
+def test_seeds_of_trainings_on_motions_are_in_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that every recording that motion_recordings.py makes has a seed that its group names."""
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    made = importlib.import_module("motion_recordings")
+    (seen,) = (seen_by(group) for group in SEEN["groups"] if group["module"] == "../scripts/motion_recordings.py")
+    for role, first in made.FIRST_SEEDS.items():
+        trials = max(made.COUNTS[role].values()) * len(made.OBJECTS[role])
+        assert set(range(first, first + trials)) <= seen
 
 
 def test_an_overlap_is_found() -> None:
