@@ -229,12 +229,12 @@ class SlipDetector:
 
     @property
     def threshold(self) -> float:
-        """Probability that three slices on end have to reach, as chosen in training."""
+        """Probability that three slices in a row have to reach, as chosen in training."""
         return self._detector.threshold
 
     @property
     def slip(self) -> bool:
-        """Whether the last slice alarms: the third on end, at least, that reaches the threshold."""
+        """Whether the last slice alarms: the third in a row, at least, that reaches the threshold."""
         return self._detector.slip
 
     def step(self, events: Events) -> float:

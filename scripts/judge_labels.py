@@ -2,7 +2,7 @@
 
 `python scripts/judge_labels.py --seeds 50000-50009 --rows FOLDER` plays 200 slips of all twenty objects on `evetac`,
 100 on sensors `randomized:SEED`, one each, and 60 on `realistic` (docs/results/labels.json). Slips are played in
-memory, as `evetac record` would write them (label_trials.py). Rows, one a trial and method, are kept in the folder as
+memory, as `evetac record` would write them (label_trials.py). Rows, one per trial and method, are kept in the folder as
 they come, and what is there is not played again; --trials has fewer or more.
 
 Errors are as `evaluate labels` says: how far the object truly slid between the labels' onset and the true one, and ms.

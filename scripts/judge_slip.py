@@ -2,8 +2,8 @@
 
 `python scripts/judge_slip.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
 thresholds are chosen by, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200
---minutes 5 --rows FOLDER --name slip-ceiling` plays others, and writes tables of that name. Rows, one a trial, are kept
-in the folder, and what is there is not simulated again; --motions does some of them, and writes nothing else.
+--minutes 5 --rows FOLDER --name slip-ceiling` plays others, and writes tables of that name. Rows, one per trial, are
+kept in the folder, and what is there is not simulated again; --motions does some of them, and writes nothing else.
 
 Without --model no camera is simulated. With `--model NAME=FILE ...` detectors see the trials through one, too.
 """
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, required=True, help="of contact, for each motion")
     parser.add_argument("--trials", type=int, default=0, help="of slip-speeds, in place of minutes")
     parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; rows alone are written")
-    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file a motion")
+    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
     parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="trained slip detectors")
     parser.add_argument("--name", default="slip-ceiling", help="of the tables")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")

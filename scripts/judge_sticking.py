@@ -1,7 +1,7 @@
 """How well the sticking share is told, motion by motion, on objects, and in part on motions, that were not trained on.
 
 `python scripts/judge_sticking.py --seeds 60000-60999 --minutes 20 --rows FOLDER` plays each motion until something has
-touched the gel for so many simulated minutes (docs/results/sticking-share.json). Rows, one a trial, are kept in the
+touched the gel for so many simulated minutes (docs/results/sticking-share.json). Rows, one per trial, are kept in the
 folder, and what is there is not simulated again; --motions does some of them, without writing the table. Dots come
 without a camera, with a drawn error of the tracker (sticking_trials.py); the last rows are with camera and tracker.
 
@@ -216,7 +216,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST; trials of each object per seed")
     parser.add_argument("--minutes", type=float, default=20.0, help="of touch, for each motion")
     parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; no table is written")
-    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file a motion")
+    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
     chosen = parser.parse_args()
     seeds = chosen.seeds

@@ -49,7 +49,7 @@ def main() -> None:
     """Write the recordings of a role."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("role", choices=tuple(FIRST_SEEDS))
-    parser.add_argument("--out", type=Path, required=True, help="folder of the recordings, one folder a motion below")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the recordings, one folder per motion below")
     parser.add_argument("--share", default="0/1", help="I/N: every N-th trial from the I-th on, to share the work")
     chosen = parser.parse_args()
     objects, first = OBJECTS[chosen.role], FIRST_SEEDS[chosen.role]

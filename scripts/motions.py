@@ -1,7 +1,7 @@
 """Trials of many motions, played in memory: what a hand, a gripper and a push do to an object of the paper's table.
 
 A motion of an object and a seed is always the same trial. Without a camera only the mechanics are simulated, some five
-simulated seconds a second. Objects and motions that are trained on, chosen by and judged on differ.
+simulated seconds per second. Objects and motions that are trained on, chosen by and judged on differ.
 """
 
 import math

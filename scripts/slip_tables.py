@@ -265,7 +265,7 @@ def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
         columns["warned 10 ms ahead where that is 1"] = "{warned_10_ms_at_one:.2f}"
         columns |= {f"in {motion}": f"{{{motion}:.2f}}" for motion in rows}
         note = (
-            f"A false alarm: {means[rule]}. An alarm is {ALARM_SLICES} slices on end; the next counts 200 ms later."
+            f"A false alarm: {means[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
             f" Thresholds: about {PER_MINUTE:g} per minute in the mean over motions, on other trials."
         )
         title = f"Slip warned of ahead, and false alarms: {means[rule]}"

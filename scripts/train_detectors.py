@@ -56,14 +56,14 @@ VARIANTS = {
 
 def run(*words: object) -> None:
     """Run evetac; an error of it ends this script."""
-    command = [sys.executable, "-m", "evetac_cli", *map(str, words)]
+    command = [sys.executable, "-P", "-m", "evetac_cli", *map(str, words)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"evetac {' '.join(map(str, words))}: {done.stderr}")
 
 
 def motions_in(role: Path) -> list[Path]:
-    """The folders of a role, one a motion."""
+    """The folders of a role, one per motion."""
     return sorted(path for path in role.iterdir() if path.is_dir() and path.name not in (FROM_EVENTS, STICKING))
 
 
@@ -104,7 +104,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("features", "train"))
     parser.add_argument("data", type=Path, help="folder with learn and choose below")
-    parser.add_argument("--out", type=Path, help="folder of the models, one folder a variant below")
+    parser.add_argument("--out", type=Path, help="folder of the models, one folder per variant below")
     parser.add_argument("--variant", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
     parser.add_argument("--jobs", type=int, default=1, help="processes that make features, or networks at once")
     parser.add_argument("--seeds", type=int, default=5, help="models of each variant")

@@ -80,7 +80,10 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",
     ("train", "preset"): lambda: f"{train.USUAL.preset}, or with --adapt, which takes no other, adamw with small steps",
     ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
-    ("train", "false_alarms_per_min"): lambda: f"{validating.FALSE_ALARMS_PER_MIN:g}, and for preset paper the paper's",
+    ("train", "false_alarms_per_min"): lambda: (
+        f"{validating.FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than {validating.LEAST_MINUTES:g}"
+        " minutes to count in, the paper's rule"
+    ),
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
     ("grasp", "model"): lambda: f"`shipped`, the package's, {_shipped()}",

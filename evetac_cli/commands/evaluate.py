@@ -19,7 +19,8 @@ class EvaluateSlip:
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
     false_alarms_per_min: float | None = parameter(
         None,
-        "Use the lowest threshold at which a model, by its training, alarms at most so often where nothing slips.",
+        "Use the lowest threshold of each model with at most so many false alarms per minute, as they were counted in"
+        " its training.",
         unit="1/min",
         low=0.0,
         high=300.0,

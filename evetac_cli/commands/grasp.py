@@ -32,7 +32,7 @@ class Grasp(Devices, Trials):
     )
     slip_threshold: float | None = parameter(
         None,
-        "Probability that three slices on end have to reach, for the controller to be told of slip; default: the"
+        "Probability that three slices in a row have to reach, for the controller to be told of slip; default: the"
         " model's own, or of a model that does not say how often it alarms falsely, 0.3.",
         low=0.0,
         high=1.0,
@@ -40,7 +40,7 @@ class Grasp(Devices, Trials):
     )
     false_alarms_per_min: float | None = parameter(
         None,
-        "Choose the lowest threshold at which the model, by its training, alarms at most so often where nothing slips.",
+        "Choose the lowest threshold with at most so many false alarms per minute, as they were counted in training.",
         unit="1/min",
         low=0.0,
         high=300.0,
@@ -56,7 +56,7 @@ class Grasp(Devices, Trials):
     )
     grip_margin: float = parameter(
         1.3,
-        "How many times the force that is needed load-proportional aims at; others have none.",
+        "How many times the needed force the grip aims at; load-proportional alone.",
         low=1.0,
         high=5.0,
         panel=GRIP,

@@ -16,9 +16,9 @@ class Train:
     model: str | None = parameter(
         None,
         "Architecture, named as in the paper's table; -6x6: event images summed over 6 x 6 px, for a CPU;"
-        " disp-xy: ours, which sees directions and changes of displacements; disp-xy-grip: and, where they are known,"
-        " the gripper's position and command and which share of the contact sticks; default: hist10, or that of"
-        " --adapt.",
+        " disp-xy: ours, which sees directions and changes of displacements; disp-xy-grip: the same with,"
+        " where they are known, the gripper's position and command and which share of the contact sticks; default:"
+        " hist10, or that of --adapt.",
         choices=names.NETWORKS,
         plugins=plugins.NETWORKS,
     )
@@ -33,7 +33,7 @@ class Train:
         None,
         "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
         " on normalised features, samples made stronger and weaker, and the average of the weights over training."
-        " Both others are calibrated on what validates: their probabilities then happen as often as they say."
+        " With adam and adamw, probabilities are calibrated on the files that validate, to say how often slip happens."
         " Default: paper, or with --adapt, which takes no other, adamw with small steps.",
         choices=("paper", "adam", "adamw"),
     )
@@ -92,9 +92,9 @@ class Train:
     )
     false_alarms_per_min: float | None = parameter(
         None,
-        "Choose the lowest threshold at which alarms come at most so often where nothing slips, in the files that"
-        " validate: at least 200 ms from slip, or in trials without any. Default: 1, and for preset paper the paper's"
-        " rule, the best mean of timing and F1; that, too, where there are less than 5 minutes of them.",
+        "Choose the lowest threshold with at most so many false alarms per minute, counted in the files that validate,"
+        " where nothing slips within 200 ms. Default: 1; with preset paper, or with less than 5 minutes to count in,"
+        " the paper's rule: the best mean of timing and F1.",
         unit="1/min",
         low=0.0,
         high=300.0,

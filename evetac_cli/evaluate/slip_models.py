@@ -35,7 +35,7 @@ from evetac_cli.stages.splits import check_disjoint, object_name, sensor_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header
-from evetac_cli.store.recordings.onset import is_unsure
+from evetac_cli.store.recordings.onset import abstains
 
 AT_ONCE = 8  # trajectories of one task of several
 MOST_SLICES = 1 << 17  # that are in memory together: of a trajectory of hours a piece
@@ -169,7 +169,7 @@ def predict_all(
                 for model, predictions, probability in zip(models, by_model, of_models, strict=True):
                     shifted = shift_labels(label, model.horizon_ms)
                     names = object_name(header), sensor_name(header)
-                    predictions.append(Prediction(probability, shifted, onset, *names, not is_unsure(file)))
+                    predictions.append(Prediction(probability, shifted, onset, *names, not abstains(file)))
         progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
 

@@ -1,6 +1,6 @@
 """What detectors warn of, and at what price: columns and tables of a report on slip beside timing and F1.
 
-A warning is an alarm that lasts until slip: three slices on end that reach the threshold (kernels/slip/alarms.py),
+A warning is an alarm that lasts until slip: three slices in a row that reach the threshold (kernels/slip/alarms.py),
 where timing asks for the first slice alone, as the paper does. A figure is a mean over objects, each of which counts
 the same, and over the seeds of a setting. Trials share objects, sensors or both, so intervals are by resampling these;
 what is left to chance in a training is not in them.

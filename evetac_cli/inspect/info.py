@@ -19,7 +19,7 @@ from evetac_cli.pages import touch_words
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid, streams
-from evetac_cli.store.recordings.onset import is_unsure, labelled_onset
+from evetac_cli.store.recordings.onset import abstains, labelled_onset
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
 
@@ -261,7 +261,7 @@ def _features(file: StageFile) -> dict[str, Any]:
         "slices": file.length("events_total"),
         "dots": in_words(rows, columns),
         "labelled": file.has("label"),
-        "abstained": is_unsure(file),
+        "abstained": abstains(file),
         "true_slip_share": any(map(file.has, TRUE_SLIP_SHARES)),
         "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
     }

@@ -25,7 +25,7 @@ from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
 from evetac_cli.store.index.known import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
-from evetac_cli.store.recordings.onset import UNSURE, is_unsure
+from evetac_cli.store.recordings.onset import ABSTAINED, abstains
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
@@ -96,7 +96,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
                 parents.append(labels.header)
                 arrays["label"] = labels.read("label")
                 arrays["onset_slice"] = labels.read("onset_slice")
-                arrays[UNSURE] = np.uint8(is_unsure(labels))
+                arrays[ABSTAINED] = np.uint8(abstains(labels))
         recipe = _recipe(params, parents)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
@@ -119,7 +119,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         labelled="label" in arrays,
         gripper="gripper_position_ticks" in arrays,
         onset_ms=onset if onset >= 0 else None,
-        abstained=bool(arrays.get(UNSURE, 0)),
+        abstained=bool(arrays.get(ABSTAINED, 0)),
     )
 
 

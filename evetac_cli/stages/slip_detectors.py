@@ -19,7 +19,7 @@ from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.rules import named_architecture
-from evetac_cli.store.recordings.onset import is_unsure
+from evetac_cli.store.recordings.onset import abstains
 
 EXTRA_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_ma", "sticking_share")
 
@@ -37,7 +37,7 @@ def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: 
             file.read("label"),
             int(file.read("onset_slice")),
             None if truth is None else file.read(truth),
-            not is_unsure(file),
+            not abstains(file),
         )
 
 

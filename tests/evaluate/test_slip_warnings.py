@@ -16,7 +16,7 @@ def prediction(object_: str, warned_ms: int | None, alarms: int = 0, sensor: str
     probability, label = np.full(2500, 0.02), np.zeros(2500, np.int8)
     label[2000:] = 1
     if warned_ms is not None:
-        probability[2000 - warned_ms - 2 :] = 0.9  # the third slice on end alarms
+        probability[2000 - warned_ms - 2 :] = 0.9  # the third slice in a row alarms
     for number in range(alarms):
         probability[300 + 300 * number : 303 + 300 * number] = 0.9
     return Prediction(probability, label, 2000, object_, sensor)

@@ -48,7 +48,7 @@ def test_a_grasp_that_holds() -> None:
     assert result["moved_lift_mm"] == pytest.approx(0.3)
     assert result["moved_mm"] == pytest.approx(MM_PER_PX * np.hypot(10, 5))
     assert result["force_end_n"] == 1.5
-    assert result["slip_events"] == 3  # that of the contact phase is none; two slices on end are one
+    assert result["slip_events"] == 3  # that of the contact phase is none; two slices in a row are one
     assert result["false_slip_events"] == 1  # that at 400 ms: those at 120 and 140 have slip at 105 to 114 behind them
     assert result["failure"] == ""
 

@@ -6,8 +6,8 @@ pixels. What holds an object is friction in proportion to the grip. So this cont
 
     wanted = rest + spare + ratio * load,      rest: where light contact ended; load: displacement since then, in px
 
-at every step, which follows a load that grows before anything slips. How many ticks a pixel takes differs by a factor
-of 40 between gels, objects and friction; so the ratio is found anew in each grasp:
+at every step, which follows a load that grows before anything slips. How many ticks it takes per pixel differs by a
+factor of 40 between gels, objects and friction; so the ratio is found anew in each grasp:
 
 - In the lift the object still stands on the table, where a slide costs little. The ratio begins low, and grows while
   the contact slips. Whether it does, is asked of the load: friction of what slides goes with the grip, weight does not.
@@ -15,7 +15,7 @@ of 40 between gels, objects and friction; so the ratio is found anew in each gra
   closes by a bounded share, and the grip comes back. Without a slip signal the grip is made firmer by a small step now
   and then, until the load no longer answers: then the gripper carries the object.
 - What stopped a slide is `slide` times what holds at rest, as sliding friction is less; what is needed follows, and the
-  grip aims at `margin` times that. Where nothing slid, the ratio falls slowly in balance, by the same share a second
+  grip aims at `margin` times that. Where nothing slid, the ratio falls slowly in balance, by the same share per second
   whatever the object weighs, until the load or its turn moves more than the fall itself explains, until little sticks,
   or until slip.
 - More weight finds the same ratio. Without a slip signal it never opens beyond what load, turn and sticking say.
@@ -127,7 +127,7 @@ class LoadState(FingerState):
     pulled_px: float = 0.0  # ... over some settle_s
     carried_px: float = 0.0  # load, over some settle_s
     steady_s: float = 0.0  # for which the load has been steady
-    slip_steps: int = 0  # on end
+    slip_steps: int = 0  # in a row
     quiet_s: float = math.inf  # since slip
     ignore_s: float = 0.0  # slip is not believed for so long
     next_ignore_s: float = 0.0

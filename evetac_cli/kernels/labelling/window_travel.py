@@ -1,6 +1,6 @@
 """How far an object has gone by the events of the window that shows its texture.
 
-A texture that moves makes a number of events a pixel of motion, which is measured in the recording itself while the
+A texture that moves makes a number of events per pixel of motion, which is measured in the recording itself while the
 object still sticks to the gel, and the dots beside it go as far as it does. How far it went after that follows from
 counting, at any speed.
 
@@ -8,9 +8,9 @@ Why so:
 - At rest the window makes events of noise. They are told from the steps in which no dot moves, by their lower
   quartile, as the object may slide in half of them; counts of noise have it 0.67 standard deviations below their mean.
   The least of all steps would be less than noise makes, and would let an object at rest go on for pixels.
-- The window's events a pixel fall with the distance travelled: the pixels start anywhere between two thresholds, but
+- The window's events per pixel fall with the distance travelled: the pixels start anywhere between two thresholds, but
   later every turn of the texture's slope costs as much brightness as a threshold before events come again. After a
-  distance s it makes fresh / (1 + s / fading_px) events a pixel, so N events are a distance of
+  distance s it makes fresh / (1 + s / fading_px) events per pixel, so N events are a distance of
   fading_px (exp(N / (fresh fading_px)) - 1).
 - `fresh` is the median over steps of 50 ms in which the dots that move most took the object along. Steps after a slice
   are not used, as they may contain the slip.
@@ -26,7 +26,7 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.labelling.flow import Region
 
-STEP_MS = 50  # of the measurement of the window's events a pixel, and of its noise
+STEP_MS = 50  # of the measurement of the window's events per pixel, and of its noise
 LAG_MS = 30  # a slice uses only steps that ended so long before: later ones may hold the slip itself
 LEAST_STEP_PX = 0.15  # the gel must have moved so far in a step for it to be used
 LEAST_STEPS = 1
@@ -85,7 +85,7 @@ def noise_rate(window_events: NDArray[np.int64], leading: Floats) -> float:
 
 
 def events_per_px(moved: Floats, leading: Floats, assumed: float, fading_px: float) -> EventRate:
-    """The events a pixel of motion that the window made before it moved, as known in every slice.
+    """The events per pixel of motion that the window made before it moved, as known in every slice.
 
     `moved` (slices + 1,) counts events without noise, `leading` is how far the leading dots are from rest, every
     STEP_MS slices. Of all earlier steps the median, weighted by how far these dots went; `assumed` before.

@@ -2,7 +2,7 @@
 
 A slice alarms when it and the two before it reach the threshold: a node of the gel that lets go alone lifts the
 probability for a slice or two, and is no slip. Alarms are counted 200 ms apart. One that goes on counts again after
-200 ms, so that a detector that always alarms has five a second and not one in all.
+200 ms, so that a detector that always alarms has five per second and not one in all.
 
 Time is the slice index, one slice a millisecond. The first slice that reaches the threshold, by which the paper times
 its models, is in metrics.py.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip.labels import is_slip
 
-ALARM_SLICES = 3  # on end that reach the threshold
+ALARM_SLICES = 3  # in a row that reach the threshold
 APART_MS = 200  # from one alarm that counts to the next
 NEAR_SLIP_MS = 200  # so near to slip, before or after it, an alarm is not false
 LEADS_MS = (0, 5, 10, 20, 40)  # by which slips are to be warned of

@@ -25,7 +25,7 @@ from evetac_cli.pages.shared import (
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, Series
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.onset import is_unsure
+from evetac_cli.store.recordings.onset import abstains
 from evetac_cli.store.recordings.read import Recording, true_onset
 
 BINS = 3000
@@ -294,7 +294,7 @@ def slip_onsets(
     if source is not None:
         label = source.read("label", start, stop)
         onsets["label"] = _first(label == 1, start)
-        if is_unsure(source):  # its guess lies before the slices that surely slip
+        if abstains(source):  # its guess lies before the slices that surely slip
             guess = int(source.read("onset_slice"))
             onsets["label"] = guess if start <= guess < stop else None
         examined = _first(label >= 0, start) or start

@@ -56,7 +56,7 @@ from evetac_cli.stages.train.plan import group_parameters, series_bytes, state_f
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
-from evetac_cli.store.recordings.onset import PERSON, is_unsure
+from evetac_cli.store.recordings.onset import PERSON, abstains
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining
@@ -241,7 +241,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             memory_bytes.append(series_bytes(file, architecture))
             know_truth.append(any(map(file.has, TRUE_SLIP_SHARES)))
             slip.append(not file.has("onset_slice") or int(file.read("onset_slice")) >= 0)
-            unsure.append(is_unsure(file))
+            unsure.append(abstains(file))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])

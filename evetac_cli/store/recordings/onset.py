@@ -6,7 +6,7 @@ import numpy as np
 
 from evetac_cli.store.files import StageFile
 
-UNSURE = "abstained"  # dataset of labels, and of features made from them
+ABSTAINED = "abstained"  # dataset of labels, and of features made from them
 PERSON = "person"  # method of labels that a person gave (`label --review`)
 
 
@@ -56,6 +56,6 @@ def labelled_onset(labels: StageFile) -> LabelledOnset:
     return told_onset(int(labels.read("onset_slice")), earliest, latest, float(labels.read("confidence")), doubt)
 
 
-def is_unsure(file: StageFile) -> bool:
+def abstains(file: StageFile) -> bool:
     """Whether labels, or the labels that features were made from, abstained."""
-    return file.has(UNSURE) and bool(file.read(UNSURE))
+    return file.has(ABSTAINED) and bool(file.read(ABSTAINED))

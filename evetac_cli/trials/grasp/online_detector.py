@@ -102,7 +102,7 @@ class OnlineSlipDetector:
 
     @property
     def threshold(self) -> float:
-        """The probability that three slices on end have to reach."""
+        """The probability that three slices in a row have to reach."""
         return self.alarm.threshold
 
     @threshold.setter
@@ -116,7 +116,7 @@ class OnlineSlipDetector:
 
     @property
     def slip(self) -> bool:
-        """Whether the last slice alarms: it is the third on end, at least, that reaches the threshold."""
+        """Whether the last slice alarms: it is the third in a row, at least, that reaches the threshold."""
         return self.alarm.alarming
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:

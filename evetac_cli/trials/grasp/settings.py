@@ -35,8 +35,8 @@ class DetectorModel:
     """The model of a slip detector, checked, and how it is run.
 
     header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: which probability
-    three slices on end have to reach, for the controller to be told of slip; sticking: whether it is told what sticks,
-    too.
+    three slices in a row have to reach, for the controller to be told of slip; sticking: whether it is told what
+    sticks, too.
     """
 
     path: Path

@@ -175,7 +175,7 @@ def test_gel_that_snaps_back_under_an_object_slides() -> None:
 
 
 def test_an_object_that_rests_goes_nowhere() -> None:
-    """Assert that noise of the window at rest, 2 events a slice, is no travel: no relative flow beyond its scatter."""
+    """Assert that noise of a window at rest, 2 events per slice, is no travel: no relative flow beyond its scatter."""
     dot_px, object_px = slide_of(0.0, 0.0, 2000, 2000)
     quiet = scene(dot_px, object_px)
     rng = np.random.default_rng(1)

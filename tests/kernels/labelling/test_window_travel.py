@@ -31,7 +31,7 @@ def test_medians_are_those_of_all_values_so_far() -> None:
 
 
 def test_noise_is_what_the_window_makes_while_the_dots_rest() -> None:
-    """Assert that noise of 0.9 events a slice is told to 5 %, of rest between motion; the least step is a third off."""
+    """Assert that noise of 0.9 events per slice is told to 5 %, of rest amid motion; the least step is a third off."""
     rng = np.random.default_rng(3)
     leading = np.repeat(np.arange(6.0), 13)[:61]
     events = np.concatenate([[0], np.cumsum(rng.poisson(0.9, 3000))])

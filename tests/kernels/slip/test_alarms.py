@@ -1,4 +1,4 @@
-"""Alarms: three slices on end, 200 ms apart, the same live and offline; leads and false ones."""
+"""Alarms: three slices in a row, 200 ms apart, the same live and offline; leads and false ones."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ PROBABILITIES = st.lists(st.sampled_from([float("nan"), 0.2, 0.7, 0.95, 1.0]), m
 
 
 def test_an_alarm_is_three_slices_on_end() -> None:
-    """Assert that a spike of two slices is none, and that the third on end and those after it are."""
+    """Assert that a spike of two slices is none, and that the third in a row and those after it are."""
     told = alarms.alarming(np.array([0, 0.9, 0.9, 0, 0.9, 0.9, 0.9, 0.9, 0]), 0.9)
     assert np.flatnonzero(told).tolist() == [6, 7]
 

@@ -54,7 +54,7 @@ def test_without_quiet_slices_no_threshold_is_chosen() -> None:
 
 
 def test_a_detector_that_always_alarms_gets_the_highest_threshold() -> None:
-    """Assert so, and that its price is five alarms a second."""
+    """Assert so, and that its price is five alarms per second."""
     curve = warning_curve.of_predictions([prediction(np.ones(60_000))])
     assert curve.threshold_for(1.0) == curve.threshold[-1]
     assert curve.false_alarms_per_min[-1] == pytest.approx(300, rel=0.01)

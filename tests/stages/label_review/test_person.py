@@ -13,7 +13,7 @@ from evetac_cli.stages import label
 from evetac_cli.stages.label_review import person
 from evetac_cli.stages.label_review.person import Verdict
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.onset import is_unsure, labelled_onset
+from evetac_cli.store.recordings.onset import abstains, labelled_onset
 from evetac_cli.store.recordings.read import open_recording
 from tests.small_files import recording_of
 
@@ -72,7 +72,7 @@ def test_an_onset_that_cannot_be_told_is_not_examined(recording: Path, verdict: 
     assert [result["faults"] for result in validate.run([path]).rows] == [None]
     with StageFile(path) as file:
         assert np.flatnonzero(file.read("label")[:50] == -1).tolist() == list(unknown)
-        assert is_unsure(file)
+        assert abstains(file)
         assert "cannot tell" in labelled_onset(file).in_words()
     assert row["abstained"]
 
