@@ -1,7 +1,8 @@
 """Recordings of the motions that slip detectors are trained on and chosen by, written as `record` and `grasp` do.
 
 `python scripts/motion_recordings.py learn --out FOLDER` writes those of TRAINED objects into FOLDER/MOTION, `choose`
-those of CHOSEN_BY objects. Every second one is of a randomised sensor. What is there is not made again.
+those of CHOSEN_BY objects. Every second one is of a randomised sensor. What is there is not made again. Seeds:
+scripts/seeds.json, group `slip detectors trained on motions`.
 """
 
 import argparse
@@ -12,9 +13,9 @@ import motions
 from motions import Planned
 from slip_trials import planned_at
 
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import SceneError
 from evetac_cli.jobs import silent
-from evetac_cli.kernels.grip.control import make_law
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.settings import GraspSettings, SimulatedGrasp
 from evetac_cli.trials.trial import SimulatedTrial
@@ -32,7 +33,6 @@ COUNTS = {
         **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2},
     },
 }
-CONTROL_HZ = 500.0
 
 
 def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
@@ -41,7 +41,7 @@ def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
     if planned.plan.scene.kind != "lift":
         return SimulatedTrial(*named)
     law = f"fixed:{planned.beyond_ticks}"
-    settings = GraspSettings(law, 1.0, make_law(law), CONTROL_HZ, 0, planned.lift_s, planned.balance_s, None)
+    settings = GraspSettings.of(Grasp(controller=law, lift_s=planned.lift_s, balance_s=planned.balance_s))
     return SimulatedGrasp(*named, settings, settings.timing(planned.plan.scene.time.touch_s))
 
 

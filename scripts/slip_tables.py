@@ -230,10 +230,9 @@ def leads(of_slips: Sequence[Row], score: str, rule: str, at: int) -> NDArray[np
 def warned_at(rows: Rows, score: str, rule: str, per_minute: float, least_ms: int) -> float:
     """Share of slips warned of at least so far ahead, where false alarms come so often, between thresholds."""
     of_slips = slip_rows(rows)
-    rates = mean_false(rows, score, rule)
+    rates = mean_false(rows, score, rule)  # never rising; of thresholds with as many, the lowest comes last below
     shares = [float((leads(of_slips, score, rule, at) >= least_ms).mean()) for at in range(len(THRESHOLDS))]
-    order = np.argsort(rates, kind="stable")
-    return float(np.interp(per_minute, rates[order], np.array(shares)[order]))
+    return float(np.interp(per_minute, rates[::-1], shares[::-1]))
 
 
 def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
@@ -266,7 +265,8 @@ def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
         columns |= {f"in {motion}": f"{{{motion}:.2f}}" for motion in rows}
         note = (
             f"A false alarm: {means[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
-            f" Thresholds: about {PER_MINUTE:g} per minute in the mean over motions, on other trials."
+            f" Minutes are of contact. Thresholds: about {PER_MINUTE:g} per minute in the mean over motions, on other"
+            " trials."
         )
         title = f"Slip warned of ahead, and false alarms: {means[rule]}"
         tables.append(table_of(f"{name}-{rule}", title, columns, shown, command, sizes_of(rows), notes=(note,)))

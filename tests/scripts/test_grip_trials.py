@@ -55,7 +55,8 @@ def test_the_oracle_holds_by_its_margin(trials: Any, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(trials, "LIFT_S", 4.0)
     monkeypatch.setattr(trials, "BALANCE_S", 0.5)
     _, row = trials.play("oracle:1.5", 23)
-    assert row["over_holding_end"] is None or row["over_holding_end"] == pytest.approx(1.5, rel=0.1)
-    assert row["force_end_n"] == pytest.approx(1.5 * 0.19, rel=0.15)
+    assert row["balanced"]
+    assert row["over_holding_end"] == pytest.approx(1.5, rel=0.1)
+    assert row["force_end_n"] == pytest.approx(1.5 * row["holding_end_n"], rel=0.1)
     with pytest.raises(ValueError, match="margin"):
         trials.grip_oracle.of_name("oracle:0.5", None)

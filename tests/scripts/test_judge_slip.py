@@ -147,6 +147,19 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     assert exact["warned_10_ms"] == 1.0 and exact["false_per_min"] <= 1.0
 
 
+def test_of_thresholds_with_as_few_false_alarms_the_lowest_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that between thresholds the lowest without false alarms is taken, not the highest, which warns least."""
+    monkeypatch.setattr(slip_tables, "THRESHOLDS", (0.1, 0.5, 0.9))
+
+    def row(leads_ms: list[int]) -> dict[str, Any]:
+        score = {"false": {"unmoved": [2, 0, 0]}, "leads_ms": {"unmoved": [[ms] for ms in leads_ms]}}
+        return {"minutes": 1.0, "unloading_n_s": 1.0, "scores": {"a": score}}
+
+    rows = {"slip": [row([20, 20, 0]), row([20, 0, 0])]}
+    assert slip_tables.warned_at(rows, "a", "unmoved", 0.0, 10) == 0.5
+    assert slip_tables.warned_at(rows, "a", "unmoved", 1.0, 10) == 0.75
+
+
 def test_motions_for_training_leave_some_for_the_judge() -> None:
     """Assert that detectors are trained on known motions, and that some are kept for the judge alone."""
     import motion_recordings
