@@ -12,12 +12,13 @@ files made from them, names the method.
 """
 
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from evetac_cli.commands.label import Label
-from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.commands.parameter import flag_of, recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, outcome, silent
@@ -31,6 +32,7 @@ from evetac_cli.store.recordings.read import Recording, open_recording, ramp_sta
 
 OUTPUT = "labels"
 METHOD = 6
+OF_REVIEW = ("after_ms",)  # of what decides the numbers, this holds for a person's labels too
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
 EDGE_IN_GEL_PX = 10
 EDGE_IN_WINDOW_PX = 25
@@ -41,10 +43,20 @@ def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
     if params.review:
         from evetac_cli.stages import label_review
 
+        _refuse_options_of_methods(params)
         return list(label_review.jobs(files, out))
     if params.by:
         raise InputError("only a person's labels are by somebody", where="--by", expected="--review beside it")
     return per_file(files, OUTPUT, out)
+
+
+def _refuse_options_of_methods(params: Label) -> None:
+    """InputError for an option that decides how a method labels, where a person does."""
+    for item in fields(params):
+        value = getattr(params, item.name)
+        if item.metadata["recipe"] and item.name not in OF_REVIEW and value != item.default:
+            hint = f"leave out {flag_of(item)}, or label with it first and review without"
+            raise InputError("has no effect with --review", where=flag_of(item), found=str(value), hint=hint)
 
 
 def _recipe(params: Label, recording: Header) -> Recipe:

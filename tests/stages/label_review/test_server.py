@@ -171,3 +171,12 @@ def test_the_stage_serves_until_the_person_is_done(tmp_path: Path, monkeypatch: 
     assert outcome.simulated
     with pytest.raises(InputError, match="no such folder"):
         label_review.run(label_review.jobs(reviewed.recordings, tmp_path / "none")[0], chosen)
+
+
+@pytest.mark.parametrize("option", [{"method": "farneback"}, {"slip_distance_px": 0.5}, {"from_start": True}])
+def test_options_of_methods_are_refused(tmp_path: Path, option: dict[str, Any]) -> None:
+    """Assert that what decides how a method labels is not taken in silence where a person does."""
+    (name,) = option
+    with pytest.raises(InputError, match=f"--{name.replace('_', '-')}") as error:
+        label.jobs([tmp_path / "a.recording.h5"], Label(review=True, **option), None)
+    assert "leave out" in str(error.value)
