@@ -1,4 +1,4 @@
-"""How far ahead slip is told, and at which price: oracles that know what no sensor does, and slip detectors.
+"""How far ahead slip is told, with how many false alarms, by oracles that know what no sensor does and by detectors.
 
 `python scripts/judge_slip.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
 thresholds are chosen by, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200

@@ -17,9 +17,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import motions
 import numpy as np
@@ -28,18 +26,15 @@ from motions import Trial
 from results import ranges
 from script_rows import add_rows, rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
+from seen_trials import Seen
 from slip_alarms import begins
 from sticking_trials import AFTER_MS, HIGH, LOW, Looks
 
 from evetac_cli.arrays import Flags, Floats, Singles
-from evetac_cli.events import Events
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
 from evetac_cli.kernels.touch.rigid_motion import rigid_slip_share
 from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
-from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.presets import PRESETS
-from evetac_cli.kernels.tracking.tracker import TrackerState
 from evetac_cli.stages.touch.sticking_network import shipped
 
 NAME = "sticking-share"
@@ -117,20 +112,9 @@ def judged(trial: Trial, looks: Looks) -> Row:
 
 def tracked_trial(number: int, seed: int) -> tuple[Trial, Floats]:
     """A trial that a camera sees, and its dots by the tracker `stable`."""
-    planned = motions.planned(CAMERA, number, seed)
-    constants = PRESETS["stable"].for_dots(planned.plan.sensor.dot_radius_px)
-    state: TrackerState | None = None
-    seen: list[Floats] = []
-
-    def see(sensor: Mapping[str, Any], events: Events, row: Mapping[str, Any]) -> None:
-        nonlocal state
-        if state is None:
-            state = tracker.start(np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2), constants)
-        tracker.step(state, events.x, events.y, events.p)
-        seen.append(state.dot_xy_px.copy())
-
-    trial = motions.played(planned, seed, see)
-    return trial, np.array(seen)
+    eye = Seen(sticks=False)
+    trial = motions.played(motions.planned(CAMERA, number, seed), seed, eye.see)
+    return trial, eye.dot_px.astype(np.float64)
 
 
 def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row]:

@@ -1,7 +1,7 @@
 """Run the experiments and studies (scripts/experiments.py) and keep their tables, one small JSON each.
 
     python scripts/reproduce.py --list
-    python scripts/reproduce.py --only labels [--small] [--size each=2] [--jobs 4] [--dry-run]
+    python scripts/reproduce.py --only tracking [--small] [--size edges=5] [--jobs 4] [--dry-run]
 
 Each command skips what is up to date, so that an experiment goes on where it was stopped. Its files lie in a folder of
 their own (demo/, data/slip/, ...), those of `--small` in small/. Tables go to docs/results/NAME.json, of small runs to

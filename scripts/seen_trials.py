@@ -64,6 +64,11 @@ class Seen:
             goal_ticks = float(row.get("control/goal_ticks", UNKNOWN))
             self._gripper.append((row["gripper/t_us"], float(row["gripper/position_ticks"]), goal_ticks, goal_ma))
 
+    @property
+    def dot_px(self) -> Singles:
+        """Where the tracker saw the dots at the end of each slice, (slices, dots, 2), as tracks store them."""
+        return np.array(self._dot_px)
+
     def extras(self) -> Singles:
         """What is known beside the dots, (slices, extras)."""
         slices = len(self._dot_px)
@@ -76,7 +81,7 @@ class Seen:
 
     def probabilities(self, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
         """Of each model by name, with its horizon in ms."""
-        dot_px, events = np.array(self._dot_px), np.array(self._events)
+        dot_px, events = self.dot_px, np.array(self._events)
         moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
         told, sensitivity = self.extras(), sensitivity_of(self.sensor)
         said = {}

@@ -1,4 +1,4 @@
-"""Thresholds and tables from rows of judged trials (slip_trials.py): timing, warning ahead, and their price."""
+"""Thresholds and tables from rows of judged trials (slip_trials.py): timing, warnings ahead, false alarms."""
 
 import json
 import math

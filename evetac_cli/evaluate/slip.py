@@ -6,8 +6,8 @@ evaluated at its own threshold, which `train` chose on validation trajectories; 
 counted against shifted labels in F1 and against the unshifted onset in the timing.
 
 Beside the timing, which asks when the first slice reaches the threshold, stands what a controller goes by: alarms,
-three slices in a row, how long ahead of slip they begin for good, and how often they come where nothing slips
-(slip_warnings.py).
+three slices in a row, how long before slip the one begins that lasts until it, and how often they come where nothing
+slips (slip_warnings.py).
 
 The rows are eight tables with different columns: the covariates of the slips that are judged on, which decide how far
 the figures of two data sets can be compared (slip_covariates.py); the figures of a setting beside the paper's; how long

@@ -1,4 +1,4 @@
-"""What detectors warn of, and at what price: columns and tables of a report on slip beside timing and F1.
+"""Slips that detectors warn of, and false alarms: columns and tables of a report on slip beside timing and F1.
 
 A warning is an alarm that lasts until slip: three slices in a row that reach the threshold (kernels/slip/alarms.py),
 where timing asks for the first slice alone, as the paper does. A figure is a mean over objects, each of which counts

@@ -12,7 +12,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
 USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
-# From which a controller is told of slip by a model that keeps no price of its thresholds: with its own, 0.95 in the
+# From which a controller is told of slip by a model without counted false alarms: with its own, 0.95 in the
 # package's first, a lift of the paper's law fails (docs/slip-detector.md, seeds 10,017 and 10,018).
 OLDER_CONTROLLER_THRESHOLD = 0.3
 # Where features hold the share of the visible contact that slips, from a simulation's truth: today's name, and the one

@@ -57,7 +57,7 @@ class EventFlowConstants:
     look_ahead_ms: int = 4  # relative flow is summed over so many slices
     seen_slide_px: float = 10.0  # of a slide beyond, the window's events are no measure: relative flow is NaN
     events_per_px: float = 500.0  # of the window before it has moved, until the recording tells
-    fading_px: float = 30.0  # after so much travel the window makes half the events a pixel
+    fading_px: float = 30.0  # after so much travel the window makes half the events per pixel
     least_events_per_px: float = 20.0  # of the window: less is no texture
     after_ms: int = 60  # slices labelled after the onset
 

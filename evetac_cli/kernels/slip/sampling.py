@@ -11,8 +11,8 @@ Selection):
 32, 32 and 8 of them, and an epoch is one pass over the busy pool.
 
 Trajectories in which nothing ever slips, which the paper has none of, are a fourth pool, `still`: fingers that open,
-pushes, shaking, of which most slices are easy. However many there are, a batch holds 16 of it more: of 48 that are
-drawn 8 as they come, and of the others the 8 that the network, as it is by then, takes for slip the most (training.py).
+pushes, shaking, of which most slices are easy. However many there are, a batch holds 16 of them more: of 48 that
+are drawn the first 8, and of the other 40 the 8 that the network at that moment most takes for slip (training.py).
 """
 
 from collections.abc import Iterable, Iterator
