@@ -279,6 +279,11 @@ def weight_shapes(
     return {prefix + name: shape for prefix in networks for name, shape in shapes.items()}
 
 
+_DIRECTIONS = (
+    ChannelView("x", 10, 10, 5, change=True),
+    ChannelView("y", 10, 10, 5, change=True),
+    ChannelView("events", 10, 10, 5),
+)
 _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
 # why so: 90 x 80 px hold the first of the paper's pools; then only these leave 5 x 5 px for every convolution
 _POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
@@ -335,11 +340,7 @@ ARCHITECTURES: dict[str, Architecture] = {
         # Twice the time (100 ms) was no better on unseen objects.
         DotArchitecture(
             "disp-xy",
-            (
-                ChannelView("x", 10, 10, 5, change=True),
-                ChannelView("y", 10, 10, 5, change=True),
-                ChannelView("events", 10, 10, 5),
-            ),
+            _DIRECTIONS,
             fc1=24,
             fc2=8,
             like_one_sensor=True,
@@ -348,11 +349,7 @@ ARCHITECTURES: dict[str, Architecture] = {
         # open a tick move the dots as a contact that begins to slip does.
         DotArchitecture(
             "disp-xy-grip",
-            (
-                ChannelView("x", 10, 10, 5, change=True),
-                ChannelView("y", 10, 10, 5, change=True),
-                ChannelView("events", 10, 10, 5),
-            ),
+            _DIRECTIONS,
             fc1=24,
             fc2=8,
             like_one_sensor=True,
