@@ -33,6 +33,7 @@ COUNTS = {
         **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2},
     },
 }
+SENSORS_APART = 30  # every trial of a random sensor has another: so many numbers of sensors for each motion
 
 
 def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
@@ -58,7 +59,8 @@ def main() -> None:
         folder = chosen.out / motion.replace(" ", "-")
         folder.mkdir(parents=True, exist_ok=True)
         for place in range(own, count * len(objects), of):
-            number, planned = planned_at(motion, objects, first, place, first)
+            sensors = first + SENSORS_APART * motions.MOTIONS.index(motion)
+            number, planned = planned_at(motion, objects, first, place, sensors, several=SENSORS_APART)
             output = folder / f"{folder.name}-obj{number:02d}-s{first + place}.recording.h5"
             trial = trial_of(planned, first + place, output)
             run = grasp.simulated.run if isinstance(trial, SimulatedGrasp) else record.simulated.run

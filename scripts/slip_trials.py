@@ -43,13 +43,15 @@ def oracle_scores(trial: Trial) -> dict[str, tuple[Singles, int]]:
     return {f"{name} {ms} ms": (slip_oracles.score(trial, name, ms), ms) for name, ms in pairs}
 
 
-def planned_at(motion: str, objects: tuple[int, ...], seed: int, place: int, sensors: int) -> tuple[int, Planned]:
-    """The object and the plan of the place-th trial of a motion; every second one has a randomised sensor.
+def planned_at(
+    motion: str, objects: tuple[int, ...], seed: int, place: int, sensors: int, several: int = SENSORS
+) -> tuple[int, Planned]:
+    """The object and the plan of the place-th trial of a motion; every second one has one of several random sensors.
 
     Objects are of other shape, width, weight and friction than the table's, another in each trial.
     """
     number = objects[place // 2 % len(objects)]
-    sensor = EVETAC if place % 2 == 0 else f"randomized:{sensors + place // 2 % SENSORS}"
+    sensor = EVETAC if place % 2 == 0 else f"randomized:{sensors + place // 2 % several}"
     trial = motions.planned(motion, number, seed + place, sensor, reshaped=motion != "data-rate")
     scene = replace(trial.plan.scene, gel=replace(trial.plan.scene.gel, cut=True))
     return number, trial._replace(plan=replace(trial.plan, scene=scene))
