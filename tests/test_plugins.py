@@ -25,6 +25,7 @@ from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import ImportFormat, read_events
 from evetac_cli.inspect.doctor import plugin_check
 from evetac_cli.kernels.grip.control import PluginLaw
+from evetac_cli.kernels.grip.load_proportional import MARGIN
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import made as made_with
@@ -381,15 +382,15 @@ def test_a_law_says_its_method(add: Add) -> None:
     """Assert that a law without one is refused, and that one has it in its recipe, and no gain."""
     add(plugins.CONTROLLERS, bare=Unnumbered(), full=Numbered())
     with pytest.raises(InputError, match="has no `method`"):
-        settings._law("bare", 1.0)
-    law = settings._law("full", 1.0)
+        settings._law("bare", 1.0, MARGIN)
+    law = settings._law("full", 1.0, MARGIN)
     trial: Any = SimpleNamespace(plan=None, number=0)
     of_law = settings.GraspSettings("full", 1.0, law, 500.0, 0, 1.0, 1.0, None)
     assert of_law.parameters(trial)["law_method"] == 3
-    ours = settings.GraspSettings("none", 1.0, settings._law("none", 1.0), 500.0, 0, 1.0, 1.0, None)
+    ours = settings.GraspSettings("none", 1.0, settings._law("none", 1.0, MARGIN), 500.0, 0, 1.0, 1.0, None)
     assert "law_method" not in ours.parameters(trial)
     with pytest.raises(InputError, match="a gain is for paper and paper-reset") as refused:
-        settings._law("full", 2.0)
+        settings._law("full", 2.0, MARGIN)
     assert "full with gain 2" in str(refused.value)
 
 

@@ -157,10 +157,12 @@ def test_the_picture_of_slip(settings: int, objects: int, *, published: bool) ->
 def grasp_rows(settings: int, objects: tuple[int, ...], trials: int, *, held: bool) -> list[dict[str, Any]]:
     """Rows of trials as evaluate grasp has them."""
     figures = {"opening_after_balance_ticks": -7.0, "force_end_n": 2.0, "moved_mm": 0.4}
-    figures |= dict.fromkeys((*grasp.MEANS, "moved_lift_mm"), 0.1) | figures
+    figures |= dict.fromkeys((*grasp.MEANS, "moved_lift_mm", "motor_work_j"), 0.1) | figures
+    figures |= {"slip_events": 3, "false_slip_events": 1, "carried_g": 100.0, "holding_end_n": 1.0}
+    figures |= {f"over_holding_{name}": 2.0 for name in ("end", "mean", "peak")}
     return [
         {"setting": f"fixed:{n}" if n else "paper", "object": number, "file": f"{n}-{number}-{trial}", "lifted": held,
-         "balanced": held, "slip_events": 3, **figures}
+         "balanced": held, "failure": "" if held else "fell in the lift", **figures}
         for n in range(settings) for number in objects for trial in range(trials)
     ]  # fmt: skip
 

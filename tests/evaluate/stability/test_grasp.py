@@ -40,11 +40,12 @@ def not_ok(rows: Rows) -> list[str]:
 def test_what_is_not_ok(short: GraspResult) -> None:
     """Assert that a lost object, numbers that are not finite, a goal out of range, too much current and swing are not.
 
-    The short grasp does not lift by 50 mm, so that what is held is said by hand.
+    The short grasp does not lift by 50 mm, and its fingers still close, so that what is held is said by hand.
     """
-    held = replace(short, figures={**short.figures, **HELD})
+    still = {**short.rows, "gripper/position_ticks": np.full_like(short.rows["gripper/position_ticks"], 500)}
+    held = replace(short, figures={**short.figures, **HELD}, rows=still)
     assert not_ok(stability.check("as it is", "paper", held)) == []
-    swings = short.rows["gripper/position_ticks"].copy()
+    swings = still["gripper/position_ticks"].copy()
     swings[::2] += 9
     for path, value, quantity in (
         ("truth/normal_force_n", np.full(2600, np.nan), bounds.FINITE),
@@ -53,7 +54,7 @@ def test_what_is_not_ok(short: GraspResult) -> None:
         ("gripper/current_ma", np.full(1300, 700.0), bounds.CURRENT),
         ("gripper/position_ticks", swings, bounds.SWING),
     ):
-        wrong = replace(held, rows={**short.rows, path: value})
+        wrong = replace(held, rows={**still, path: value})
         assert not_ok(stability.check("wrong", "paper", wrong)) == [quantity.quantity]
     for figures, wanted in (
         ({"balanced": False}, [bounds.HELD.quantity]),

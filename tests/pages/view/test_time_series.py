@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from evetac_cli.commands.view import View
 from evetac_cli.kernels.sensitivity import UNKNOWN
+from evetac_cli.kernels.slip.alarms import ALARM_SLICES
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.pages.view import collect_view, time_series
 from evetac_cli.pages.view.trial_files import open_trial
@@ -95,7 +96,7 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (panel,) = [panel for panel in whole.panels if panel.title == "Slip probability, model"]
     lane = whole.lanes[-1]
     np.testing.assert_allclose(part, panel.lines[0].value[40:90], rtol=1e-6)
-    expected = int(np.flatnonzero(panel.lines[0].value >= 0.5)[0])
+    expected = int(np.flatnonzero(panel.lines[0].value >= 0.5)[ALARM_SLICES - 1])
     assert whole.onsets["model"] == expected
     assert (lane.slip, lane.unknown) == ([(expected / 1000, 0.3)], [(0.0, 0.009)])
     assert panel.levels == {"threshold": 0.5}
