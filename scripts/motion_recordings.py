@@ -25,8 +25,8 @@ OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
 # Trials per object; fast jerks, weights and the data-rate scene are kept for the judge.
 COUNTS = {
     "learn": {
-        **{"slip": 3, "slip-varied": 2, "slip-speeds": 4, "handling": 2, "pushes": 2, "grip": 2, "jerks": 2},
-        **{"lifting": 1, "opening": 3, "light touch": 1, "vibration": 1},
+        **{"slip": 8, "slip-varied": 8, "slip-speeds": 16, "handling": 4, "pushes": 6, "grip": 5, "jerks": 4},
+        **{"lifting": 2, "opening": 5, "light touch": 2, "vibration": 3},
     },
     "choose": {
         **{"slip": 4, "slip-speeds": 8, "handling": 2, "pushes": 4, "grip": 3, "jerks": 2},
