@@ -63,9 +63,11 @@ def main() -> None:
             number, planned = planned_at(motion, objects, first, place, sensors, several=SENSORS_APART)
             output = folder / f"{folder.name}-obj{number:02d}-s{first + place}.recording.h5"
             trial = trial_of(planned, first + place, output)
-            run = grasp.simulated.run if isinstance(trial, SimulatedGrasp) else record.simulated.run
             try:
-                run(trial, force=False, progress=silent)  # type: ignore[arg-type]
+                if isinstance(trial, SimulatedGrasp):
+                    grasp.simulated.run(trial, force=False, progress=silent)
+                else:
+                    record.simulated.run(trial, force=False, progress=silent)
             except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
                 sys.stdout.write(f"{output.name} is left out: {error}\n")
         sys.stdout.write(f"{motion}: {count * len(objects)} recordings\n")

@@ -12,6 +12,7 @@ fits them again.
 import itertools
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
 import motions
@@ -76,6 +77,7 @@ def fit(trials: list[Trial], oracle: str, horizon_ms: int) -> Floats:
     return logistic.fit(inputs, label, np.full(inputs.shape[1], PENALTY * len(label)), importance)
 
 
+@cache
 def weights() -> dict[str, dict[str, list[float]]]:
     """The weights as they were fitted, by oracle and horizon."""
     loaded: dict[str, dict[str, list[float]]] = json.loads(FILE.read_text())["weights"]

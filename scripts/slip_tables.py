@@ -180,7 +180,7 @@ def paired_table(name: str, rows: Rows, models: Sequence[str], command: str) -> 
         row: Row = {"model": model, "slips": len(of_slips), "horizon_ms": horizon_ms}
         row |= _difference("timing", *(one.astype(float) for one in right), clusters)
         for rule in RULES:
-            warned = [first_leads(of_slips, one, rule, THRESHOLDS.index(chosen[one][rule])) for one in both]
+            warned = [leads(of_slips, one, rule, THRESHOLDS.index(chosen[one][rule]), most=1) for one in both]
             row |= _difference(rule, *((one >= WARNED_MS).astype(float) for one in warned), clusters)
         by_sensor = {sensor: [] for sensor in clusters}
         for sensor, one in zip(clusters, right[1], strict=True):
@@ -215,15 +215,9 @@ def sizes_of(rows: Rows) -> Row:
     }
 
 
-def first_leads(of_slips: Sequence[Row], score: str, rule: str, at: int) -> NDArray[np.float64]:
-    """How far ahead the first slip of each trial was warned of, in ms; minus infinity where it was not."""
-    found = [row["scores"][score]["leads_ms"][rule][at][0] for row in of_slips]
-    return np.array([-math.inf if ms is None else ms for ms in found])
-
-
-def leads(of_slips: Sequence[Row], score: str, rule: str, at: int) -> NDArray[np.float64]:
-    """How far ahead each slip was warned of, in ms; minus infinity where it was not."""
-    found = [ms for row in of_slips for ms in row["scores"][score]["leads_ms"][rule][at]]
+def leads(of_slips: Sequence[Row], score: str, rule: str, at: int, most: int | None = None) -> NDArray[np.float64]:
+    """How far ahead slips were warned of, in ms, of each trial the first so many; minus infinity where one was not."""
+    found = [ms for row in of_slips for ms in row["scores"][score]["leads_ms"][rule][at][:most]]
     return np.array([-math.inf if ms is None else ms for ms in found])
 
 
