@@ -2,10 +2,11 @@
 
 `python scripts/judge_slip.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
 thresholds are chosen by, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200
---minutes 5 --rows FOLDER --name slip-ceiling` plays others, and writes tables of that name. Rows, one per trial, are
-kept in the folder, and what is there is not simulated again; --motions does some of them, and writes nothing else.
+--minutes 3 --rows FOLDER` plays others, and writes tables. Rows, one per trial, are kept in the folder, and what is
+there is not simulated again; --motions does some of them, and writes nothing else.
 
 Without --model no camera is simulated. With `--model NAME=FILE ...` detectors see the trials through one, too.
+Thresholds are chosen for oracles alone: a model's are in its file.
 """
 
 import argparse
@@ -14,11 +15,12 @@ import sys
 from pathlib import Path
 
 import motions
+import slip_tables
 import slip_trials
 from motions import Planned, Trial
 from script_tables import RESULTS, write
 from seen_trials import seen
-from slip_tables import choose_thresholds, paired_table, timing_table, warning_tables
+from slip_alarms import RULES
 from slip_trials import Scores, planned_at
 
 from evetac_cli.evaluate.slip_models import Model
@@ -36,7 +38,8 @@ def main() -> None:
     parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; rows alone are written")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
     parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="trained slip detectors")
-    parser.add_argument("--name", default="slip-ceiling", help="of the tables")
+    parser.add_argument("--ideas", action="store_true", help="models are called IDEA/SEED; compare ideas in one table")
+    parser.add_argument("--name", default="slip-detectors", help="of the tables")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
     models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in chosen.model)}
@@ -63,15 +66,22 @@ def main() -> None:
     if asked:
         return
     if chosen.what == "choose":
-        choose_thresholds(rows, chosen.seed)
+        slip_tables.choose_thresholds(rows, chosen.seed)
         return
     words = ["python scripts/judge_slip.py judge", f"--seed {chosen.seed}", f"--minutes {chosen.minutes:g}"]
     words += [f"--trials {chosen.trials}"] * bool(chosen.trials)
     words += [f"--model {' '.join(chosen.model)}"] * bool(models)
     command = " ".join([*words, f"--rows FOLDER --name {chosen.name}"])
-    tables = [timing_table(f"{chosen.name}-timing", rows, command)]
-    tables += warning_tables(f"{chosen.name}-warning", rows, command)
-    tables += [paired_table(f"{chosen.name}-paired", rows, list(models), command)] * bool(models)
+    at = slip_tables.thresholds() | {name: slip_tables.thresholds_of(model.path) for name, model in models.items()}
+    given = (rows, at)
+    if chosen.ideas:
+        write(chosen.out, slip_tables.ideas_table(chosen.name, *given, command))
+        return
+    tables = [slip_tables.timing_table(f"{chosen.name}-timing", *given, command)]
+    tables += [slip_tables.warning_table(f"{chosen.name}-{rule}", *given, rule, command) for rule in RULES]
+    shown = ["ahead 10 ms", *models]
+    tables += [slip_tables.motions_table(f"{chosen.name}-motions", *given, shown, command)]
+    tables += [slip_tables.paired_table(f"{chosen.name}-paired", *given, list(models), command)] * bool(models)
     write(chosen.out, *tables)
 
 

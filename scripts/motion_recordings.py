@@ -25,7 +25,7 @@ OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
 # Trials per object; fast jerks, weights and the data-rate scene are kept for the judge.
 COUNTS = {
     "learn": {
-        **{"slip": 8, "slip-varied": 8, "slip-speeds": 16, "handling": 4, "pushes": 6, "grip": 5, "jerks": 4},
+        **{"slip": 8, "slip-varied": 8, "slip-speeds": 40, "handling": 4, "pushes": 6, "grip": 5, "jerks": 4},
         **{"lifting": 2, "opening": 5, "light touch": 2, "vibration": 3},
     },
     "choose": {
@@ -33,7 +33,7 @@ COUNTS = {
         **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2},
     },
 }
-SENSORS_APART = 30  # every trial of a random sensor has another: so many numbers of sensors for each motion
+SENSORS_APART = 30  # numbers of the first random sensors of two motions; within a motion, no two trials share one
 
 
 def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
@@ -60,7 +60,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for place in range(own, count * len(objects), of):
             sensors = first + SENSORS_APART * motions.MOTIONS.index(motion)
-            number, planned = planned_at(motion, objects, first, place, sensors, several=SENSORS_APART)
+            number, planned = planned_at(motion, objects, first, place, sensors, several=count * len(objects))
             output = folder / f"{folder.name}-obj{number:02d}-s{first + place}.recording.h5"
             trial = trial_of(planned, first + place, output)
             try:

@@ -1,10 +1,10 @@
 """Alarms of a slip detector, or of an oracle, in one trial: which are false, and how far ahead of slip they come.
 
-Alarms are those of kernels/slip/alarms.py. Two rules say which are false, as some users want to know of incipient slip
-and others of gross slip:
+Alarms are those of kernels/slip/alarms.py. Two rules say what makes an alarm true, as some users want to know of
+partial slip and others of gross slip:
 
-- `unmoved`: less than SLIPS of the visible contact slips from BEFORE_MS before to AFTER_MS after it;
-- `unfollowed`: no gross slip within FOLLOWS_MS after it.
+- `partial`: SLIPS or more of the visible contact slips from BEFORE_MS before to AFTER_MS after it;
+- `gross`: the object slides within FOLLOWS_MS after it.
 
 A gross slip is warned of by the alarm that lasts until it, unless that alarm began as a false one. An alarm while the
 object slides, LATE_MS and more after it began to, warns of nothing and is not counted.
@@ -20,7 +20,7 @@ from evetac_cli.kernels.slip.alarms import APART_MS
 
 SLIPS, BEFORE_MS, AFTER_MS = 0.3, 20, 60
 FOLLOWS_MS, LATE_MS = 200, 20
-RULES = ("unmoved", "unfollowed")
+RULES = ("partial", "gross")
 
 
 def begins(flags: Flags, apart_ms: int) -> list[int]:
@@ -54,9 +54,9 @@ def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
         slides[begin : begin + LATE_MS + 1] = False
 
     def truths(at: int) -> dict[str, bool]:
-        moves = bool((share[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1] >= SLIPS).any())
-        followed = bool(slips[max(at - LATE_MS, 0) : at + FOLLOWS_MS + 1].any())
-        return {"unmoved": moves, "unfollowed": followed}
+        partial = bool((share[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1] >= SLIPS).any())
+        gross = bool(slips[max(at - LATE_MS, 0) : at + FOLLOWS_MS + 1].any())
+        return {"partial": partial, "gross": gross}
 
     false = dict.fromkeys(RULES, 0)
     for at in alarms.onsets(alarming & ~slides).tolist():

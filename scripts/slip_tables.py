@@ -1,4 +1,8 @@
-"""Thresholds and tables from rows of judged trials (slip_trials.py): timing, warnings ahead, false alarms."""
+"""Thresholds and tables from rows of judged trials (slip_trials.py): timing, warnings ahead, false alarms.
+
+Oracles are judged at thresholds that `choose_thresholds` wrote, models at those of their files: timing and F1 at the
+one that the paper's rule chose, warnings at the one that `grasp` uses. Both are rounded to the nearest of THRESHOLDS.
+"""
 
 import json
 import math
@@ -17,6 +21,7 @@ from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clu
 from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS
 from evetac_cli.kernels.slip.metrics import Counts, timing
 from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
+from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parent
 THRESHOLD_FILE = HERE / "slip-thresholds.json"
@@ -67,9 +72,9 @@ def timings(of_slips: Sequence[Row], score: str, at: int) -> NDArray[np.str_]:
 
 
 def choose_thresholds(rows: Rows, seed: int) -> None:
-    """Write for every score the threshold of its timing, by the paper's rule, and those of PER_MINUTE, by rule."""
+    """Write for every oracle the threshold of its timing, by the paper's rule, and those of PER_MINUTE, by rule."""
     of_slips = slip_rows(rows)
-    known = json.loads(THRESHOLD_FILE.read_text()) if THRESHOLD_FILE.exists() else {}
+    known = {}
     for score in names_of(rows):
         merits = [
             float((timings(of_slips, score, at) == "correct").mean()) + f1(of_slips, score, at)
@@ -90,6 +95,20 @@ def thresholds() -> dict[str, Row]:
     return loaded
 
 
+def thresholds_of(path: Path) -> Row:
+    """The thresholds in a model's file, as `thresholds` has those of oracles."""
+    with StageFile(path, "model") as file:
+        chosen = int(file.read("checkpoint/chosen"))
+        timing_at, alarm_at = float(file.read("checkpoint/threshold")[chosen]), float(file.read("threshold"))
+    return {"timing": nearest(timing_at), **dict.fromkeys(RULES, nearest(alarm_at))}
+
+
+def nearest(threshold: float) -> float:
+    """The nearest of THRESHOLDS, by log odds."""
+    grid, at = np.array(THRESHOLDS), np.clip(threshold, 1e-6, 1 - 1e-6)
+    return THRESHOLDS[int(np.argmin(np.abs(np.log(grid / (1 - grid)) - np.log(at / (1 - at)))))]
+
+
 def mean_of(values: NDArray[np.floating], clusters: Sequence[str]) -> Estimate:
     """A mean over trials, with its interval by drawing clusters again."""
     mean = ratio_of_clusters(values.astype(float), np.ones(len(values)), cluster_weights(clusters))
@@ -106,9 +125,9 @@ def _share(flags: NDArray[np.bool_]) -> float | None:
     return float(flags.mean()) if len(flags) else None
 
 
-def timing_table(name: str, rows: Rows, command: str) -> Row:
+def timing_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
     """Timing and F1 of every score at its threshold, over all slips and by how fast the grip was unloaded."""
-    of_slips, chosen = slip_rows(rows), thresholds()
+    of_slips = slip_rows(rows)
     speed = np.array([row["unloading_n_s"] for row in of_slips])
     slow, fast = SPEEDS_N_S
     shown = []
@@ -149,8 +168,8 @@ def timing_table(name: str, rows: Rows, command: str) -> Row:
         f"above {fast:g} N/s": "{correct_fast:.2f}",
     }
     note = (
-        "Timing and F1 as in the paper; thresholds chosen on other trials"
-        f" ({chosen[shown[0]['score']]['seed']} is the first seed of each motion). Intervals by sensor and object."
+        "Timing and F1 as in the paper; thresholds chosen on other trials. Intervals by sensor, and by object where"
+        " trials share no sensor."
     )
     return table_of(name, "Timing of slip", columns, shown, command, sizes_of(rows), notes=(note,))
 
@@ -167,9 +186,9 @@ def calibration_error(rows: Rows, score: str) -> float | None:
     )
 
 
-def paired_table(name: str, rows: Rows, models: Sequence[str], command: str) -> Row:
+def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], command: str) -> Row:
     """Difference of each model from the oracle `ahead` of its horizon, trial by trial, and its calibration."""
-    of_slips, chosen = slip_rows(rows), thresholds()
+    of_slips = slip_rows(rows)
     clusters = clusters_of(of_slips)
     shown = []
     for model in models:
@@ -229,39 +248,97 @@ def warned_at(rows: Rows, score: str, rule: str, per_minute: float, least_ms: in
     return float(np.interp(per_minute, rates[::-1], shares[::-1]))
 
 
-def warning_tables(name: str, rows: Rows, command: str) -> list[Row]:
-    """One table for each rule: share of slips warned of in time, and false alarms per minute of each motion."""
-    chosen = thresholds()
-    means = {
-        "unmoved": f"less than {SLIP_SHARE:.0%} of the visible contact slips from {BEFORE_MS} ms before it to"
-        f" {AFTER_MS} ms after",
-        "unfollowed": f"no gross slip follows within {FOLLOWS_MS} ms",
+def shown_scores(rows: Rows) -> list[str]:
+    """Scores that warnings are shown of: what `share` knows is the same whatever the horizon."""
+    return [score for score in names_of(rows) if not score.startswith("share") or score == "share 0 ms"]
+
+
+MEANS = {
+    "partial": f"less than {SLIP_SHARE:.0%} of the visible contact slips from {BEFORE_MS} ms before it to"
+    f" {AFTER_MS} ms after",
+    "gross": f"no gross slip follows within {FOLLOWS_MS} ms",
+}
+
+
+def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -> Row:
+    """Share of slips warned of so far ahead, and false alarms per minute in the mean over motions."""
+    shown = []
+    for score in shown_scores(rows):
+        at = THRESHOLDS.index(chosen[score][rule])
+        row: Row = {"score": score, "threshold": THRESHOLDS[at]}
+        ahead = leads(slip_rows(rows), score, rule, at)
+        row |= {f"warned_{ms}_ms": float((ahead >= ms).mean()) for ms in LEADS_MS}
+        row |= {f"warned_{ms}_ms_at_one": warned_at(rows, score, rule, PER_MINUTE, ms) for ms in LEADS_MS}
+        row["false_per_min"] = float(np.mean([false_per_minute(of, score, rule)[at] for of in rows.values()]))
+        shown.append(row)
+    columns = {"detector": "{score}", "threshold": "{threshold:g}", "false alarms per minute": "{false_per_min:.2f}"}
+    columns |= {f"warned {ms} ms ahead": f"{{warned_{ms}_ms:.2f}}" for ms in LEADS_MS}
+    columns |= {
+        f"{ms} ms ahead, at {PER_MINUTE:g} false alarm per minute": f"{{warned_{ms}_ms_at_one:.2f}}" for ms in LEADS_MS
     }
-    tables = []
-    for rule in RULES:
-        shown = []
-        for score in names_of(rows):
-            if score.startswith("share") and score != "share 0 ms":
-                continue  # what it knows is the same whatever the horizon
-            at = THRESHOLDS.index(chosen[score][rule])
-            row: Row = {"score": score, "threshold": THRESHOLDS[at]}
-            ahead = leads(slip_rows(rows), score, rule, at)
-            row |= {f"warned_{ms}_ms": float((ahead >= ms).mean()) for ms in LEADS_MS}
-            row |= {f"warned_{ms}_ms_at_one": warned_at(rows, score, rule, PER_MINUTE, ms) for ms in LEADS_MS}
-            row["false_per_min"] = float(np.mean([false_per_minute(of, score, rule)[at] for of in rows.values()]))
-            for motion, of_motion in rows.items():
-                row[motion] = float(false_per_minute(of_motion, score, rule)[at])
-            shown.append(row)
-        columns = {"knows, ahead": "{score}", "threshold": "{threshold:g}"}
-        columns |= {f"warned {ms} ms ahead": f"{{warned_{ms}_ms:.2f}}" for ms in LEADS_MS}
-        columns["false alarms per minute"] = "{false_per_min:.2f}"
-        columns["warned 10 ms ahead where that is 1"] = "{warned_10_ms_at_one:.2f}"
-        columns |= {f"in {motion}": f"{{{motion}:.2f}}" for motion in rows}
-        note = (
-            f"A false alarm: {means[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
-            f" Minutes are of contact. Thresholds: about {PER_MINUTE:g} per minute in the mean over motions, on other"
-            " trials."
-        )
-        title = f"Slip warned of ahead, and false alarms: {means[rule]}"
-        tables.append(table_of(f"{name}-{rule}", title, columns, shown, command, sizes_of(rows), notes=(note,)))
-    return tables
+    note = (
+        f"A false alarm: {MEANS[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
+        f" False alarms per minute of contact, in the mean over {len(rows)} motions. Thresholds are those of `grasp`,"
+        f" chosen on other trials for {PER_MINUTE:g} per minute; the last columns read the curve of these trials."
+    )
+    title = f"Slip warned of ahead, where an alarm is false if {MEANS[rule]}"
+    return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))
+
+
+def motions_table(name: str, rows: Rows, chosen: Row, scores: Sequence[str], command: str) -> Row:
+    """False alarms per minute of each motion, by both rules, of some scores."""
+    shown = []
+    for motion, of_motion in rows.items():
+        row: Row = {"motion": motion, "minutes": sum(one["minutes"] for one in of_motion)}
+        for score in scores:
+            for rule in RULES:
+                row[f"{score} {rule}"] = float(
+                    false_per_minute(of_motion, score, rule)[THRESHOLDS.index(chosen[score][rule])]
+                )
+        shown.append(row)
+    columns = {"motion": "{motion}", "minutes of contact": "{minutes:.1f}"}
+    columns |= {score: f"{{{score} {RULES[0]}:.2f}} / {{{score} {RULES[1]}:.2f}}" for score in scores}
+    note = f"First: false if {MEANS[RULES[0]]}; second: if {MEANS[RULES[1]]}. Thresholds as above."
+    return table_of(
+        name, "False alarms per minute of each motion", columns, shown, command, sizes_of(rows), notes=(note,)
+    )
+
+
+def ideas_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
+    """What trainings of several seeds are worth: mean over seeds, and the difference from the first named.
+
+    Scores are called IDEA/SEED.
+    """
+    of_slips = slip_rows(rows)
+    by_idea: dict[str, list[str]] = {}
+    for score in names_of(rows):
+        if "/" in score:
+            by_idea.setdefault(score.partition("/")[0], []).append(score)
+
+    def figures(score: str) -> Row:
+        at = THRESHOLDS.index(chosen[score]["timing"])
+        figures: Row = {
+            "timing": float((timings(of_slips, score, at) == "correct").mean()),
+            "f1": f1(of_slips, score, at),
+            "calibration": calibration_error(rows, score),
+        }
+        return figures | {rule: warned_at(rows, score, rule, PER_MINUTE, WARNED_MS) for rule in RULES}
+
+    shown = []
+    for idea, scores in by_idea.items():
+        row: Row = {"idea": idea, "seeds": len(scores)}
+        every = [figures(score) for score in scores]
+        for key in every[0]:
+            values = np.array([one[key] for one in every])
+            row |= {key: float(values.mean()), f"{key}_sd": float(values.std(ddof=1)) if len(values) > 1 else None}
+        shown.append(row)
+    columns = {"training": "{idea}", "seeds": "{seeds}"}
+    headings = {
+        "timing": "timing correct",
+        "f1": "F1",
+        **{rule: f"warned {WARNED_MS} ms ahead at {PER_MINUTE:g} false alarm per minute, {rule}" for rule in RULES},
+        "calibration": "calibration error",
+    }
+    columns |= {heading: f"{{{key}:.3f}} ± {{{key}_sd:.3f}}" for key, heading in headings.items()}
+    note = f"Mean ± standard deviation over seeds of training, on {len(of_slips)} slips."
+    return table_of(name, "What each idea is worth in training", columns, shown, command, sizes_of(rows), notes=(note,))

@@ -18,6 +18,7 @@ from motions import MOTIONS, Trial
 from slip_alarms import RULES
 
 from evetac_cli.errors import SceneError
+from evetac_cli.resources import MODEL
 
 MS = 3000
 ONSET = 2000
@@ -47,7 +48,7 @@ def test_alarms_are_false_by_two_rules() -> None:
     share[700:760] = 0.5
     share[ONSET - 60 :] = 1.0
     judged = slip_alarms.judge(flags((100, 110), (705, 720), (ONSET - 40, ONSET + 30)), share, slips)
-    assert judged.false == {"unmoved": 1, "unfollowed": 2}
+    assert judged.false == {"partial": 1, "gross": 2}
     assert judged.leads_ms == dict.fromkeys(RULES, [40])
 
 
@@ -55,7 +56,7 @@ def with_model(row: dict[str, Any]) -> dict[str, Any]:
     """A row in which a model tells slip as early as the oracle, but never 10 ms ahead."""
     ahead = row["scores"]["ahead 10 ms"]
     late = {rule: [[0] * len(ms) for ms in of] for rule, of in ahead["leads_ms"].items()}
-    return {**row, "scores": {**row["scores"], "ours": {**ahead, "leads_ms": late}}}
+    return {**row, "scores": {**row["scores"], "ours/1": {**ahead, "leads_ms": late}}}
 
 
 def test_calibration_counts_what_was_said_and_what_happened() -> None:
@@ -72,12 +73,12 @@ def test_an_alarm_that_ends_before_slip_warns_of_nothing() -> None:
     share, slips = np.zeros(MS, np.float32), flags((ONSET, MS))
     share[ONSET - 300 :] = 0.5
     gone = slip_alarms.judge(flags((ONSET - 200, ONSET - 100)), share, slips)
-    assert gone.leads_ms["unmoved"] == [None] and gone.false["unmoved"] == 0
+    assert gone.leads_ms["partial"] == [None] and gone.false["partial"] == 0
     late = slip_alarms.judge(flags((ONSET + 100, ONSET + 200)), share, slips)
-    assert late.leads_ms["unmoved"] == [None]
-    assert late.false == {"unmoved": 0, "unfollowed": 0}  # it slides, and nobody was warned
+    assert late.leads_ms["partial"] == [None]
+    assert late.false == {"partial": 0, "gross": 0}  # it slides, and nobody was warned
     on = slip_alarms.judge(flags((100, MS)), share, slips)
-    assert on.leads_ms == {rule: [None] for rule in RULES} and on.false["unmoved"] > 5
+    assert on.leads_ms == {rule: [None] for rule in RULES} and on.false["partial"] > 5
 
 
 def test_oracles_know_when_it_slips() -> None:
@@ -131,20 +132,33 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(SystemExit, match="grip, line 1: expected .*'seed': 900.* found .*'seed': 100"):
         slip_trials.rows_of(tmp_path / "grip", "grip", iter(plans), 900, 99.0, 2, refuse)
     slip_tables.choose_thresholds(rows, 100)
-    timing = slip_tables.timing_table("a", rows, "command")
+    chosen = slip_tables.thresholds()
+    timing = slip_tables.timing_table("a", rows, chosen, "command")
     ahead = next(row for row in timing["rows"] if row["score"] == "ahead 10 ms")
     assert (ahead["slips"], ahead["correct"], ahead["late"]) == (2, 1.0, 0.0)
-    tables = slip_tables.warning_tables("b", rows, "command")
-    assert len(tables) == len(RULES)
-    for table in (timing, *tables):
-        shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
-        assert all(cells[0] for cells in shown) and "ahead 10 ms" in {cells[0] for cells in shown}
-    rows_of_one = {motion: [with_model(row) for row in of_motion] for motion, of_motion in rows.items()}
-    slip_tables.choose_thresholds(rows_of_one, 100)
-    (paired,) = slip_tables.paired_table("c", rows_of_one, ["ours"], "command")["rows"]
-    assert paired["timing_less"] == 0.0 and paired["unmoved_less"] == 1.0  # it never warns
-    exact = next(row for row in tables[0]["rows"] if row["score"] == "share 0 ms")
+    warnings = [slip_tables.warning_table("b", rows, chosen, rule, "command") for rule in RULES]
+    exact = next(row for row in warnings[0]["rows"] if row["score"] == "share 0 ms")
     assert exact["warned_10_ms"] == 1.0 and exact["false_per_min"] <= 1.0
+    motions = slip_tables.motions_table("c", rows, chosen, ["ahead 10 ms"], "command")
+    assert [row["motion"] for row in motions["rows"]] == ["slip-speeds", "pushes"]
+    late = {motion: [with_model(row) for row in of_motion] for motion, of_motion in rows.items()}
+    told = chosen | {"ours/1": chosen["ahead 10 ms"]}
+    paired = slip_tables.paired_table("d", late, told, ["ours/1"], "command")
+    (row,) = paired["rows"]
+    assert row["timing_less"] == 0.0 and row["partial_less"] == 1.0  # it never warns
+    ideas = slip_tables.ideas_table("e", late, told, "command")
+    (row,) = ideas["rows"]
+    assert (row["idea"], row["seeds"], row["timing"], row["timing_sd"], row["partial"]) == ("ours", 1, 1.0, None, 0.0)
+    for table in (timing, *warnings, motions, paired, ideas):
+        shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
+        assert all(cells[0] for cells in shown)
+
+
+def test_thresholds_of_a_model_are_those_of_its_file() -> None:
+    """Assert that timing is judged at the threshold of the paper's rule, alarms at that of `grasp`."""
+    chosen = slip_tables.thresholds_of(MODEL)
+    assert set(chosen) == {"timing", *RULES} and set(chosen.values()) <= set(slip_trials.THRESHOLDS)
+    assert slip_tables.nearest(0.0) == slip_trials.THRESHOLDS[0] and slip_tables.nearest(0.94) == 0.95
 
 
 def test_of_thresholds_with_as_few_false_alarms_the_lowest_counts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,12 +166,12 @@ def test_of_thresholds_with_as_few_false_alarms_the_lowest_counts(monkeypatch: p
     monkeypatch.setattr(slip_tables, "THRESHOLDS", (0.1, 0.5, 0.9))
 
     def row(leads_ms: list[int]) -> dict[str, Any]:
-        score = {"false": {"unmoved": [2, 0, 0]}, "leads_ms": {"unmoved": [[ms] for ms in leads_ms]}}
+        score = {"false": {"partial": [2, 0, 0]}, "leads_ms": {"partial": [[ms] for ms in leads_ms]}}
         return {"minutes": 1.0, "unloading_n_s": 1.0, "scores": {"a": score}}
 
     rows = {"slip": [row([20, 20, 0]), row([20, 0, 0])]}
-    assert slip_tables.warned_at(rows, "a", "unmoved", 0.0, 10) == 0.5
-    assert slip_tables.warned_at(rows, "a", "unmoved", 1.0, 10) == 0.75
+    assert slip_tables.warned_at(rows, "a", "partial", 0.0, 10) == 0.5
+    assert slip_tables.warned_at(rows, "a", "partial", 1.0, 10) == 0.75
 
 
 def test_motions_for_training_leave_some_for_the_judge() -> None:
