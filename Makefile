@@ -35,7 +35,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share \
-	paper-recipe ship tracking vibration data-rate force grasp-table grasp-shipped slip-by-sensor part-effects \
+	paper-recipe ship tracking vibration data-rate force grasp-table part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
@@ -81,7 +81,7 @@ true-slip-share: $(READY)  ## ... what the true share of the contact that slips 
 paper-recipe: $(READY)  ## the paper's recipe at its size, and one thing of it changed at a time
 	@$(REPRODUCE) --only $@
 
-ship: $(READY)  ## train a detector for sensors unlike each other, 10 ms ahead, and put it into the package
+ship: $(READY)  ## train the slip detector on many motions, sensors and objects, and put it into the package
 	@$(REPRODUCE) --only $@
 
 tracking: $(READY)  ## presets of the tracker on edges, slip and shear
@@ -97,12 +97,6 @@ force: $(READY)  ## shear force from dots in events and in frames
 	@$(REPRODUCE) --only $@
 
 grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side
-	@$(REPRODUCE) --only $@
-
-grasp-shipped: $(READY)  ## ... with the package's detector, all objects
-	@$(REPRODUCE) --only $@
-
-slip-by-sensor: $(READY)  ## how well the package's detector travels, and what it says of light contact
 	@$(REPRODUCE) --only $@
 
 part-effects: $(READY)  ## what each part of a sensor or a scene does to each stage

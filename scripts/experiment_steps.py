@@ -64,12 +64,8 @@ SLIP: Sizes = {
     "presets": ("adamw", "paper"),
     "folds": 3,
     "steps": 40_000,
-    "networks": 4,  # of the detector that travels
-    "travel": True,  # all trials of the detector that travels, else one of each known object
 }
 SMALL_SLIP: Sizes = {
-    "travel": False,
-    "networks": 2,
     "known": "3,8",
     "unseen": "11",
     "train": 1,
@@ -82,24 +78,6 @@ SMALL_SLIP: Sizes = {
     "folds": 2,
     "steps": 200,
 }
-# The shipped detector has to travel between sensors: it learns from many, from fingers and objects that vary, and from
-# contact without slip. Scene, sensor, objects, trials of each, seed; the seeds are those that it was made with.
-TRAVEL_LEARN = (
-    ("slip", "evetac", "1-9", 12, 0),
-    ("slip", "randomized-narrow", "1-9", 5, 3000),
-    ("slip-varied", "evetac", "1-9", 5, 4500),
-    ("slip-varied", "evetac", "1-9", 6, 4600),
-    ("slip-varied", "randomized-narrow", "1-9", 4, 4000),
-    ("slip-varied", "randomized-narrow", "1-9", 4, 4100),
-    ("handling", "randomized-narrow", "1-9", 2, 4700),
-    ("lift", "randomized-narrow", "1-9", 2, 4800),  # held firmly all the time: motion of the hand without slip
-)
-TRAVEL_CHOOSE = (
-    ("slip", "evetac", "1-9", 2, 500),
-    ("slip", "randomized-narrow", "1-7", 5, 3100),
-    ("slip-varied", "evetac", "1-9", 2, 3600),
-    ("slip-varied", "randomized-narrow", "1-9", 2, 3700),
-)
 AHEAD = ("hist20", "fast-slow")  # the models that are trained to predict too
 LABELS = "event-flow"
 
@@ -115,26 +93,6 @@ def slip_data_steps(sizes: Sizes) -> Iterator[Command]:
         yield evetac("featurize", f"{folder}/*.recording.h5", "--images")
     yield evetac("label", "learn/*.recording.h5", "--method", "truth", "--out", "truth")
     yield evetac("featurize", "learn/*.recording.h5", "--tracks", "learn", "--labels", "truth", "--out", "truth")
-
-
-def travel_data_steps(sizes: Sizes) -> Iterator[Command]:
-    """Of the detector that travels: what it learns from is labelled by the truth, from the first slice on."""
-    for role, rows in (("learn", TRAVEL_LEARN), ("choose", TRAVEL_CHOOSE)):
-        for scene, sensor, every, each, seed in rows:
-            name = f"{scene}-{sensor}-{seed}"
-            objects, count = (every, each) if sizes["travel"] else (sizes["known"], 1)
-            trials = ("--sensor", sensor, "--object", objects, "--count", count, "--seed", seed,
-                      "--out", f"travel/{name}")  # fmt: skip
-            if scene == "lift":
-                yield evetac("grasp", "--controller", "fixed:6", "--lift-s", 3.5, "--balance-s", 0.2, *trials)
-            else:
-                yield evetac("record", "--scene", scene, *trials)
-            recordings = f"travel/{name}/*.recording.h5"
-            truth = ("--method", "truth", "--from-start") if role == "learn" else ()
-            yield evetac("label", recordings, *truth)
-            yield evetac("track", recordings, "--preset", sizes["tracker"])
-            share = ("--true-slip-share",) if role == "learn" else ()
-            yield evetac("featurize", recordings, *share, "--out", f"travel/{role}")
 
 
 def learn(sizes: Sizes, features: str, folder: str, seeds: int, preset: str, steps: int, *words: object) -> Command:
@@ -399,13 +357,6 @@ def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
     }
 
 
-def grasp_shipped_steps(sizes: Sizes) -> Iterator[Command]:
-    """A short lift and balance of every object, with the detector that `grasp` uses unless another is named."""
-    for controller in sizes["controllers"]:
-        yield evetac("grasp", "--controller", controller, "--object", sizes["objects"], "--seed", sizes["seed"],
-                     "--lift-s", 3.5, "--balance-s", 1, "--out", controller)  # fmt: skip
-
-
 def strip_steps(sizes: Sizes) -> Iterator[Command]:
     seed = sizes["seed"]
     for scene in ("slip", "data-rate", "shear", "press", "edge"):
@@ -428,12 +379,11 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def ship_steps(sizes: Sizes) -> Iterator[Command]:
-    """Record for the detector that travels, train it, judge it on unseen objects, and put it into the package."""
-    yield from travel_data_steps(sizes)
-    yield evetac("train", "travel/learn/*.features.h5", "--model", "disp-xy", "--horizon-ms", 10, "--preset", "adamw",
-                 "--learn-true-slip-share",
-                 "--max-steps", min(sizes["steps"], 10_000), "--validate", "travel/choose", "--seed", sizes["seed"],
-                 "--networks", sizes["networks"], "--out", "travel.model.h5")  # fmt: skip
-    yield evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "travel.model.h5",
-                 "--out", "ship.report.h5")  # fmt: skip
-    yield script("ship/ship_model.py", "travel.model.h5", "ship.report.h5")
+    """Record motions for the package's slip detector, train it on them, and put it into the package."""
+    some = ("--motions", ",".join(sizes["motions"])) if sizes["motions"] else ()
+    for role in ("learn", "choose"):
+        yield script("motion_recordings.py", role, "--out", role, "--per-object", sizes["per_object"], *some)
+    yield script("train_detectors.py", "features", ".")
+    yield script("train_detectors.py", "train", ".", "--variant", "shipped", "--seeds", 1, "--steps", sizes["steps"],
+                 "--out", "models")  # fmt: skip
+    yield script("ship/ship_model.py", "models/shipped/*.model.h5")

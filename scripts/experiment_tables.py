@@ -389,20 +389,6 @@ GRASPS = Table(
     ),
 )
 
-GRASPS_SHIPPED = Table(
-    "grasps-shipped",
-    "Grasps with the package's detector, {recordings} trials in all, objects {objects}, 3.5 s of lift, 1 s of balance",
-    ("grasps-shipped",),
-    grasp_rows,
-    (
-        Column("controller", "{setting}"),
-        Column("trials", "{trials}"),
-        Column("lifted and kept", "{success:.2f}"),
-        Column("grip at the end [N]", "{force_end_n:.2f}"),
-        Column("moved, median [mm]", "{moved_mm_median:.2f}"),
-    ),
-)
-
 GRASPS_BY_OBJECT = Table(
     "grasps-by-object",
     "Grasps by object, {recordings} trials: kept, ticks closed at the end of balance (paper), grip at the end in N",

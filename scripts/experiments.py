@@ -78,8 +78,10 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES), in_plan=False,
     ),
     Experiment(
-        "ship", "a detector for sensors unlike each other, 10 ms ahead, put into the package", "data/slip", 0.4,
-        full=SLIP, small=SMALL_SLIP, steps=steps.ship_steps, after=("slip-data",),
+        "ship", "the package's slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
+        full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions named: all; 40: the most that there are
+        small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
+        steps=steps.ship_steps, in_plan=False,
     ),
     Experiment(
         "tracking", "presets of the tracker on edges, slip and shear", "data/tracking", 2.0,
@@ -118,35 +120,11 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.GRASPS, tables.GRASPS_BY_OBJECT, tables.GRASP_ROBUSTNESS),
     ),
     Experiment(
-        "grasp-shipped", "grasps of all objects with the package's detector", "data/grasp-shipped", 0.1,
-        full={"seed": 20_800, "objects": "1-20", "controllers": ("paper", "load-proportional")},
-        small={"objects": "11"},
-        steps=steps.grasp_shipped_steps,
-        evaluations=lambda sizes: {"grasps-shipped": evetac("evaluate", "grasp", "*/*.recording.h5")},
-        tables=(tables.GRASPS_SHIPPED,),
-    ),
-    Experiment(
         "strips", "a picture of every scene: events, forces and slip", "strips", 0.2,
         full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",), in_plan=False,
     ),
     Experiment(
         "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps, in_plan=False,
-    ),
-    Experiment(
-        "slip-by-sensor", "how well the package's detector travels, and what it says of light contact",
-        "data/slip-by-sensor", 0.6,
-        full={
-            "seed": 20_000, "objects": "10-17", "each": 25,
-            "sensors": ("evetac", "second", "bare-dvxplorer", "realistic"),
-            "randomized": 20, "randomized_objects": "10-19", "randomized_each": 2, "grasped": "1-20",
-            "first_edition": "",  # file of the detector that evetac had before, to compare with
-        },
-        small={
-            "objects": "11", "each": 1, "sensors": ("evetac",), "randomized": 1, "randomized_objects": "11",
-            "randomized_each": 1, "grasped": "11",
-        },
-        steps=studies.slip_by_sensor_steps, measure="slip_by_sensor.measure", in_plan=False,
-        tables=(studies.SLIP_BY_SENSOR, studies.SLIP_IN_CONTACT),
     ),
     Experiment(
         "part-effects", "what each part of a sensor or a scene does to each stage", "data/part-effects", 1.0,

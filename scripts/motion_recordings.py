@@ -2,12 +2,15 @@
 
 `python scripts/motion_recordings.py learn --out FOLDER` writes those of TRAINED objects into FOLDER/MOTION, `choose`
 those of CHOSEN_BY objects. Every second one is of a randomised sensor. What is there is not made again. Seeds:
-scripts/seeds.json, group `slip detectors trained on motions`.
+scripts/seeds.json, group `slip detectors trained on motions`. `make ship` runs this first.
 """
 
 import argparse
+import multiprocessing
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import motions
 from motions import Planned
@@ -33,6 +36,7 @@ COUNTS = {
         **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2},
     },
 }
+MOST = max(count for counts in COUNTS.values() for count in counts.values())
 SENSORS_APART = 30  # numbers of the first random sensors of two motions; within a motion, no two trials share one
 
 
@@ -46,31 +50,63 @@ def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
     return SimulatedGrasp(*named, settings, settings.timing(planned.plan.scene.time.touch_s))
 
 
-def main() -> None:
+class Asked(NamedTuple):
+    """One recording: the place-th of several of a motion."""
+
+    role: str
+    motion: str
+    place: int
+    several: int
+    folder: Path
+
+
+def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterator[Asked]:
+    """The recordings of a role: of these motions, or of all where none is named, at most so many per object."""
+    for motion, count in COUNTS[role].items():
+        several = min(count, per_object) * len(OBJECTS[role])
+        if not names or motion in names:
+            yield from (Asked(role, motion, place, several, out / motion.replace(" ", "-")) for place in range(several))
+
+
+def make(asked: Asked) -> str:
+    """Make a recording; why it is left out, "" where it is not."""
+    objects, first = OBJECTS[asked.role], FIRST_SEEDS[asked.role]
+    sensors = first + SENSORS_APART * motions.MOTIONS.index(asked.motion)
+    number, planned = planned_at(asked.motion, objects, first, asked.place, sensors, several=asked.several)
+    seed = first + asked.place
+    asked.folder.mkdir(parents=True, exist_ok=True)
+    output = asked.folder / f"{asked.folder.name}-obj{number:02d}-s{seed}.recording.h5"
+    trial = trial_of(planned, seed, output)
+    try:
+        if isinstance(trial, SimulatedGrasp):
+            grasp.simulated.run(trial, force=False, progress=silent)
+        else:
+            record.simulated.run(trial, force=False, progress=silent)
+    except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
+        return f"{output.name} is left out: {error}\n"
+    return ""
+
+
+def main(arguments: list[str] | None = None) -> None:
     """Write the recordings of a role."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("role", choices=tuple(FIRST_SEEDS))
     parser.add_argument("--out", type=Path, required=True, help="folder of the recordings, one folder per motion below")
-    parser.add_argument("--share", default="0/1", help="I/N: every N-th trial from the I-th on, to share the work")
-    chosen = parser.parse_args()
-    objects, first = OBJECTS[chosen.role], FIRST_SEEDS[chosen.role]
-    own, of = map(int, chosen.share.split("/"))
-    for motion, count in COUNTS[chosen.role].items():
-        folder = chosen.out / motion.replace(" ", "-")
-        folder.mkdir(parents=True, exist_ok=True)
-        for place in range(own, count * len(objects), of):
-            sensors = first + SENSORS_APART * motions.MOTIONS.index(motion)
-            number, planned = planned_at(motion, objects, first, place, sensors, several=count * len(objects))
-            output = folder / f"{folder.name}-obj{number:02d}-s{first + place}.recording.h5"
-            trial = trial_of(planned, first + place, output)
-            try:
-                if isinstance(trial, SimulatedGrasp):
-                    grasp.simulated.run(trial, force=False, progress=silent)
-                else:
-                    record.simulated.run(trial, force=False, progress=silent)
-            except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
-                sys.stdout.write(f"{output.name} is left out: {error}\n")
-        sys.stdout.write(f"{motion}: {count * len(objects)} recordings\n")
+    parser.add_argument("--motions", default="", help="some of them, as in slip,pushes")
+    parser.add_argument("--per-object", type=int, default=MOST, help="of each motion, at most so many per object")
+    parser.add_argument("--jobs", type=int, default=1, help="recordings made at the same time")
+    chosen = parser.parse_args(arguments)
+    names = [name for name in chosen.motions.split(",") if name]
+    if unknown := set(names) - set(COUNTS[chosen.role]):
+        known = ", ".join(COUNTS[chosen.role])
+        parser.error(f"--motions: expected some of {known}, found {', '.join(sorted(unknown))}")
+    asked = list(every_one(chosen.role, names, chosen.per_object, chosen.out))
+    if chosen.jobs == 1:
+        sys.stdout.writelines(map(make, asked))
+    else:
+        with multiprocessing.get_context("spawn").Pool(chosen.jobs) as pool:
+            sys.stdout.writelines(pool.imap_unordered(make, asked))
+    sys.stdout.write(f"{chosen.out}: {len(asked)} recordings\n")
 
 
 if __name__ == "__main__":

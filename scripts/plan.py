@@ -46,7 +46,7 @@ VIBRATION_S = 102.2  # of the scene `vibration`, which is the other one but for 
 TOUCH_S = 1.5  # of a grasp, before it lifts
 LIFT_S, BALANCE_S = 10.0, 20.0
 PRESETS = ("unregularised", "paper", "official", "stable")
-RECORDED = ("slip", "slip-varied", "handling", "edge", "shear", "data-rate", "vibration-randomized")
+RECORDED = ("slip", "edge", "shear", "data-rate", "vibration-randomized")
 EPOCH_STEPS = 100  # a guess, of the demo: all other trainings are planned in steps
 STEPS = (50, 250)  # of two short trainings: their difference is what a step costs
 
@@ -289,7 +289,7 @@ def measure(folder: Path) -> Costs:
     cpu_of("grasp", "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
     for scene in RECORDED:
         tone = ("--tone", 200) if scene.startswith("vibration") else ()
-        several = {"slip": 4, "slip-varied": 4, "handling": 4, "shear": 3}.get(scene, 1)
+        several = {"slip": 4, "shear": 3}.get(scene, 1)
         trials = ("--count", 3) if scene == "shear" else ("--object", "3,8,11,16") if several == 4 else ()
         recorded(scene, ("record", "--scene", scene, *trials, *tone), several)
     recorded("grasp", ("grasp", "--object", 11), 1)

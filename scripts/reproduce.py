@@ -47,6 +47,8 @@ IN_PARALLEL = (
     "grasp",
     "track-rgb",
     "examples/cma_lift.py",
+    "scripts/motion_recordings.py",
+    "scripts/train_detectors.py",
 )  # commands given --jobs; fmt: skip
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
 INTERRUPTS_TO_KILL = 3  # after so many a command that does not end is killed

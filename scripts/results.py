@@ -47,14 +47,8 @@ class Figure(NamedTuple):
 
 SUMMARY = (
     Figure(
-        "slip detected in time, unseen objects, evetac's detector, which learned from the simulation's truth",
-        "slip-by-sensor",
-        {"sensor": "evetac"},
-        "correct",
-    ),
-    Figure("... on 20 sensors unlike each other", "slip-by-sensor", {"sensor": "mean of 20 randomized"}, "correct"),
-    Figure(
-        "... the paper's network `fast-slow` and optimiser, a third of its data, our labels and tracker, 10 ms ahead",
+        "slip detected in time, unseen objects, the paper's network `fast-slow` and optimiser, a third of its data, our"
+        " labels and tracker, 10 ms ahead",
         "slip-unseen-objects",
         {"setting": "fast-slow, 10 ms ahead, paper, labels event-flow, up to 40000 steps"},
         "timing correct (paper)",
@@ -89,19 +83,6 @@ SUMMARY = (
         "vibration-randomized",
         {"method": "default", "expected_hz": 200.0, "window_s": 1.0},
         "{window_s:g} s",
-    ),
-    Figure(
-        f"objects 1-20 lifted in 3.5 s and kept for 1 s (paper: {paper.LIFT_S:g} s, {paper.BALANCE_S:g} s), evetac's"
-        " detector, the paper's controller",
-        "grasps-shipped",
-        {"setting": "paper"},
-        "lifted and kept",
-    ),
-    Figure(
-        "... ours, `load-proportional` before 5c5f4c01",
-        "grasps-shipped",
-        {"setting": "load-proportional"},
-        "lifted and kept",
     ),
     Figure(
         f"bytes per second as a share of an RGB sensor's, over {{columns}} columns (paper: {paper.COLUMNS})",

@@ -1,7 +1,7 @@
 """Studies beside the paper's experiments: the commands that they need, and the tables of what they measure.
 
-Three are evaluated here, in modules of their own (slip_by_sensor.py, part_effects.py, blind_identification.py), and two
-by programs: the touch sensor and the examples in robot_tables.py, forces by `evetac evaluate force`.
+Two are evaluated here, in modules of their own (part_effects.py, blind_identification.py), and two by programs: the
+touch sensor and the examples in robot_tables.py, forces by `evetac evaluate force`.
 """
 
 from collections.abc import Iterator
@@ -10,28 +10,6 @@ from experiment_steps import Command, Sizes, evetac, script
 from experiment_tables import Column, Evaluation, Evaluations, Table
 
 from evetac_cli.jobs import Rows
-
-# --- slip, sensor by sensor -------------------------------------------------------------------------------------------
-
-LIGHT_N = 0.3
-
-
-def slip_by_sensor_steps(sizes: Sizes) -> Iterator[Command]:
-    """Labelled slips of every sensor in a folder of its own, and grasps with light contact."""
-    seed = sizes["seed"]
-    for place, sensor in enumerate(sizes["sensors"]):
-        yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes["objects"],
-                     "--count", sizes["each"], "--seed", seed + 100 * place, "--out", f"slips/{sensor}")  # fmt: skip
-    for number in range(seed, seed + sizes["randomized"]):
-        yield evetac("record", "--scene", "slip", "--sensor", f"randomized-narrow:{number}",
-                     "--object", sizes["randomized_objects"], "--count", sizes["randomized_each"],
-                     "--seed", number + 400, "--out", f"slips/randomized-{number}")  # fmt: skip
-    yield evetac("grasp", "--object", sizes["grasped"], "--seed", seed + 800, "--lift-s", 3.5, "--balance-s", 1,
-                 "--out", "grasps")  # fmt: skip
-    slips, grasps = "slips/*/*.recording.h5", "grasps/*.recording.h5"
-    yield evetac("label", slips)
-    yield evetac("track", slips, grasps)
-    yield evetac("featurize", slips, grasps)
 
 
 def all_rows(evaluations: Evaluations) -> Rows:
@@ -43,33 +21,6 @@ def measured(name: str, title: str, *columns: tuple[str, str], notes: tuple[str,
     """The table of a measurement, which has its name; columns are heading and cell."""
     return Table(name, title, (name,), all_rows, tuple(Column(*one) for one in columns), notes=notes, measured=True)
 
-
-def with_interval(figure: str) -> str:
-    return f"{{{figure}:.2f}} ({{{figure}_low:.2f}} to {{{figure}_high:.2f}})"
-
-
-SLIP_BY_SENSOR = measured(
-    "slip-by-sensor",
-    "Slip detection sensor by sensor, with intervals of 95 %",
-    ("sensor", "{sensor}"),
-    ("trials", "{trials}"),
-    ("early", "{shipped_slip_early:.2f}"),
-    ("correct", with_interval("shipped_slip_correct")),
-    ("late", "{shipped_slip_late:.2f}"),
-    ("F1", with_interval("shipped_f1")),
-    ("correct, first edition", "{first_edition_slip_correct:.2f}"),
-    ("F1, first edition", "{first_edition_f1:.2f}"),
-)
-SLIP_IN_CONTACT = measured(
-    "slip-in-contact",
-    "Contact without slip: slices at which nothing slips, nor will within 20 ms, that are called slip",
-    ("detector", "{detector}"),
-    ("trials", "{trials}"),
-    (f"slices below {LIGHT_N} N", "{light_slices:,}"),
-    ("of these called slip", "{light_called_slip:.2%}"),
-    ("slices in contact", "{contact_slices:,}"),
-    ("of these called slip", "{called_slip:.2%}"),
-)
 
 # --- forces on sensors that no model saw ------------------------------------------------------------------------------
 

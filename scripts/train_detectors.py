@@ -4,14 +4,15 @@
     python scripts/train_detectors.py features DATA
     python scripts/train_detectors.py train DATA --out MODELS --seeds 5
 
-Checkpoint, calibration and threshold are chosen on the objects of `choose`. What is there is not made again. Then
-scripts/judge_slip.py judges the models. All of it simulated.
+`shipped`, the detector that comes with evetac (`make ship`), and variants named by how far ahead they warn are trained
+only if --variant names them. Checkpoint, calibration and threshold are chosen on the objects of `choose`. What is there
+is not made again. Then scripts/judge_slip.py judges the models. All of it simulated.
 """
 
 import argparse
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 SLIPS = ("slip", "slip-varied")  # unloaded at the speed of the paper's ramp
@@ -52,6 +53,12 @@ VARIANTS = {
     "fast-slow": Variant(model="fast-slow"),
     "paper": Variant(model="fast-slow", speeds=False, negatives=False, true_share=False, preset="paper", steps=150_000),
 }
+IDEAS = tuple(VARIANTS)  # compared with each other, by the mean over several seeds
+VARIANTS["shipped"] = replace(VARIANTS["sticking"], networks=4)
+VARIANTS |= {
+    f"{name}-{ms}ms": replace(VARIANTS[name], horizon_ms=ms) for name in ("shipped", "paper") for ms in (0, 20)
+}
+MOST_STEPS = max(variant.steps for variant in VARIANTS.values())
 
 
 def run(*words: object) -> None:
@@ -99,36 +106,28 @@ def folders_of(variant: Variant, learn: Path) -> list[Path]:
     return chosen
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Make features, or train."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("features", "train"))
     parser.add_argument("data", type=Path, help="folder with learn and choose below")
     parser.add_argument("--out", type=Path, help="folder of the models, one folder per variant below")
-    parser.add_argument("--variant", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--variant", nargs="*", default=list(IDEAS), choices=list(VARIANTS))
     parser.add_argument("--jobs", type=int, default=1, help="processes that make features, or networks at once")
     parser.add_argument("--seeds", type=int, default=5, help="models of each variant")
-    chosen = parser.parse_args()
+    parser.add_argument("--steps", type=int, default=MOST_STEPS, help="of a training, at most, for a first look")
+    chosen = parser.parse_args(arguments)
     if chosen.what == "features":
         make_features(chosen.data, chosen.jobs)
         return
     for name in chosen.variant:
         variant = VARIANTS[name]
+        variant = replace(variant, steps=min(variant.steps, chosen.steps))
         choose = chosen.data / "choose" / STICKING if variant.sticking else chosen.data / "choose"
         validate = ["--validate", str(choose / "*" / "*.features.h5")]
-        folders = folders_of(variant, chosen.data / "learn")
-        run(
-            "train",
-            *folders,
-            *validate,
-            *variant.words(),
-            "--seeds",
-            chosen.seeds,
-            "--jobs",
-            chosen.jobs,
-            "--out",
-            chosen.out / name,
-        )
+        several = ["--seeds", chosen.seeds, "--jobs", chosen.jobs]
+        run("train", *folders_of(variant, chosen.data / "learn"), *validate, *variant.words(), *several,
+            "--out", chosen.out / name)  # fmt: skip
         sys.stdout.write(f"{name}\n")
 
 

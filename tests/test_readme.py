@@ -155,10 +155,6 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
 
 # What sentences of README and docs say, filled from a row of a table: page, table, what names the row, the words.
 QUOTES: tuple[tuple[str, str, dict[str, Any], str], ...] = (
-    ("README.md", "grasps-shipped", {"setting": "paper"}, "paper's controller holds {success:.0%} of objects 1 to 20"),
-    ("README.md", "grasps-shipped", {"setting": "load-proportional"}, "(`load-proportional`) {success:.0%}, with a"),
-    ("README.md", "grasps-shipped", {"setting": "load-proportional"}, "grip ({force_end_n:.2f} N instead of "),
-    ("README.md", "grasps-shipped", {"setting": "paper"}, " N instead of {force_end_n:.2f} N at the end"),
     ("docs/results.md", "grasps", {"setting": "paper"}, "that {success:.2f} stood beside the paper's {paper_success}"),
     (
         "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 12},

@@ -197,25 +197,17 @@ def _channels(architecture: DotArchitecture) -> str:
 
 def _shipped() -> str:
     facts = json.loads(MODEL.with_name("slip-10ms.json").read_text())
-    unseen = facts["unseen_objects"]
     assert facts["simulated"]
     rows = [
         ("architecture", f"`{facts['model']}`, {facts['training']['networks']} networks whose logits are averaged"),
         ("weights", f"{facts['parameters']:,}"),
         ("predicts", f"{facts['horizon_ms']} ms ahead"),
-        ("threshold for timing", value(facts["threshold"])),
+        ("threshold", value(facts["threshold"])),
         (
             "trained on",
             f"{facts['training']['trained_on']} simulated trajectories, labels `{facts['labels']}`"
             + (", and the true share of the contact that slips" if facts["learned_true_slip_share"] else ""),
         ),
-        (
-            "timing correct",
-            f"{unseen['slip_correct']:.1%} of {unseen['trajectories']} simulated trajectories of {unseen['objects']}"
-            " objects that it never saw",
-        ),
-        ("too early, too late", f"{unseen['slip_early']:.1%}, {unseen['slip_late']:.1%} of the same"),
-        ("F1", f"{unseen['f1']:.3f} on the same, simulated"),
     ]
-    more = "How it was made and how it does on other sensors: [The package's slip detector](../slip-detector.md).\n"
+    more = "What it learned from and how well it does: [The package's slip detector](../slip-detector.md).\n"
     return sentence("All of it is simulated") + "\n\n" + table(("what", "value"), rows) + "\n" + more

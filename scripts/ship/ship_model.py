@@ -1,8 +1,8 @@
 """Put the slip detector into the package that `grasp` uses by default, and beside it how it was made.
 
-    python scripts/ship/ship_model.py travel.model.h5 ship.report.h5
+    python scripts/ship/ship_model.py models/shipped/disp-xy-grip-10ms.model.h5
 
-Its figures on objects never seen are copied from the report.
+How well it does on objects never seen say the tables `slip-detectors-...` in docs/results, which judge_slip.py makes.
 """
 
 import json
@@ -11,14 +11,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.evaluate import slip_warnings
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.model_files import read_curve
 from evetac_cli.store.files import StageFile
-
-FIGURES = ("slip_early", "slip_correct", "slip_late", "f1", "trajectories", "objects")
-WARNINGS = ("false_alarms_per_min", "minutes_without_slip", "calibration_error", *slip_warnings.WARNED.values())
 
 
 def validation_score(path: Path) -> float:
@@ -45,12 +41,8 @@ def at_its_threshold(path: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    path, report = map(Path, sys.argv[1:])
+    (path,) = map(Path, sys.argv[1:])
     model = Model.read(path)
-    with StageFile(report, "report") as file:
-        rows = json.loads(file.read("rows"))
-    (figures,) = [row for row in rows if "threshold" in row]
-    (warnings,) = [row for row in rows if "seeds" in row]
     made = {
         "model": model.architecture.name,
         "horizon_ms": model.horizon_ms,
@@ -62,7 +54,6 @@ def main() -> None:
         "objects_trained_and_validated_on": sorted(map(int, model.objects)),
         "validation_score": validation_score(path),
         "validated": at_its_threshold(path),
-        "unseen_objects": {key: figures[key] for key in FIGURES} | {key: warnings.get(key) for key in WARNINGS},
         "simulated": model.header["simulated"],
         "id": model.header["id"],
     }

@@ -175,8 +175,15 @@ def test_of_thresholds_with_as_few_false_alarms_the_lowest_counts(monkeypatch: p
 
 
 def test_motions_for_training_leave_some_for_the_judge() -> None:
-    """Assert that detectors are trained on known motions, and that some are kept for the judge alone."""
+    """Assert that training leaves some known motions for the judge alone, and that the page counts the others so."""
     import motion_recordings
 
     for counts in motion_recordings.COUNTS.values():
         assert set(counts) < set(MOTIONS) and not {"fast jerks", "weights", "data-rate"} & set(counts)
+    page = (Path(slip_tables.__file__).parents[1] / "docs" / "slip-detector.md").read_text()
+    learn, choose = (
+        {motion: count * len(motion_recordings.OBJECTS[role]) for motion, count in counts.items()}
+        for role, counts in motion_recordings.COUNTS.items()
+    )
+    for motion, trials in learn.items():
+        assert f"| {motion} | {trials} | {choose.get(motion, 0)} |" in page

@@ -34,14 +34,6 @@ def test_a_training_that_learns_truth_says_so() -> None:
     assert shown > 0
 
 
-def test_grasps_say_how_long_they_lasted() -> None:
-    """Assert that the summary's grasps name lift and balance as the table does, and the paper's."""
-    title = json.loads((DOCS / "results" / "grasps-shipped.json").read_text())["title"]
-    assert "3.5 s of lift, 1 s of balance" in title
-    (line,) = (one.what for one in results.SUMMARY if one.table == "grasps-shipped" and one.row == {"setting": "paper"})
-    assert all(words in line for words in ("3.5 s", "1 s", "10 s", "20 s"))
-
-
 def test_rows_are_put_into_a_page(tmp_path: Path) -> None:
     """Assert that a table takes the place of the one before, in its own place only, and a place has to be there."""
     page = tmp_path / "page.md"

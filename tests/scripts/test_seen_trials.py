@@ -5,11 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import motion_recordings
+import reproduce
 import seen_trials
 import train_detectors
+from experiments import EXPERIMENTS
 from slip_trials import planned_at
 
 from evetac_cli.commands.featurize import Featurize
@@ -55,4 +58,40 @@ def test_variants_are_trained_on_what_they_say(tmp_path: Path) -> None:
     assert names["slips"] == {"slip", "slip-varied"} and names["speeds"] == names["slips"] | {"slip-speeds"}
     assert names["negatives"] == names["grip"] == names["speeds"] | {"pushes", "opening"}
     assert {folder.parent.name for folder in folders["slips-events"]} == {train_detectors.FROM_EVENTS}
-    assert {folder.parent.name for folder in folders["sticking"]} == {train_detectors.STICKING}
+    for name in ("sticking", "shipped", "shipped-0ms", "shipped-20ms"):
+        assert {folder.parent.name for folder in folders[name]} == {train_detectors.STICKING}
+    assert names["paper-0ms"] == names["paper-20ms"] == names["paper"]
+
+
+@pytest.mark.parametrize("small", [False, True])
+def test_ship_makes_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, small: bool) -> None:
+    """Assert that its scripts take its words, that all trials are made unless few are asked, and what is trained."""
+    made: list[Path] = []
+    commands: list[list[str]] = []
+    monkeypatch.setattr(motion_recordings, "make", lambda asked: made.append(asked.folder) or "")
+    monkeypatch.setattr(train_detectors, "run", lambda *words: commands.append([str(word) for word in words]))
+    monkeypatch.chdir(tmp_path)
+    (ship,) = (one for one in EXPERIMENTS if one.name == "ship")
+    *recorded, features, train, last = ship.steps(reproduce.sizes_for(ship, small=small, given={}))
+    for words in recorded:
+        motion_recordings.main(words[2:])
+    wanted = {(role, motion) for role in ("learn", "choose") for motion in ("slip", "pushes")}
+    if small:
+        objects = sum(map(len, motion_recordings.OBJECTS.values()))
+        assert len(made) == 2 * objects and {folder.parts for folder in map(Path, made)} == wanted
+    else:
+        every = {role: sum(counts.values()) for role, counts in motion_recordings.COUNTS.items()}
+        assert len(made) == sum(every[role] * len(motion_recordings.OBJECTS[role]) for role in every)
+    for folder in set(made):
+        folder.mkdir(parents=True)
+        (folder.parent / train_detectors.STICKING / folder.name).mkdir(parents=True)
+    train_detectors.main(features[2:])
+    assert {words[0] for words in commands} == {"label", "track", "featurize"}
+    commands.clear()
+    train_detectors.main(train[2:])
+    ((command, *words),) = commands
+    option = dict(zip(words, words[1:], strict=False))
+    assert command == "train" and "learn/sticking/slip" in words
+    assert (option["--model"], option["--horizon-ms"], option["--networks"]) == ("disp-xy-grip", "10", "4")
+    assert option["--max-steps"] == ("200" if small else "10000")
+    assert last[2].startswith(f"{option['--out']}/")

@@ -35,7 +35,7 @@ def made(tmp_path: Path, name: str = "a", **chosen):
 
 
 def test_the_package_has_a_detector() -> None:
-    """Assert that a grasp needs no --model: the package's is whole, runs, and its report is of this very file."""
+    """Assert that a grasp needs no --model: the package's is whole, runs, and its JSON is of this very file."""
     assert (detector := GraspSettings.of(Grasp()).detector) is not None
     assert detector.path == MODEL
     assert [row["faults"] for row in validate.run([MODEL]).rows] == [None]
@@ -47,7 +47,6 @@ def test_the_package_has_a_detector() -> None:
         assert model.header["id"] == made["id"]
         assert learned_true_slip_share(model.header) == made["learned_true_slip_share"]
     assert made["simulated"]
-    assert made["unseen_objects"]["trajectories"] > 0
 
 
 @pytest.mark.parametrize("controller", ["none", "fixed:6"])
