@@ -11,7 +11,8 @@ reproduce.py, so that a command of 5 trainings uses 5 cores; tasks of one comman
 long it takes at least, however a schedule orders the tasks, which is the longest chain of tasks that wait for each
 other (record, label, track, featurize, train, judge), or the work over the cores. Training may stop earlier than
 planned, by its validation. To a training belong the files that it reads and those on which its checkpoints are judged.
-Pictures, studies and reports of costs are left out. Storage, transfers and the cluster's own time are not in it.
+Pictures, `ship`, studies and reports of costs are left out. Storage, transfers and the cluster's own time are not in
+it.
 
 --trajectories: record, label, track and featurize of so many trajectories of `slip`, all of them independent.
 """
