@@ -67,20 +67,26 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
     if not outcome.made and path.exists():
         return outcome
     try:
-        import matplotlib
-        from matplotlib.figure import Figure
+        write(path, draw, size_in)
     except ImportError:
         shown = f"none, for want of matplotlib; {install_hint('plot')}"
     else:
-        with matplotlib.rc_context():
-            matplotlib.rcdefaults()  # not what a matplotlibrc says: one may lie in the working folder
-            matplotlib.rcParams.update(STYLE)
-            figure = Figure(figsize=size_in, layout="constrained")
-            draw(figure)
-            with taking_the_place_of(path) as temporary:
-                figure.savefig(temporary, format="png", dpi=DPI)
         shown = str(path)
     return dataclasses.replace(outcome, summary={**outcome.summary, "plot": shown})
+
+
+def write(path: Path, draw: Callable[[Any], None], size_in: tuple[float, float]) -> None:
+    """Draw into an empty figure of (width, height) in inches and write it as PNG; ImportError without matplotlib."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # not what a matplotlibrc says: one may lie in the working folder
+        matplotlib.rcParams.update(STYLE)
+        figure = Figure(figsize=size_in, layout="constrained")
+        draw(figure)
+        with taking_the_place_of(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=DPI)
 
 
 def series(number: int) -> dict[str, Any]:

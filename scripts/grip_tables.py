@@ -1,0 +1,163 @@
+"""Tables and a picture of the grasps that grip_trials.py and grip_real_time.py played.
+
+    python scripts/grip_tables.py --rows rows/grip --seeds 50000-50999 --shared 200 --real-time rows/real-time.jsonl
+
+`grip-laws`: every law over the first --shared seeds, which all of them were played on, and over all that it has.
+`grip-by-mass`: force over what just holds, by class of mass. `grip-real-time`: grasps on virtual devices in real time
+beside the same grasps simulated. docs/grip-force.png: grip force against weight. All of it simulated.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from script_rows import rows_in, seeds_of
+from script_tables import RESULTS, table_of, write
+
+from evetac_cli.evaluate import grip_forces, picture
+from evetac_cli.evaluate.grip_forces import CLASSES_G, firmness
+from evetac_cli.jobs import Row, Rows
+from evetac_cli.kernels.estimates import share
+
+PICTURE = RESULTS.parent / "grip-force.png"
+SHOWN = 200  # grasps of each law in the picture
+
+
+def named(row: Row) -> str:
+    """A law with its margin, where one was asked for."""
+    return str(row["law"]) if row["margin"] is None else f"{row['law']}, margin {row['margin']:g}"
+
+
+def by_law(rows: Rows) -> dict[str, Rows]:
+    """Rows of each law, in order of their seeds."""
+    laws: dict[str, Rows] = {}
+    for row in sorted(rows, key=lambda row: int(row["seed"])):
+        laws.setdefault(named(row), []).append(row)
+    return laws
+
+
+def laws_table(laws: dict[str, Rows], shared: range, command: str, sizes: Row) -> Row:
+    """How many each law kept, and how firmly."""
+    shown = []
+    for law, rows in laws.items():
+        sets = [[row for row in rows if row["seed"] in shared]]
+        sets += [rows] * (len(rows) > len(sets[0]))
+        for some in sets:
+            kept = share(sum(row["balanced"] for row in some), len(some))
+            shown.append({"law": law, "kept_low": kept.low, "kept_high": kept.high, **firmness(some)})
+    columns = {
+        "law": "{law}",
+        "grasps": "{grasps}",
+        "kept": "{kept:.3f} ({kept_low:.3f} to {kept_high:.3f})",
+        "force at the end over what just holds, median": "{over_holding_end_median:.2f}",
+        "95th percentile": "{over_holding_end_p95:.2f}",
+        "mean over the grasp, median": "{over_holding_mean_median:.2f}",
+        "peak, 95th percentile": "{over_holding_peak_p95:.2f}",
+        "rank correlation of force with weight": "{force_follows_weight:.2f}",
+        f"moved less than {grip_forces.STAYED_MM:g} mm": "{stayed_share:.2f}",
+        "motor work, median [J]": "{motor_work_j_median:.2f}",
+        "reactions per grasp": "{reactions_mean:.1f}",
+        "of these false": "{false_share:.2f}",
+    }
+    note = "Kept: share, with its interval of 95 % (Wilson). Force and motion are of objects kept to the end."
+    return table_of("grip-laws", "Grasps of randomised objects by law", columns, shown, command, sizes, notes=(note,))
+
+
+def mass_table(laws: dict[str, Rows], command: str, sizes: Row) -> Row:
+    """Kept, lost and force over what just holds of each law, by class of mass."""
+    shown = []
+    for law, rows in laws.items():
+        for low, high in CLASSES_G:
+            some = [row for row in rows if low <= row["carried_g"] < high]
+            if some:
+                shown.append({"law": law, "mass": f"{low:g} to {high:g} g", **firmness(some)})
+    columns = {
+        "law": "{law}",
+        "carried at the end": "{mass}",
+        "grasps": "{grasps}",
+        "kept": "{kept:.3f}",
+        "lost": "{lost}",
+        "force at the end over what just holds, median": "{over_holding_end_median:.2f}",
+        "95th percentile": "{over_holding_end_p95:.2f}",
+        "mean over the grasp, median": "{over_holding_mean_median:.2f}",
+    }
+    return table_of("grip-by-mass", "Grasps of randomised objects by mass", columns, shown, command, sizes)
+
+
+def real_time_table(rows: Rows, command: str) -> Row:
+    """How grasps in real time ended beside the same grasps simulated."""
+    made = [row for row in rows if not any("failed" in row[how] for how in ("real_time", "simulated"))]
+
+    def median(how: str, name: str) -> float | None:
+        values = [row[how][name] for row in made if row[how][name] is not None]
+        return float(np.median(values)) if values else None
+
+    shown = []
+    for how, words in (("real_time", "virtual devices, in real time"), ("simulated", "simulated")):
+        late = [row[how]["slice_late_us"] for row in made if "slice_late_us" in row[how]]
+        shown.append(
+            {
+                "how": words,
+                "grasps": len(made),
+                "failed": len(rows) - len(made),
+                "kept": sum(row[how]["balanced"] for row in made),
+                "alike": sum(row["real_time"]["balanced"] == row["simulated"]["balanced"] for row in made),
+                "over": median(how, "over_holding_end"),
+                "moved": median(how, "moved_mm"),
+                "reactions": float(np.mean([row[how]["slip_events"] for row in made])),
+                "late_p50_ms": float(np.median([each[0] for each in late])) / 1e3 if late else None,
+                "late_p99_ms": float(np.median([each[1] for each in late])) / 1e3 if late else None,
+                "late_most_ms": max(each[2] for each in late) / 1e3 if late else None,
+            }
+        )
+    columns = {
+        "grasps": "{how}",
+        "made": "{grasps}",
+        "failed": "{failed}",
+        "kept": "{kept}",
+        "ended as the other": "{alike}",
+        "force at the end over what just holds, median": "{over:.2f}",
+        "moved, median [mm]": "{moved:.2f}",
+        "reactions per grasp": "{reactions:.1f}",
+        "slices late, median [ms]": "{late_p50_ms:.2f}",
+        "99th percentile": "{late_p99_ms:.2f}",
+        "most": "{late_most_ms:.1f}",
+    }
+    sizes = {"seeds": f"{min(row['seed'] for row in rows)}-{max(row['seed'] for row in rows)}"}
+    title = "The same law, detector and threshold in real time and simulated"
+    note = "Noise of camera and gripper differ between the two, as between two seeds. Lateness: medians over grasps."
+    return table_of("grip-real-time", title, columns, shown, command, sizes, notes=(note,))
+
+
+def draw(laws: dict[str, Rows], path: Path) -> None:
+    """Grip force against weight, of the first grasps of each law."""
+    held = [[row for row in rows[:SHOWN] if row["over_holding_end"] is not None] for rows in laws.values()]
+    settings = [(number, law, rows) for number, (law, rows) in enumerate(zip(laws, held, strict=True)) if rows]
+    picture.write(path, lambda figure: grip_forces.draw(figure, settings), (7.5, 5.0))
+
+
+def main() -> None:
+    """Write the tables and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per law")
+    parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST of the grasps to show")
+    parser.add_argument("--shared", type=int, default=200, help="first seeds, of which every law has grasps")
+    parser.add_argument("--real-time", type=Path, help="rows of grip_real_time.py")
+    chosen = parser.parse_args()
+    rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in chosen.seeds]
+    laws = by_law(rows)
+    words = ["python scripts/grip_tables.py --rows FOLDER", f"--seeds {chosen.seeds[0]}-{chosen.seeds[-1]}"]
+    command = " ".join([*words, f"--shared {chosen.shared}"])
+    sizes = {"seeds": f"{chosen.seeds[0]}-{chosen.seeds[-1]}", "grasps": {law: len(of) for law, of in laws.items()}}
+    tables = [
+        laws_table(laws, chosen.seeds[: chosen.shared], command, sizes),
+        mass_table(laws, command, sizes),
+    ]
+    if chosen.real_time:
+        tables.append(real_time_table(rows_in(chosen.real_time), f"{command} --real-time FILE"))
+    write(RESULTS, *tables)
+    draw(laws, PICTURE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""scripts/grip_tables.py: what its tables say of rows."""
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli.jobs import Row
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+@pytest.fixture
+def tables(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The script as a module."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    return importlib.import_module("grip_tables")
+
+
+def grasp(law: str, seed: int, *, kept: bool = True, over: float = 1.5) -> Row:
+    """A row of grip_trials.py, of an object that gets heavier with the seed."""
+    known = over if kept else None
+    names = ("over_holding_end", "over_holding_mean", "over_holding_peak", "holding_end_n")
+    return {
+        **{"law": law, "margin": None, "seed": seed, "carried_g": 50.0 + 100 * (seed % 4), "balanced": kept},
+        **{"failure": "" if kept else "fell in balance", "moved_mm": 1.0, "motor_work_j": 0.1},
+        **{"force_end_n": 1.0 + seed % 4, "slip_events": 4, "false_slip_events": 1},
+        **dict.fromkeys(names, known),
+    }
+
+
+def test_laws_are_compared_on_the_same_grasps(tables: Any) -> None:
+    """Assert that a law of more grasps has a row of those that all have, and one of all; losses count for each."""
+    rows = [grasp("paper", seed, over=4.0) for seed in range(10)]
+    rows += [grasp("load-proportional", seed, kept=seed != 15) for seed in range(20)]
+    laws = tables.by_law(rows)
+    table = tables.laws_table(laws, range(10), "command", {})
+    assert [(row["law"], row["grasps"], row["kept"]) for row in table["rows"]] == [
+        ("paper", 10, 1.0),
+        ("load-proportional", 10, 1.0),
+        ("load-proportional", 20, 0.95),
+    ]
+    assert table["rows"][0]["over_holding_end_median"] == 4.0
+    assert table["rows"][2]["kept_low"] < 0.95 < table["rows"][2]["kept_high"]
+    of_mass = {(row["law"], row["mass"]): row for row in tables.mass_table(laws, "command", {})["rows"]}
+    assert of_mass["load-proportional", "250 to 600 g"]["lost"] == "1 fell in balance"
+    assert of_mass["load-proportional", "30 to 100 g"]["kept"] == 1.0
+
+
+def test_real_time_is_beside_simulated(tables: Any) -> None:
+    """Assert that grasps that failed to run are counted apart, and lateness is told in ms."""
+    ended = {"balanced": True, "over_holding_end": 1.5, "moved_mm": 1.0, "slip_events": 2}
+    late = {"slice_late_us": [500, 2000, 9000]}
+    rows = [
+        {"seed": 1, "real_time": {**ended, **late}, "simulated": ended},
+        {"seed": 2, "real_time": {**ended, **late, "balanced": False}, "simulated": ended},
+        {"seed": 3, "real_time": {"failed": "no memory"}, "simulated": ended},
+    ]
+    first, second = tables.real_time_table(rows, "command")["rows"]
+    assert (first["grasps"], first["failed"], first["kept"], first["alike"]) == (2, 1, 1, 1)
+    assert (second["kept"], second["late_p50_ms"]) == (2, None)
+    assert (first["late_p50_ms"], first["late_p99_ms"], first["late_most_ms"]) == (0.5, 2.0, 9.0)
