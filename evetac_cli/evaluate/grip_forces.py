@@ -85,4 +85,4 @@ def draw(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
         picture.log_axis(axis)
     axes.set_xlabel("weight carried at the end [N]")
     axes.set_ylabel("grip force at the end [N]")
-    axes.legend(fontsize="small")
+    picture.legend(figure, [axes])
