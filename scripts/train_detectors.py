@@ -5,7 +5,8 @@
     python scripts/train_detectors.py train DATA --out MODELS --seeds 5
 
 Checkpoint, calibration and threshold are chosen on the objects of `choose`. What is there is not made again. Then
-scripts/judge_slip.py judges the models. All of it simulated.
+scripts/judge_slip.py judges the models. `--variant outside` trains a network of another package: `pip install
+--no-deps ./tests/plugin` before, also where it is judged. All of it simulated.
 """
 
 import argparse
@@ -41,6 +42,7 @@ class Variant:
         return words + ["--learn-true-slip-share"] * self.true_share
 
 
+OUTSIDE = "outside"  # the network of tests/plugin, which has to be installed
 VARIANTS = {
     "slips": Variant(speeds=False, negatives=False, true_share=False),
     "slips-events": Variant(speeds=False, negatives=False, true_share=False, labels="event-flow"),
@@ -50,6 +52,7 @@ VARIANTS = {
     "grip": Variant(model="disp-xy-grip"),
     "sticking": Variant(model="disp-xy-grip", sticking=True),
     "fast-slow": Variant(model="fast-slow"),
+    OUTSIDE: Variant(model="mean-of-dots"),
     "paper": Variant(model="fast-slow", speeds=False, negatives=False, true_share=False, preset="paper", steps=150_000),
 }
 
@@ -105,7 +108,9 @@ def main() -> None:
     parser.add_argument("what", choices=("features", "train"))
     parser.add_argument("data", type=Path, help="folder with learn and choose below")
     parser.add_argument("--out", type=Path, help="folder of the models, one folder per variant below")
-    parser.add_argument("--variant", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument(
+        "--variant", nargs="*", default=[name for name in VARIANTS if name != OUTSIDE], choices=list(VARIANTS)
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes that make features, or networks at once")
     parser.add_argument("--seeds", type=int, default=5, help="models of each variant")
     chosen = parser.parse_args()
