@@ -80,9 +80,10 @@ def table(shown: list[Row], scores: Sequence[str], sensors: int, command: str, s
         f" models' files. Worst by timing: {', '.join(worst)}."
     ]
     if ADAPTED in scores:
-        columns["adapted in [s]"] = "{took_s:.0f}"
+        columns |= {"onsets told to adapt by": "{told}", "adapted in [s]": "{took_s:.0f}"}
         notes.append(
             "Adapted: by a minute of contact in slips on the same sensor, not those judged, labelled from events, with"
-            " `evetac train --adapt`. Time: of one processor core, from `label` to `train`."
+            " `evetac train --adapt`; not where labels tell fewer than 8 onsets. Time: of one processor core, from"
+            " `label` to `train`."
         )
     return table_of(NAME, "Slip detectors from sensor to sensor", columns, shown, command, sizes, notes=notes)

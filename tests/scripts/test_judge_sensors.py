@@ -115,23 +115,39 @@ def test_rows_are_kept_and_have_every_model(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_model_is_adapted_by_commands_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that labels come from events, that time and minutes are kept, and that nothing is adapted twice."""
+    """Assert that labels come from events, enough of those that tell an onset validate, and nothing is done twice."""
     said: list[tuple[str, ...]] = []
-    monkeypatch.setattr(judge_sensors, "run", lambda *words: said.append(tuple(map(str, words))))
-    monkeypatch.setattr(judge_sensors, "record_minute", lambda *_: (19, 1.04))
-    words = ["judge_sensors.py", "adapt", "--model", str(MODEL), "--seed", "9000", "--sensors", "second,9000"]
+    learned: list[tuple[int, int]] = []
+    tells = {"second": 19, "randomized-9000": 9, "randomized-9001": 7}
+
+    def run(*words: object) -> None:
+        said.append(tuple(map(str, words)))
+        folder = Path(said[-1][1])
+        for kind in {"label": ("labels",), "featurize": ("features",)}.get(str(words[0]), ()):
+            for number in range(19):
+                (folder / f"{number:02d}.{kind}.h5").touch()
+        if words[0] == "train":
+            held_back = Path(said[-1][said[-1].index("--validate") + 1])
+            learned.append((len(list(folder.glob("*.features.h5"))), len(list(held_back.glob("*.features.h5")))))
+
+    monkeypatch.setattr(judge_sensors, "run", run)
+    monkeypatch.setattr(judge_sensors, "record_minute", lambda *_: 1.04)
+    monkeypatch.setattr(judge_sensors, "tells_onset", lambda path: int(path.name[:2]) < tells[path.parent.name])
+    words = ["judge_sensors.py", "adapt", "--model", str(MODEL), "--seed", "9000", "--sensors", "second,9000-9001"]
     monkeypatch.setattr(sys, "argv", [*words, "--out", str(tmp_path)])
     judge_sensors.main()
-    assert [one[0] for one in said] == ["label", "track", "featurize", "train"] * 2
+    assert [one[0] for one in said] == [*["label", "track", "featurize", "train"] * 2, "label"]
+    assert learned == [(12, 7), (14, 5)]
     assert "--method" not in said[0] and "--sticking-share" in said[2]
     assert said[7][said[7].index("--out") + 1] == str(tmp_path / "randomized-9000.model.h5")
     rows = [json.loads(line) for line in (tmp_path / judge_sensors.ADAPTED_ROWS).read_text().splitlines()]
-    assert [(one["sensor"], one["seed"], one["minutes"]) for one in rows] == [
-        ("second", 9040, 1.04),
-        ("randomized:9000", 9160, 1.04),
+    assert [(one["seed"], one["trials"], one["told"], "took_s" in one) for one in rows] == [
+        (9040, 19, 19, True),
+        (9160, 19, 9, True),
+        (9200, 19, 7, False),
     ]
     judge_sensors.main()
-    assert len(said) == 8
+    assert len(said) == 9
 
 
 def test_the_model_before_adapting_is_known_by_its_id(tmp_path: Path) -> None:
