@@ -52,9 +52,14 @@ def planned_at(
     """
     number = objects[place // 2 % len(objects)]
     sensor = EVETAC if place % 2 == 0 else f"randomized:{sensors + place // 2 % several}"
-    trial = motions.planned(motion, number, seed + place, sensor, reshaped=motion != "data-rate")
+    return number, planned_on(sensor, motion, number, seed + place)
+
+
+def planned_on(sensor: str, motion: str, number: int, seed: int) -> Planned:
+    """The plan of a trial on a sensor, whose gel is cut."""
+    trial = motions.planned(motion, number, seed, sensor, reshaped=motion != "data-rate")
     scene = replace(trial.plan.scene, gel=replace(trial.plan.scene.gel, cut=True))
-    return number, trial._replace(plan=replace(trial.plan, scene=scene))
+    return trial._replace(plan=replace(trial.plan, scene=scene))
 
 
 def judged(motion: str, trial: Trial, scores: Scores) -> Row:

@@ -5,8 +5,9 @@
     python scripts/train_detectors.py train DATA --out MODELS --seeds 5
 
 `shipped`, the detector that comes with evetac (`make ship`), and variants named by how far ahead they warn are trained
-only if --variant names them. Checkpoint, calibration and threshold are chosen on the objects of `choose`. What is there
-is not made again. Then scripts/judge_slip.py judges the models. All of it simulated.
+only if --variant names them. So is `outside`, a network of another package: `pip install --no-deps ./tests/plugin`
+before, also where it is judged. Checkpoint, calibration and threshold are chosen on the objects of `choose`. What is
+there is not made again. Then scripts/judge_slip.py judges the models. All of it simulated.
 """
 
 import argparse
@@ -55,6 +56,7 @@ VARIANTS = {
 }
 IDEAS = tuple(VARIANTS)  # compared with each other, by the mean over several seeds
 VARIANTS["shipped"] = replace(VARIANTS["sticking"], networks=4)
+VARIANTS["outside"] = Variant(model="mean-of-dots")
 VARIANTS |= {
     f"{name}-{ms}ms": replace(VARIANTS[name], horizon_ms=ms) for name in ("shipped", "paper") for ms in (0, 20)
 }

@@ -1,0 +1,89 @@
+"""The table of slip detectors from sensor to sensor: timing and F1 of each, and what adapting to a sensor is worth.
+
+Rows of judged trials are those of slip_trials.py, in dicts by the sensor's name; a trial has an object of its own.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+import slip_tables
+from numpy.typing import NDArray
+from script_tables import table_of
+from slip_trials import THRESHOLDS
+
+from evetac_cli.jobs import Row
+from evetac_cli.kernels.slip.metrics import Counts
+
+NAME = "slip-detectors-sensors"
+ADAPTED = "adapted"  # a score: what a model adapted to the sensor says
+RANDOMISED = "randomized:"  # begins the name of such a sensor
+
+
+def key_of(score: str) -> str:
+    """A score's name as the beginning of a key of a row."""
+    return re.sub(r"\W+", "_", score)
+
+
+def told(score: str, right: NDArray[np.float64], clusters: Sequence[object], f1: float) -> Row:
+    """Timing of a score with its interval by clusters of slips (slips,), and F1, as values of a row."""
+    correct, key = slip_tables.mean_of(right, list(map(str, clusters))), key_of(score)
+    return {f"{key}_correct": correct.value, f"{key}_low": correct.low, f"{key}_high": correct.high, f"{key}_f1": f1}
+
+
+def sensor_rows(rows: dict[str, list[Row]], at: dict[str, dict[str, float]], before: str | None) -> list[Row]:
+    """Rows of the table from those of trials.
+
+    at: of each sensor the threshold of each score; before: the name of the model that was adapted, if one was.
+    """
+    slips = {sensor: [row for row in of if "unloading_n_s" in row] for sensor, of in rows.items()}
+
+    def right(score: str, sensors: Sequence[str]) -> NDArray[np.float64]:
+        every = [slip_tables.timings(slips[one], score, THRESHOLDS.index(at[one][score])) for one in sensors]
+        return (np.concatenate(every) == "correct").astype(float)
+
+    def f1(score: str, sensors: Sequence[str]) -> float:
+        places = [(row, THRESHOLDS.index(at[one][score])) for one in sensors for row in slips[one]]
+        return Counts(*np.sum([row["scores"][score]["counts"][place] for row, place in places], axis=0).tolist()).f1
+
+    groups = [(sensor, [sensor]) for sensor in rows]
+    randomised = [sensor for sensor in rows if sensor.startswith(RANDOMISED)]
+    adapted = [sensor for sensor in rows if before and ADAPTED in at[sensor]]
+    for called, several in (("randomised", randomised), (ADAPTED, adapted)):
+        groups += [(f"{len(several)} {called} together", several)] * (len(several) > 1)
+    shown = []
+    for called, several in groups:
+        clusters = [row["seed" if len(several) == 1 else "sensor"] for one in several for row in slips[one]]
+        row: Row = {"sensor": called, "slips": len(clusters)}
+        for score in at[several[0]]:
+            if all(score in at[one] for one in several):
+                row |= told(score, right(score, several), clusters, f1(score, several))
+        shown.append(row)
+    if before and len(adapted) > 1:  # the last clusters are theirs
+        gain, more = right(ADAPTED, adapted) - right(before, adapted), f1(ADAPTED, adapted) - f1(before, adapted)
+        less: Row = {"sensor": f"adapted less {before}, paired", "slips": len(gain)}
+        shown.append(less | told(ADAPTED, gain, clusters, more))
+    return shown
+
+
+def table(shown: list[Row], scores: Sequence[str], sensors: int, command: str, sizes: Row) -> Row:
+    """The table of all sensors, whose rows come first, with the worst of them in a note."""
+    columns, worst = {"sensor": "{sensor}", "slips": "{slips}"}, []
+    for score in scores:
+        key = key_of(score)
+        timing = f"{{{key}_correct:.2f}} ({{{key}_low:.2f}} to {{{key}_high:.2f}})"
+        columns[f"{score}: timing correct; F1"] = f"{timing}; {{{key}_f1:.2f}}"
+        lowest = min((row for row in shown[:sensors] if f"{key}_correct" in row), key=lambda row: row[f"{key}_correct"])
+        worst.append(f"{score} on {lowest['sensor']} ({lowest[f'{key}_correct']:.2f})")
+    notes = [
+        "Another object in each trial. Intervals of 95 % by object, of several sensors by sensor; thresholds of the"
+        f" models' files. Worst by timing: {', '.join(worst)}."
+    ]
+    if ADAPTED in scores:
+        columns |= {"onsets told to adapt by": "{told}", "adapted in [s]": "{took_s:.0f}"}
+        notes.append(
+            "Adapted: by a minute of contact in slips on the same sensor, not those judged, labelled from events, with"
+            " `evetac train --adapt`; not where labels tell fewer than 8 onsets. Time: of one processor core, from"
+            " `label` to `train`."
+        )
+    return table_of(NAME, "Slip detectors from sensor to sensor", columns, shown, command, sizes, notes=notes)
