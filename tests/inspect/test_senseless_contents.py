@@ -251,7 +251,7 @@ CHANGES = [
     model("threshold", (), NAN, "finite"),
     model("history", (), -10, "history"),
     model("history", (), 2**40, "history"),
-    model("history", (), 11, "50"),
+    model("history", (), 11, "51"),
     model("architecture", (), "hist1000", "one of no-hist, hist10"),
     model("architecture", (), "hist10", "history"),
     model("dot_shape", ..., [1, 56], "2 x 4"),

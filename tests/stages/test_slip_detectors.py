@@ -190,4 +190,4 @@ def test_the_model_that_evetac_comes_with_is_taken(model: Path) -> None:
     """Assert that our own model is valid and loads."""
     assert validate.run([model]).summary["invalid"] == 0
     with StageFile(model, "model") as file:
-        assert load_detector(file).architecture.name == "disp-xy"
+        assert load_detector(file).architecture.name == "disp-xy-grip"

@@ -594,9 +594,9 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
             {"model": "no-hist", "horizon_ms": 5, "preset": "adamw", "max_steps": 7, "networks": 2},
             ("no-hist", 5, "adamw", 7, 2),
         ),
-        ({"adapt": "shipped"}, ("disp-xy", 10, "adapt", 1000, NETWORKS)),
-        ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy", 10, "adapt", 40000, NETWORKS)),
-        ({"adapt": "shipped", "model": "disp-xy", "horizon_ms": 10}, ("disp-xy", 10, "adapt", 1000, NETWORKS)),
+        ({"adapt": "shipped"}, ("disp-xy-grip", 10, "adapt", 1000, NETWORKS)),
+        ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy-grip", 10, "adapt", 40000, NETWORKS)),
+        ({"adapt": "shipped", "model": "disp-xy-grip", "horizon_ms": 10}, ("disp-xy-grip", 10, "adapt", 1000, NETWORKS)),
     ],
 )
 def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, int, str, int, int]) -> None:
