@@ -13,11 +13,14 @@ factor of 40 between gels, objects and friction; so the ratio is found anew in e
   the contact slips. Whether it does, is asked of the load: friction of what slides goes with the grip, weight does not.
   A slip signal that closes the grip and changes no load is not believed for a while, so that a detector that cries
   closes by a bounded share, and the grip comes back. Without a slip signal the grip is made firmer by a small step now
-  and then, until the load no longer answers: then the gripper carries the object.
+  and then, until the load no longer answers: then the gripper carries the object, and what was spare joins the ratio.
 - What stopped a slide is `slide` times what holds at rest, as sliding friction is less; what is needed follows, and the
-  grip aims at `margin` times that. Where nothing slid, the ratio falls slowly in balance, by the same share per second
-  whatever the object weighs, until the load or its turn moves more than the fall itself explains, until little sticks,
-  or until slip.
+  grip aims at `margin` times that. Where nothing slid, the ratio falls slowly, by the same share per second whatever
+  the object weighs, until the load or its turn moves more than the fall itself explains, until little sticks, or until
+  slip.
+- An object that slides under its whole weight pulls no more when gripped more firmly, and slides on under a grip that
+  would hold it at rest. So a load that jumps or falls is gripped `slide` times as firmly until it has settled; and slip
+  of what is carried that the load does not confirm makes the grip a little firmer for good, up to a bound.
 - More weight finds the same ratio. Without a slip signal it never opens beyond what load, turn and sticking say.
 """
 
@@ -52,7 +55,8 @@ class LoadLaw:
     """Constants of the law; ticks are those of the encoder, px those of the displacement of all dots.
 
     margin: how many times what is needed the grip aims at. The others were chosen on simulated grasps of seeds 0 to 35
-    of scripts/grip_trials.py, those of a release also on 200 to 213.
+    of scripts/grip_trials.py, those of a release also on 200 to 213; slide, knee, probe, jolt and doubt last on 0 to
+    19. Doubt, and that what is spare joins the ratio, came after a look at two grasps that fell, 307 and 311.
     """
 
     margin: float = MARGIN
@@ -65,43 +69,40 @@ class LoadLaw:
     most_spare_ticks: float = 6.0
     least_px: float = 0.15  # less than this counts as no load
     close_s: float = 0.08  # time constant of closing on slip
-    close_ticks_s: float = 10.0  # ... and so fast beside it,
-    catch_ticks_s: float = 30.0  # where it hangs and falls if it is not caught
+    close_ticks_s: float = 10.0  # ... and so fast beside it
     answer_s: float = 0.03  # after which the load is asked whether it answers to the grip
     answer: float = 0.2  # share of the grip's growth by which the load has to grow where something slides
-    again_s: float = 0.04  # after which it is asked again where the load has fallen
     ignore_s: float = 0.3  # slip that was not confirmed is not believed for so long, twice as long the next time
     most_ignore_s: float = 2.4
-    little_sticks: float = 0.3  # of the contact: ends a release
+    little_sticks: float = 0.3  # of the contact: counts as slip in the lift, and ends a release
     quiet_s: float = 0.06  # without slip: it is over
-    steady_s: float = 0.15  # for which a load is steady before it is asked whether it is carried
-    steady: float = 0.08  # share by which a load may change in quiet_s that is steady
+    steady: float = 0.03  # share by which a load may change in quiet_s that is steady
+    wait_s: float = 0.5  # ... and asked without it after so long: a slide may shake
     probe: float = 0.15  # share by which the lift closes to ask whether the object is carried
-    probe_ticks: float = 3.0  # ... and by so much, which is more than the lost motion of most grippers
+    probe_ticks: float = 1.5  # ... and by so much at least, which the encoder sees
     probe_s: float = 0.06
+    probe_most_s: float = 0.25  # fingers that have not closed by so much by then are at their limit
     slide: float = 1.6  # what stops a slide over what just holds at rest: friction falls to 0.5 to 0.7 as it slides
-    knee: float = 1.4  # ... what holds where a release first shows in the load over that
+    knee: float = 1.25  # ... what holds where a release first shows in the load over that
     release_s: float = 4.0  # time constant of the release
-    return_s: float = 2.0  # ... of the way to what is known to be needed
-    lift_more: float = 1.15  # times what carries is held until balance: the hand may shake, and an even slide hides
-    settle_s: float = 0.6  # time constant of a load that is carried, and of the fastest fall of the grip
+    settle_s: float = 0.6  # ... of a load that settles, and of the way to what is known to be needed
     window: float = 0.12  # share of the grip in whose release changes are looked at
-    moves: float = 0.03  # share of load and turn that a change in a window has to exceed
+    moves: float = 0.025  # share of load and turn that a change in a window has to exceed
     moves_px: float = 0.02
-    moves_times: float = 1.7  # ... and so many times the change in the first window
-    moves_first: float = 3.0  # in the first window, which knows no other, it has to be so many times as large
-    falls: float = 0.1  # share by which the load falls at once when a carried object slides
-    contact_ticks: float = 4.0  # that light contact may have closed too far already: a release may go so far below it
+    moves_times: float = 1.5  # ... and so many times the change in the first window
+    jolt: float = 0.1  # share by which a load that changes within settle_s may have made a carried object slide
+    doubt: float = 1.15  # slip of what is carried that the load does not confirm makes what is needed so much more,
+    most_doubt: float = 1.4  # ... up to so many times what is known
     gear: Gear = Gear()
 
     def __post_init__(self) -> None:
         """Refuse constants that are out of range."""
         check_range("margin", self.margin, 1.0, MOST_MARGIN)
-        times = ("close_s", "probe_s", "release_s", "return_s", "settle_s", "answer_s", "approach_dry_s", "quiet_s")
+        times = ("close_s", "probe_s", "release_s", "settle_s", "answer_s", "approach_dry_s", "quiet_s")
         for item in fields(self):
             if item.name not in ("margin", "gear"):
                 check_range(item.name, getattr(self, item.name), above=item.name in times)
-        for name in ("slide", "knee"):
+        for name in ("slide", "knee", "doubt", "most_doubt"):
             check_range(name, getattr(self, name), 1.0)
         if self.first_ratio > self.most_ratio:
             raise ValueError(f"expected first_ratio <= most_ratio, found {self.first_ratio}, {self.most_ratio}")
@@ -122,10 +123,8 @@ class LoadState(FingerState):
     spare: float = 0.0
     wanted_ticks: float = 0.0
     load_px: float = 0.0
-    pull_px: float = 0.0  # ... of which displacement
-    slow_px: float = 0.0  # pull, over some quiet_s
-    pulled_px: float = 0.0  # ... over some settle_s
-    carried_px: float = 0.0  # load, over some settle_s
+    slow_px: float = 0.0  # load, over some quiet_s
+    settled_px: float = 0.0  # ... over some settle_s
     steady_s: float = 0.0  # for which the load has been steady
     slip_steps: int = 0  # in a row
     quiet_s: float = math.inf  # since slip
@@ -133,17 +132,17 @@ class LoadState(FingerState):
     next_ignore_s: float = 0.0
     closes: bool = False  # on slip
     slid: bool = False  # ... that the load has confirmed
-    fell: bool = False  # ... or that made the load fall
     asked_s: float = 0.0  # since the grip and the load were noted, below, to be asked whether one answers the other
     asked_ticks: float = 0.0
     asked_px: float = 0.0
     ratio_at_slip: float = 0.0
     spare_at_slip: float = 0.0
-    slid_on_table: bool = False
-    least_ratio: float = 0.0  # that a release may come to, by what stopped that
+    waited_s: float = 0.0  # with a load, for it to be steady
     probing: bool = False
+    probed_s: float = 0.0  # since the probe has closed
     carried: bool = False
-    needed: float = 0.0  # ratio that is known to be what the grip aims at; 0 before
+    needed: float = 0.0  # ratio that the grip aims at, once it is known; 0 before
+    known: float = 0.0  # ... but for doubt
     seen_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # load and turn at the start of a window of the release
     seen_ticks: float = 0.0  # grip there; 0: none began
     usual_px: float = -1.0  # change in the first window
@@ -162,17 +161,15 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
         return _touch(state, felt, position_ticks, dt_s, law)
     if state.phase is GraspPhase.CONTACT:
         state.ratio, state.spare, state.next_ignore_s = law.first_ratio, law.first_ticks, law.ignore_s
+    state.phase = phase
     fingers.observe(state, position_ticks)
     moved = _moved(felt, state.rest_px)
-    state.load_px, state.pull_px = math.hypot(*moved), math.hypot(moved[0], moved[1])
+    state.load_px = math.hypot(moved[0], moved[1])
     _watch_load(state, dt_s, law)
-    if phase is GraspPhase.BALANCE and state.phase is not phase:
-        if not state.carried:
-            state.carried, state.ratio, state.closes = True, _held_ratio(state, law), False
-        state.needed, state.seen_ticks = 0.0, 0.0  # what seemed to slip while the hand moved
-    state.phase = phase
+    if phase is GraspPhase.BALANCE and not state.carried:
+        _carry(state, state.ratio, law)
     slips = _slips(state, felt, dt_s, law)
-    if slips and (state.carried or state.load_px > law.least_px):
+    if slips and state.load_px > law.least_px:
         _close(state, dt_s, law)
     elif state.closes and state.quiet_s < law.quiet_s:
         pass  # it may come again at once
@@ -183,13 +180,12 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
             _seek(state, dt_s, law)
         else:
             _release(state, moved, felt, dt_s, law)
-    # an object that slides pulls less, and must not be let go for that
-    load_px = max(state.load_px, state.carried_px) if state.carried else state.load_px
+    load_px = state.load_px
+    if state.needed and _jolts(state, law):
+        load_px = law.slide * max(load_px, state.settled_px)
     wanted = state.rest_ticks + state.spare + state.ratio * load_px
-    # before it is carried a load that falls bounces, or slides over the table
-    falls_s = law.settle_s if state.carried else math.inf
-    slowest = (abs(state.wanted_ticks - state.rest_ticks) + 1.0) * dt_s / falls_s
-    state.wanted_ticks = max(wanted, min(state.wanted_ticks, state.place_ticks) - slowest)
+    before = min(state.wanted_ticks, state.place_ticks)  # fingers that are behind need go no further
+    state.wanted_ticks = max(wanted, before - (before - state.rest_ticks) * dt_s / law.settle_s)
     state.x_ref = state.wanted_ticks
     push = fingers.push(state, state.wanted_ticks, state.rest_ticks, dt_s, law.gear)
     state.u_ff = -float(push)
@@ -201,7 +197,7 @@ def _touch(state: LoadState, felt: Felt, position_ticks: int, dt_s: float, law: 
     if state.first_position < 0:
         state.first_position = position_ticks
     state.steps += 1
-    state.position, state.usual_position = position_ticks, float(position_ticks)
+    state.position = position_ticks
     state.rest_ticks, state.rest_px = position_ticks - 0.5, (felt.x_px, felt.y_px, felt.turn_px)
     state.place_ticks = position_ticks + 0.5
     state.wanted_ticks = state.rest_ticks
@@ -224,92 +220,100 @@ def _moved(felt: Felt, rest_px: tuple[float, float, float]) -> tuple[float, floa
 
 
 def _watch_load(state: LoadState, dt_s: float, law: LoadLaw) -> None:
-    """Follow the load slowly, and say for how long its pull has been steady: an object off its middle swings."""
-    state.slow_px += (state.pull_px - state.slow_px) * min(dt_s / law.quiet_s, 1.0)
-    state.carried_px += (state.load_px - state.carried_px) * min(dt_s / law.settle_s, 1.0)
-    state.pulled_px += (state.pull_px - state.pulled_px) * min(dt_s / law.settle_s, 1.0)
-    steady = abs(state.pull_px - state.slow_px) <= law.steady * state.pull_px + 0.1 * law.least_px
+    """Follow the load slowly, and say for how long it has been steady."""
+    state.slow_px += (state.load_px - state.slow_px) * min(dt_s / law.quiet_s, 1.0)
+    state.settled_px += (state.load_px - state.settled_px) * min(dt_s / law.settle_s, 1.0)
+    steady = abs(state.load_px - state.slow_px) <= law.steady * state.load_px + 0.1 * law.least_px
     state.steady_s = state.steady_s + dt_s if steady and state.load_px > law.least_px else 0.0
 
 
 def _slips(state: LoadState, felt: Felt, dt_s: float, law: LoadLaw) -> bool:
-    """Whether something slips, by detector or load, that is believed."""
+    """Whether something slips, by detector or sticking share, that is believed."""
     state.slip_steps = state.slip_steps + 1 if felt.slip else 0
     state.ignore_s = max(state.ignore_s - dt_s, 0.0)
-    slips = (state.slip_steps >= 2 or _fell(state, law)) and state.ignore_s <= 0.0
+    little = felt.sticking_share < law.little_sticks and not state.carried
+    slips = (state.slip_steps >= 2 or little) and state.ignore_s <= 0.0
     state.quiet_s = 0.0 if slips else state.quiet_s + dt_s
     return slips
 
 
-def _fell(state: LoadState, law: LoadLaw) -> bool:
-    """Whether a load that was carried has become less: friction falls as it begins to slide."""
-    return state.carried and state.pull_px < state.pulled_px * (1.0 - law.falls) - 0.2 * law.least_px
+def _jolts(state: LoadState, law: LoadLaw) -> bool:
+    """Whether a load that is carried has changed of late: a slide may have begun, which takes more to stop."""
+    changed_px = abs(state.load_px - state.settled_px)
+    return state.carried and changed_px > state.settled_px * law.jolt + 0.2 * law.least_px
 
 
 def _grip_ticks(state: LoadState) -> float:
     return max(state.place_ticks - state.rest_ticks, 0.25)
 
 
-def _held_ratio(state: LoadState, law: LoadLaw) -> float:
-    """The ratio by which the fingers are where they are."""
-    ratio = max(_grip_ticks(state) - state.spare, 0.0) / max(state.load_px, law.least_px)
-    return min(max(ratio, 0.1 * law.first_ratio), law.most_ratio)
-
-
 def _ask(state: LoadState) -> None:
-    """Note grip and pull, to be asked later whether one answers to the other; a turn swings by itself."""
-    state.asked_s, state.asked_ticks, state.asked_px = 0.0, _grip_ticks(state), state.pull_px
+    """Note grip and load, to be asked later whether the load answers to the grip."""
+    state.asked_s, state.asked_ticks, state.asked_px = 0.0, _grip_ticks(state), state.load_px
 
 
-def _answer(state: LoadState, law: LoadLaw) -> float:
-    """Growth of the load over that of the grip, since both were noted: 1 where something slides, 0 where it hangs."""
-    offset = law.contact_ticks if state.carried else 0.0  # where it hangs, rather see a slide too many
-    grown = max((_grip_ticks(state) - state.asked_ticks) / (state.asked_ticks + offset), 1e-3)
-    return (state.pull_px / max(state.asked_px, 1e-6) - 1.0) / grown
+def _answers(state: LoadState, share: float) -> bool:
+    """Whether the load has grown by this share of the growth of the grip at least, since both were noted."""
+    grown = _grip_ticks(state) / state.asked_ticks - 1.0
+    return state.load_px > state.asked_px * (1.0 + share * max(grown, 0.0))
 
 
 def _close(state: LoadState, dt_s: float, law: LoadLaw) -> None:
     """Close on slip while the load answers to it."""
     if not state.closes:
-        state.closes, state.slid, state.fell, state.probing = True, False, False, False
-        state.slid_on_table = state.slid_on_table or not state.carried
+        state.closes, state.slid, state.probing = True, False, False
         state.ratio_at_slip, state.spare_at_slip = state.ratio, state.spare
         _ask(state)
     state.asked_s += dt_s
-    state.fell = state.fell or _fell(state, law)
-    state.slid = state.slid or state.fell
     state.ratio = min(state.ratio * (1.0 + dt_s / law.close_s), law.most_ratio)
-    if state.carried:
-        state.spare = max(state.spare, 0.0)
-    by_ticks = (law.catch_ticks_s if state.carried else law.close_ticks_s) * dt_s
-    state.spare = max(state.spare, min(state.spare + by_ticks, law.most_spare_ticks))
+    state.spare = min(state.spare + law.close_ticks_s * dt_s, law.most_spare_ticks)
     if state.asked_s < law.answer_s or _grip_ticks(state) < 1.2 * state.asked_ticks:
         return
-    if _answer(state, law) >= law.answer:
+    if _answers(state, law.answer):
         state.slid = True
         state.next_ignore_s = law.ignore_s
         _ask(state)
         return
-    if _fell(state, law):
-        state.ignore_s, state.next_ignore_s = law.again_s, law.ignore_s
-    else:
-        state.ignore_s = state.next_ignore_s
-        state.next_ignore_s = min(2.0 * state.next_ignore_s, law.most_ignore_s) if state.carried else law.ignore_s
+    state.ignore_s = state.next_ignore_s
+    state.next_ignore_s = min(2.0 * state.next_ignore_s, law.most_ignore_s)
     _end_close(state, law)
 
 
 def _end_close(state: LoadState, law: LoadLaw) -> None:
     """Slip is over, or was none: what is needed follows from where it ended, or the grip comes back."""
     state.closes, state.seen_ticks = False, 0.0
-    # fingers that are behind need go no further
-    state.ratio = max(min(state.ratio, _held_ratio(state, law)), state.ratio_at_slip)
     if not state.slid:
-        state.ratio, state.spare = state.ratio_at_slip, state.spare_at_slip
-    elif state.carried:
-        state.spare = state.spare_at_slip
-        if state.fell:  # else only the detector says so
-            state.needed = min(max(state.ratio_at_slip * law.margin, state.needed), state.ratio)
+        state.ratio, state.spare = max(state.ratio_at_slip, 1e-3), state.spare_at_slip
+        if state.carried and state.needed:
+            state.needed = min(state.needed * law.doubt, state.known * law.most_doubt)
+    elif not state.carried:  # closing stopped it on the table
+        _need(state, _whole(state, state.ratio, law) * law.margin / law.slide)
+        _unwind(state, law)
+    else:
+        _need(state, min(max(state.ratio_at_slip * law.margin, state.needed), _whole(state, state.ratio, law)))
+    if state.carried:
+        state.spare = 0.0
     _ask(state)
+
+
+def _whole(state: LoadState, ratio: float, law: LoadLaw) -> float:
+    """The ratio that alone closes as far as this one and what is spare, or as the fingers have got to."""
+    wanted = ratio * state.load_px + state.spare
+    return min(min(wanted, _grip_ticks(state)) / max(state.load_px, law.least_px), law.most_ratio)
+
+
+def _unwind(state: LoadState, law: LoadLaw) -> None:
+    """Take back what the fingers have not followed."""
+    state.ratio = max(min(state.ratio, _whole(state, state.ratio, law)), state.ratio_at_slip)
+
+
+def _need(state: LoadState, ratio: float) -> None:
+    state.needed = state.known = ratio
+
+
+def _carry(state: LoadState, ratio: float, law: LoadLaw) -> None:
+    """From here on the grip follows the load alone: what was spare may be what holds."""
+    state.carried, state.ratio, state.spare = True, _whole(state, ratio, law), 0.0
 
 
 def _seek(state: LoadState, dt_s: float, law: LoadLaw) -> None:
@@ -318,53 +322,55 @@ def _seek(state: LoadState, dt_s: float, law: LoadLaw) -> None:
         state.spare = min(state.spare + law.search_ticks_s * dt_s, law.most_spare_ticks)
         return
     if not state.probing:
-        if state.steady_s > law.steady_s:
-            state.ratio = _held_ratio(state, law)
-            state.probing, state.ratio_at_slip = True, state.ratio
+        state.waited_s += dt_s
+        there = _grip_ticks(state) < state.spare + state.ratio * state.load_px + 0.5 * law.probe_ticks
+        if (there and state.steady_s > law.quiet_s) or state.waited_s > law.wait_s:
+            state.probing, state.ratio_at_slip, state.probed_s, state.waited_s = True, state.ratio, 0.0, 0.0
             _ask(state)
         return
     state.asked_s += dt_s
-    if state.asked_s <= law.probe_s:
-        grow = law.probe * (state.spare + state.ratio * state.load_px) + law.probe_ticks
-        grow *= dt_s / law.probe_s
-        state.ratio = min(state.ratio + grow / state.load_px, law.most_ratio)
-    elif state.asked_s > 2 * law.probe_s:
-        state.probing = False
-        if _answer(state, law) > 2 * law.answer:  # an object that swings changes the load, too
-            state.slid_on_table = True
-            return
-        state.carried, state.ratio = True, state.ratio_at_slip
-        if state.slid_on_table:
-            state.least_ratio = state.ratio * law.margin / law.slide
-        state.ratio *= law.lift_more
+    grow = max(law.probe * state.asked_ticks, law.probe_ticks)
+    closed = _grip_ticks(state) >= state.asked_ticks + grow
+    if not closed and not state.probed_s and state.asked_s <= law.probe_most_s:
+        most = min(state.ratio_at_slip + 2.0 * grow / state.load_px, law.most_ratio)
+        state.ratio = min(state.ratio + grow * dt_s / law.probe_s / state.load_px, most)
+        return
+    state.probed_s += dt_s
+    if state.probed_s <= law.probe_s:
+        return
+    state.probing = False
+    if _answers(state, 2 * law.answer):
+        state.slid, state.steady_s = True, law.quiet_s
+        _unwind(state, law)
+        return
+    if _grip_ticks(state) < state.asked_ticks + 0.5 * grow:  # the fingers have not moved: nothing was asked
+        state.ratio = state.ratio_at_slip
+        return
+    if state.slid and not state.needed:
+        _need(state, _whole(state, state.ratio_at_slip, law) * law.margin / law.slide)
+    _carry(state, state.ratio_at_slip, law)
 
 
 def _release(state: LoadState, moved: tuple[float, float, float], felt: Felt, dt_s: float, law: LoadLaw) -> None:
     """Open, to what is known to be needed or until the load, its turn or what sticks show it."""
     if state.needed:
-        if state.phase is GraspPhase.BALANCE or state.ratio < state.needed:
-            state.ratio += (state.needed - state.ratio) * dt_s / law.return_s
-        return
-    if _shows(state, moved, law) or felt.sticking_share < law.little_sticks:
-        state.needed = state.ratio * law.margin / law.knee
-        return
-    if state.phase is GraspPhase.LIFT:
-        return
-    state.ratio = max(state.ratio - state.ratio * dt_s / law.release_s, min(state.ratio, state.least_ratio))
-    state.spare = max(state.spare - (state.spare + law.contact_ticks) * dt_s / law.release_s, -law.contact_ticks)
+        state.ratio += (state.needed - state.ratio) * dt_s / law.settle_s
+    elif _shows(state, moved, law) or felt.sticking_share < law.little_sticks:
+        _need(state, state.ratio * law.margin / law.knee)
+    else:
+        state.ratio -= state.ratio * dt_s / law.release_s
 
 
 def _shows(state: LoadState, moved: tuple[float, float, float], law: LoadLaw) -> bool:
     """Whether load and turn change more than the fall of the grip explains."""
-    grip = state.spare + law.contact_ticks + state.ratio * state.load_px
+    grip = state.spare + state.ratio * state.load_px
     if not state.seen_ticks:
         state.seen_ticks, state.seen_px, state.usual_px = grip, moved, -1.0
         return False
     change_px = math.dist(moved, state.seen_px)
     size_px = math.hypot(*moved)
     usual_px = max(state.usual_px, 0.0)
-    moves_px = law.moves * size_px + law.moves_px
-    if change_px > (law.moves_first * moves_px if state.usual_px < 0.0 else max(moves_px, law.moves_times * usual_px)):
+    if change_px > max(law.moves * size_px + law.moves_px, law.moves_times * usual_px):
         return True
     if grip < state.seen_ticks * (1.0 - law.window):
         state.usual_px = change_px if state.usual_px < 0.0 else state.usual_px
