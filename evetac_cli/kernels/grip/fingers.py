@@ -62,7 +62,7 @@ def observe(state: FingerState, position_ticks: int) -> None:
     """Correct the counted place by the encoder, which is right within one tick and its noise."""
     changed_ticks = abs(position_ticks - state.position)
     slack_ticks = 2.0 * state.noise_ticks
-    if changed_ticks > slack_ticks:
+    if changed_ticks > 1.5 * slack_ticks:
         state.pulses, state.dry_s = 0, 0.0
     if state.holds:
         state.noise_ticks += SLOW * (changed_ticks - state.noise_ticks)
@@ -87,7 +87,8 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
         harder = gear.band_ticks + gear.surplus_ticks + state.harder_ticks
         state.place_ticks = min(state.place_ticks + min(behind, 1.0) * gear.stride_ticks, state.position + 1.0)
         return round(min(grip_push + harder + gear.speed * behind, gear.most_push + state.harder_ticks))
-    if behind < -gear.pulse_ticks - state.noise_ticks and state.pause_s <= 0.0:
+    opens = behind < -gear.pulse_ticks - state.noise_ticks
+    if opens and state.pause_s <= 0.0:
         state.pause_s = gear.pause_s
         state.place_ticks -= gear.pulse_ticks
         state.pulses += 1
@@ -96,4 +97,6 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
         least = math.ceil(gear.band_ticks - grip_push + gear.surplus_ticks)
         return -min(max(least, 1) + state.open_more, int(gear.most_push))
     state.holds = True
+    if opens:  # an encoder's noise is not to close them again
+        grip_push -= 0.5 * gear.band_ticks
     return round(min(grip_push, gear.most_push))
