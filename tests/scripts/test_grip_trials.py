@@ -81,8 +81,8 @@ def test_the_grip_is_safe_without_a_detector(trials: Any, monkeypatch: pytest.Mo
     """Assert that an object is lifted and held where no slip is ever told, and where it always is, within a bound."""
     counts = itertools.count(0, int(cries))
     monkeypatch.setattr(OnlineSlipDetector, "count", property(lambda detector: next(counts)))
-    monkeypatch.setattr(trials, "LIFT_S", 4.0)
-    monkeypatch.setattr(trials, "BALANCE_S", 1.0)
+    monkeypatch.setattr(trials, "LIFT_S", 3.5)
+    monkeypatch.setattr(trials, "BALANCE_S", 0.5)
     arrays, row = trials.play("load-proportional", 116)
     assert row["balanced"], row["failure"]
     assert (arrays["control/slip"][10:] == cries).all()
