@@ -21,7 +21,7 @@ import math
 import multiprocessing
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -137,17 +137,47 @@ def _simulation(devices: Rig) -> GraspSimulation:
     return devices.gripper.simulation
 
 
-def settings_of(law: str, latency_ms: int, margin: float | None) -> GraspSettings:
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a law and of its detector in place of the defaults of `grasp`; None: the default."""
+
+    margin: float | None = None
+    model: Path | None = None
+    slip_threshold: float | None = None
+    false_alarms_per_min: float | None = None
+
+    def flags(self) -> dict[str, Any]:
+        """What `Grasp` is asked for."""
+        named = {"grip_margin": self.margin, "model": self.model, "slip_threshold": self.slip_threshold}
+        named["false_alarms_per_min"] = self.false_alarms_per_min
+        return {name: value for name, value in named.items() if value is not None}
+
+    def row(self) -> Row:
+        """What a row says of it, the model by the name of its file."""
+        model = None if self.model is None else self.model.name
+        return {**asdict(self), "model": model}
+
+    def file_name(self, law: str) -> str:
+        """The file of the rows of a law."""
+        said = {name.replace("_", "-"): value for name, value in self.row().items() if value is not None}
+        words = [f"{name}-{value if isinstance(value, str) else format(value, 'g')}" for name, value in said.items()]
+        return "-".join([law.replace(":", "-"), *words]) + ".jsonl"
+
+
+AS_SHIPPED = Asked()
+
+
+def settings_of(law: str, latency_ms: int, asked: Asked) -> GraspSettings:
     """Law, detector and timing, as the flags of `grasp` make them; of an oracle without the law."""
     named = "none" if law.startswith(grip_oracle.NAME) else law
-    own = {} if margin is None else {"grip_margin": margin}
-    return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, lift_s=LIFT_S, balance_s=BALANCE_S, **own))
+    lasts = {"lift_s": LIFT_S, "balance_s": BALANCE_S}
+    return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, **lasts, **asked.flags()))
 
 
-def play(law: str, seed: int, margin: float | None = None) -> tuple[dict[str, Any], Row]:
+def play(law: str, seed: int, asked: Asked = AS_SHIPPED) -> tuple[dict[str, Any], Row]:
     """Rows of a grasp by their paths in a recording, without events, and what became of it."""
     one = drawn(seed)
-    settings = settings_of(law, one.latency_ms, margin)
+    settings = settings_of(law, one.latency_ms, asked)
     timing = settings.timing(one.plan.scene.time.touch_s)
     camera = uses_detector(settings.law)
     devices = one.rig(camera=camera)
@@ -170,7 +200,8 @@ def play(law: str, seed: int, margin: float | None = None) -> tuple[dict[str, An
     return arrays, {
         "law": law,
         "seed": seed,
-        "margin": margin,
+        **asked.row(),
+        "threshold": None if settings.detector is None else settings.detector.threshold,
         "sensor": one.plan.sensor_name,
         "shape": touched.shape,
         "mass_g": touched.mass_g,
@@ -185,28 +216,27 @@ def play(law: str, seed: int, margin: float | None = None) -> tuple[dict[str, An
     }
 
 
-def _of_pair(pair: tuple[str, int, float | None]) -> Row:
-    return play(*pair)[1]
+def _of_one(one: tuple[str, int, Asked]) -> Row:
+    return play(*one)[1]
 
 
-def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, margin: float | None = None) -> Rows:
+def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, asked: Asked = AS_SHIPPED) -> Rows:
     """The rows of some grasps by a law, those that are not yet in its file first played and added to it."""
-    name = law.replace(":", "-") + ("" if margin is None else f"-margin-{margin:g}")
-    path = folder / f"{name}.jsonl"
+    path = folder / asked.file_name(law)
     there = {row["seed"] for row in rows_in(path)}
-    missing = [(law, seed, margin) for seed in seeds if seed not in there]
+    missing = [(law, seed, asked) for seed in seeds if seed not in there]
     for row in _each(missing, jobs):
         add_rows(path, [row])
         sys.stderr.write(f"{law} {row['seed']}: {row['failure'] or 'kept'}\n")
     return [row for row in rows_in(path) if row["seed"] in set(seeds)]
 
 
-def _each(pairs: Sequence[tuple[str, int, float | None]], jobs: int) -> Iterator[Row]:
-    if jobs == 1 or len(pairs) < 2:
-        yield from map(_of_pair, pairs)
+def _each(grasps: Sequence[tuple[str, int, Asked]], jobs: int) -> Iterator[Row]:
+    if jobs == 1 or len(grasps) < 2:
+        yield from map(_of_one, grasps)
         return
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        yield from pool.imap_unordered(_of_pair, pairs)
+        yield from pool.imap_unordered(_of_one, grasps)
 
 
 def main() -> None:
@@ -216,6 +246,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=seeds_of, default="0-99", help="FIRST-LAST")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows")
     parser.add_argument("--grip-margin", type=float, help="of load-proportional, where not its default")
+    parser.add_argument("--model", type=Path, help="detector, where not the package's")
+    parser.add_argument("--slip-threshold", type=float, help="as of grasp")
+    parser.add_argument("--false-alarms-per-min", type=float, help="as of grasp")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--table", action="store_true", help="in place of --law: of all laws that the folder holds")
     chosen = parser.parse_args()
@@ -224,7 +257,8 @@ def main() -> None:
     if chosen.grip_margin is not None and chosen.law != ["load-proportional"]:
         parser.error("--grip-margin is of load-proportional; name that law alone")
     seeds = chosen.seeds
-    rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, chosen.grip_margin)]
+    asked = Asked(chosen.grip_margin, chosen.model, chosen.slip_threshold, chosen.false_alarms_per_min)
+    rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, asked)]
     if chosen.table:
         rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in seeds]
     for row in summary(rows):
@@ -232,16 +266,12 @@ def main() -> None:
 
 
 def summary(rows: Rows) -> Rows:
-    """A row for each law, with the margin that was asked of it."""
-    laws = dict.fromkeys((row["law"], row["margin"]) for row in rows)
-    return [
-        {
-            "law": law,
-            "margin": margin,
-            **firmness([row for row in rows if (row["law"], row["margin"]) == (law, margin)]),
-        }
-        for law, margin in laws
-    ]
+    """A row for each law and what was asked of it and of its detector."""
+    names = ("law", *(item.name for item in fields(Asked)))
+    groups: dict[tuple[Any, ...], Rows] = {}
+    for row in rows:
+        groups.setdefault(tuple(row.get(name) for name in names), []).append(row)
+    return [dict(zip(names, key, strict=True)) | firmness(group) for key, group in groups.items()]
 
 
 if __name__ == "__main__":

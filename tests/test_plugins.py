@@ -25,7 +25,7 @@ from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import ImportFormat, read_events
 from evetac_cli.inspect.doctor import plugin_check
 from evetac_cli.kernels.grip.control import PluginLaw
-from evetac_cli.kernels.grip.load_proportional import MARGIN
+from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import made as made_with

@@ -55,7 +55,7 @@ class Grasp(Devices, Trials):
         1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
     )
     grip_margin: float = parameter(
-        1.3,
+        1.4,
         "How many times the needed force the grip aims at; load-proportional alone.",
         low=1.0,
         high=5.0,

@@ -25,7 +25,7 @@ from evetac_cli.evaluate import grip_forces, paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
-from evetac_cli.kernels.grip.load_proportional import MARGIN
+from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.store.files import StageFile

@@ -6,6 +6,7 @@ Why so:
   Here they are moved by pushes of single control steps, each of which moves them by a few hundredths of a tick, too
   little for the encoder; how far is counted up, and corrected whenever the encoder changes.
 - How wide the band is shows in use: a push that moves nothing for a while is made harder.
+- An encoder's noise is measured while nothing is pushed, and corrects nothing.
 """
 
 import math
@@ -13,7 +14,7 @@ from dataclasses import dataclass, fields
 
 from evetac_cli.checks import check_range
 
-SMOOTH, SLOW = 0.1, 0.02
+SLOW = 0.02
 CLOSE_ENOUGH_TICKS = 0.25  # fingers that are no farther behind than this are not pushed
 
 
@@ -26,13 +27,13 @@ class Gear:
 
     band_ticks: float = 1.94  # of push that the gear's friction takes
     surplus_ticks: float = 0.5  # of push beyond that: moves them
-    push_per_tick: float = 0.085  # that the force of the object takes, for each tick closed
+    push_per_tick: float = 0.125  # that the force of the object takes, for each tick closed
     speed: float = 1.5  # ticks of push for each tick that the fingers are behind
     most_push: float = 10.0  # ticks: 20 N
     pulse_ticks: float = 0.05  # that one push of a control step opens
     stride_ticks: float = 0.1  # ... closes, at least where the fingers are a tick behind; both are set right as they go
     pause_s: float = 0.006  # after it, so that the fingers come to rest
-    dry_pulses: int = 30  # that open, after which it is looked at whether they do
+    dry_pulses: int = 40  # that open without a change of the encoder: push harder from then on
     dry_s: float = 0.04  # of pushes that close without one
     last_tick: int = 740
 
@@ -49,26 +50,24 @@ class FingerState:
     place_ticks: float = 0.0  # finer than the encoder
     position: int = 0  # of the encoder
     pause_s: float = 0.0  # until the next push that opens
-    usual_position: float = 0.0  # of the encoder, which may be noisy, over some ten steps
-    noise_ticks: float = 0.0  # mean change of the encoder from step to step where nothing is pushed
+    noise_ticks: float = 0.0  # mean change of a noisy encoder from step to step where nothing is pushed
     holds: bool = False  # the last push was none
-    pulses: int = 0  # that open, since it was looked at whether they do
-    pulses_from: float = 0.0  # usual position then
+    pulses: int = 0  # that open, since the encoder changed by more than its noise
     open_more: int = 0  # ticks by which pushes that open have shown to have to be harder
     dry_s: float = 0.0  # of pushes that close, since the encoder changed
     harder_ticks: float = 0.0  # of push beyond the usual band, that this gear has shown to need to close
 
 
 def observe(state: FingerState, position_ticks: int) -> None:
-    """Correct the counted place by the encoder, which is right within one tick."""
+    """Correct the counted place by the encoder, which is right within one tick and its noise."""
+    changed_ticks = abs(position_ticks - state.position)
+    slack_ticks = 2.0 * state.noise_ticks
+    if changed_ticks > 1.5 * slack_ticks:
+        state.pulses, state.dry_s = 0, 0.0
     if state.holds:
-        state.noise_ticks += SLOW * (abs(position_ticks - state.position) - state.noise_ticks)
-    if position_ticks != state.position:
-        state.dry_s = 0.0
+        state.noise_ticks += SLOW * (changed_ticks - state.noise_ticks)
     state.position = position_ticks
-    state.usual_position += SMOOTH * (position_ticks - state.usual_position)
-    slack = 2.0 * state.noise_ticks
-    state.place_ticks = min(max(state.place_ticks, position_ticks - slack), position_ticks + 1.0 + slack)
+    state.place_ticks = min(max(state.place_ticks, position_ticks - slack_ticks), position_ticks + 1.0 + slack_ticks)
 
 
 def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float, gear: Gear) -> int:
@@ -88,20 +87,16 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
         harder = gear.band_ticks + gear.surplus_ticks + state.harder_ticks
         state.place_ticks = min(state.place_ticks + min(behind, 1.0) * gear.stride_ticks, state.position + 1.0)
         return round(min(grip_push + harder + gear.speed * behind, gear.most_push + state.harder_ticks))
-    if behind < -gear.pulse_ticks - state.noise_ticks and state.pause_s <= 0.0:
+    opens = behind < -gear.pulse_ticks - state.noise_ticks
+    if opens and state.pause_s <= 0.0:
         state.pause_s = gear.pause_s
         state.place_ticks -= gear.pulse_ticks
-        if state.pulses >= gear.dry_pulses:
-            opened, expected = state.pulses_from - state.usual_position, gear.pulse_ticks * state.pulses
-            if opened < 0.5 * expected:
-                state.open_more = min(state.open_more + 1, int(gear.most_push))
-            elif opened > 3.0 * expected:
-                state.open_more -= 1
-            state.pulses = 0
-        if state.pulses == 0:
-            state.pulses_from = state.usual_position
         state.pulses += 1
-        opens = grip_push - gear.band_ticks - state.harder_ticks - gear.surplus_ticks
-        return max(math.floor(opens) - state.open_more, -int(gear.most_push))
+        if state.pulses >= gear.dry_pulses:
+            state.pulses, state.open_more = 0, min(state.open_more + 1, int(gear.most_push))
+        least = math.ceil(gear.band_ticks - grip_push + gear.surplus_ticks)
+        return -min(max(least, 1) + state.open_more, int(gear.most_push))
     state.holds = True
+    if opens:  # an encoder's noise is not to close them again
+        grip_push -= 0.5 * gear.band_ticks
     return round(min(grip_push, gear.most_push))

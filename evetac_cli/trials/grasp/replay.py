@@ -27,7 +27,7 @@ from evetac_cli.trials.grasp.loop import grasp_slices
 from evetac_cli.trials.grasp.settings import GraspSettings, ReplayGrasp
 from evetac_cli.trials.trial import OUTPUT, ReplayTrial
 
-METHOD = 2
+METHOD = 3
 
 
 class RecordedGripper:

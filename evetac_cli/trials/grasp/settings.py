@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
-from evetac_cli.kernels.grip.load_proportional import MARGIN
+from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
 from evetac_cli.stages.model_files import controller_threshold, require_useful

@@ -20,7 +20,7 @@ from evetac_cli.kernels.grip.control import (
     uses_detector,
     uses_sticking,
 )
-from evetac_cli.kernels.grip.load_proportional import Felt, LoadLaw
+from evetac_cli.kernels.grip.load_law import Felt, LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
 
 CONTACT, LIFT, BALANCE = GraspPhase.CONTACT, GraspPhase.LIFT, GraspPhase.BALANCE

@@ -11,7 +11,7 @@ import pytest
 from evetac_cli import testing
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.control import LawState, PluginLaw, SlipSignal
-from evetac_cli.kernels.grip.load_proportional import LoadLaw
+from evetac_cli.kernels.grip.load_law import LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.trials.grasp.controller_process import OVER
