@@ -93,7 +93,7 @@ class Train:
     false_alarms_per_min: float | None = parameter(
         None,
         "Choose the lowest threshold with at most so many false alarms per minute, counted in the files that validate,"
-        " where nothing slips within 200 ms. Default: 1; with preset paper, or with less than 5 minutes to count in,"
+        " where nothing slips within 200 ms. Default: 4; with preset paper, or with less than 5 minutes to count in,"
         " the paper's rule: the best mean of timing and F1.",
         unit="1/min",
         low=0.0,

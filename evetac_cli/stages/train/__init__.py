@@ -62,7 +62,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
-METHOD = 8
+METHOD = 9
 VALIDATE_EVERY = 8
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
 
