@@ -27,7 +27,7 @@ import slip_trials
 from motion_recordings import trial_of
 from motions import Planned, Trial
 from script_rows import add_rows, rows_in, seeds_of
-from script_tables import RESULTS, write
+from script_tables import RESULTS, models_in_words, write
 from seen_trials import TRACKER, seen
 from sensor_tables import ADAPTED, sensor_rows, table
 from slip_trials import Scores, planned_on
@@ -227,7 +227,7 @@ def main() -> None:
         row |= {key: own_rows.get(row["sensor"], {}).get(key) for key in ("told", "took_s")}
     seeds = [row["seed"] for of in rows.values() for row in of]
     sizes = {"first": min(seeds), "last": max(seeds), "trials": {name: len(of) for name, of in rows.items()}}
-    command = f"python scripts/judge_sensors.py judge --model {' '.join(chosen.model)} --seed {seed} --rows ROWS"
+    command = f"python scripts/judge_sensors.py judge --model {models_in_words(chosen.model)} --seed {seed} --rows ROWS"
     command += " --adapted ADAPTED" * bool(adapted) + f" --trials {chosen.trials}" * bool(chosen.trials)
     scores = [ORACLE, *files, *[ADAPTED] * bool(adapted)]
     write(chosen.out, table(shown, scores, len(rows), command, sizes))

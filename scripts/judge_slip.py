@@ -18,7 +18,7 @@ import motions
 import slip_tables
 import slip_trials
 from motions import Planned, Trial
-from script_tables import RESULTS, write
+from script_tables import RESULTS, models_in_words, write
 from seen_trials import seen
 from slip_alarms import RULES
 from slip_trials import Scores, planned_at
@@ -70,7 +70,7 @@ def main() -> None:
         return
     words = ["python scripts/judge_slip.py judge", f"--seed {chosen.seed}", f"--minutes {chosen.minutes:g}"]
     words += [f"--trials {chosen.trials}"] * bool(chosen.trials)
-    words += [f"--model {' '.join(chosen.model)}"] * bool(models)
+    words += [f"--model {models_in_words(chosen.model)}"] * bool(models)
     command = " ".join([*words, f"--rows FOLDER --name {chosen.name}"])
     at = slip_tables.thresholds() | {name: slip_tables.thresholds_of(model.path) for name, model in models.items()}
     given = (rows, at)

@@ -1,6 +1,7 @@
 """Tables that a script measures by itself, as results.py shows them, with the commit that they were made by."""
 
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,6 +43,12 @@ def table_of(
         "notes": list(notes),
         "rows": rows,
     }
+
+
+def models_in_words(given: Sequence[str]) -> str:
+    """What --model was given, NAME=FILE each, as a command that shows no folder."""
+    named = (each.partition("=") for each in given)
+    return " ".join(shlex.quote(f"{name}={Path(path).name}") for name, _, path in named)
 
 
 def write(folder: Path, *tables: Row) -> None:

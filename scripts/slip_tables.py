@@ -1,7 +1,8 @@
 """Thresholds and tables from rows of judged trials (slip_trials.py): timing, warnings ahead, false alarms.
 
 Oracles are judged at thresholds that `choose_thresholds` wrote, models at those of their files: timing and F1 at the
-one that the paper's rule chose, warnings at the one that `grasp` uses. Both are rounded to the nearest of THRESHOLDS.
+one that the paper's rule chose, warnings at the one that `grasp` uses, and at that of PER_MINUTE where an oracle is
+compared with. All are rounded to the nearest of THRESHOLDS.
 """
 
 import json
@@ -21,6 +22,7 @@ from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clu
 from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS
 from evetac_cli.kernels.slip.metrics import Counts, timing
 from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
+from evetac_cli.stages.model_files import controller_threshold, read_curve
 from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parent
@@ -99,8 +101,11 @@ def thresholds_of(path: Path) -> Row:
     """The thresholds in a model's file, as `thresholds` has those of oracles."""
     with StageFile(path, "model") as file:
         chosen = int(file.read("checkpoint/chosen"))
-        timing_at, alarm_at = float(file.read("checkpoint/threshold")[chosen]), float(file.read("threshold"))
-    return {"timing": nearest(timing_at), **dict.fromkeys(RULES, nearest(alarm_at))}
+        timing_at, grasp_at = float(file.read("checkpoint/threshold")[chosen]), controller_threshold(file)
+        curve = read_curve(file)
+        alarm_at = grasp_at if curve is None else curve.threshold_for(PER_MINUTE)
+    at = {"timing": timing_at, "grasp": grasp_at, **dict.fromkeys(RULES, alarm_at)}
+    return {name: nearest(threshold) for name, threshold in at.items()}
 
 
 def nearest(threshold: float) -> float:
@@ -214,7 +219,10 @@ def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], comm
         columns[heading] = f"{{{key}:.3f}}"
         columns[f"oracle less that, {heading}"] = f"{{{key}_less:.3f}} ({{{key}_low:.2f}} to {{{key}_high:.2f}})"
     columns |= {"worst sensor": "{worst_sensor}: {worst_correct:.2f}", "calibration error": "{calibration_error:.3f}"}
-    note = "Paired by trial; intervals of 95 % by sensor, and by object where trials share none. Worst: by timing."
+    note = (
+        "Paired by trial; intervals of 95 % by sensor, and by object where trials share none. Worst: by timing."
+        f" Warnings at the thresholds of {PER_MINUTE:g} false alarm per minute on other trials."
+    )
     return table_of(name, "Slip detectors against an oracle", columns, shown, command, sizes_of(rows), notes=(note,))
 
 
@@ -253,6 +261,12 @@ def shown_scores(rows: Rows) -> list[str]:
     return [score for score in names_of(rows) if not score.startswith("share") or score == "share 0 ms"]
 
 
+def alarm_threshold(chosen: Row, rule: str) -> float:
+    """The threshold of `grasp`, of an oracle that of PER_MINUTE."""
+    threshold: float = chosen.get("grasp", chosen[rule])
+    return threshold
+
+
 MEANS = {
     "partial": f"less than {SLIP_SHARE:.0%} of the visible contact slips from {BEFORE_MS} ms before it to"
     f" {AFTER_MS} ms after",
@@ -264,7 +278,7 @@ def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -
     """Share of slips warned of so far ahead, and false alarms per minute in the mean over motions."""
     shown = []
     for score in shown_scores(rows):
-        at = THRESHOLDS.index(chosen[score][rule])
+        at = THRESHOLDS.index(alarm_threshold(chosen[score], rule))
         row: Row = {"score": score, "threshold": THRESHOLDS[at]}
         ahead = leads(slip_rows(rows), score, rule, at)
         row |= {f"warned_{ms}_ms": float((ahead >= ms).mean()) for ms in LEADS_MS}
@@ -279,7 +293,8 @@ def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -
     note = (
         f"A false alarm: {MEANS[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
         f" False alarms per minute of contact, in the mean over {len(rows)} motions. Thresholds are those of `grasp`,"
-        f" chosen on other trials for {PER_MINUTE:g} per minute; the last columns read the curve of these trials."
+        f" of oracles those of {PER_MINUTE:g} per minute on other trials. The last columns read the curve of these"
+        " trials."
     )
     title = f"Slip warned of ahead, where an alarm is false if {MEANS[rule]}"
     return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))
@@ -293,7 +308,7 @@ def motions_table(name: str, rows: Rows, chosen: Row, scores: Sequence[str], com
         for score in scores:
             for rule in RULES:
                 row[f"{score} {rule}"] = float(
-                    false_per_minute(of_motion, score, rule)[THRESHOLDS.index(chosen[score][rule])]
+                    false_per_minute(of_motion, score, rule)[THRESHOLDS.index(alarm_threshold(chosen[score], rule))]
                 )
         shown.append(row)
     columns = {"motion": "{motion}", "minutes of contact": "{minutes:.1f}"}

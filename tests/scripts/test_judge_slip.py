@@ -157,7 +157,8 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
 def test_thresholds_of_a_model_are_those_of_its_file() -> None:
     """Assert that timing is judged at the threshold of the paper's rule, alarms at that of `grasp`."""
     chosen = slip_tables.thresholds_of(MODEL)
-    assert set(chosen) == {"timing", *RULES} and set(chosen.values()) <= set(slip_trials.THRESHOLDS)
+    assert set(chosen) == {"timing", "grasp", *RULES} and set(chosen.values()) <= set(slip_trials.THRESHOLDS)
+    assert chosen["grasp"] < chosen["partial"]  # four false alarms per minute, and one
     assert slip_tables.nearest(0.0) == slip_trials.THRESHOLDS[0] and slip_tables.nearest(0.94) == 0.95
 
 
