@@ -596,7 +596,10 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
         ),
         ({"adapt": "shipped"}, ("disp-xy-grip", 10, "adapt", 1000, NETWORKS)),
         ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy-grip", 10, "adapt", 40000, NETWORKS)),
-        ({"adapt": "shipped", "model": "disp-xy-grip", "horizon_ms": 10}, ("disp-xy-grip", 10, "adapt", 1000, NETWORKS)),
+        (
+            {"adapt": "shipped", "model": "disp-xy-grip", "horizon_ms": 10},
+            ("disp-xy-grip", 10, "adapt", 1000, NETWORKS),
+        ),
     ],
 )
 def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, int, str, int, int]) -> None:
