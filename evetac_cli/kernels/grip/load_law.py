@@ -30,9 +30,9 @@ class LoadLaw:
     """Constants of the law; ticks are those of the encoder, px those of the displacement of all dots.
 
     margin: how many times what is needed the grip aims at. The others were chosen on simulated grasps of seeds 0 to 35,
-    200 to 213, 100 to 124 and 360 to 395 of scripts/grip_trials.py: on the first two, what light contact, probes of the
-    lift and fingers have; on the others, turn, rates, release, boost and bounds, with a detector `disp-xy-grip` at
-    about 4 false alarms per minute.
+    200 to 213, 100 to 124, 360 to 395 and 400 to 429 of scripts/grip_trials.py: on the first two, what light contact,
+    probes of the lift and fingers have; on the others, turn, rates, release, boost and bounds, with a detector
+    `disp-xy-grip` at about 4 false alarms per minute.
     """
 
     margin: float = MARGIN

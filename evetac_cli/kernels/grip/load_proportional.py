@@ -303,10 +303,9 @@ def _shows(state: LoadState, load: tuple[float, float, float], law: LoadLaw) -> 
     if not state.seen_ticks:
         state.seen_ticks, state.seen_px, state.usual_px = grip, load, -1.0
         return False
-    if not state.steady_s:  # a jolt, which the grip follows, but where the load falls
-        fell = state.load_px < law.falls * math.hypot(*state.seen_px)
-        state.seen_ticks = state.seen_ticks if fell else 0.0
-        return fell
+    if not state.steady_s:  # a jolt, which the grip follows, but where the load falls below what it was of late
+        state.seen_ticks = 0.0
+        return state.load_px < law.falls * state.settled_px
     change_px = math.dist(load, state.seen_px)
     least_px = law.moves * state.load_px + law.moves_px
     usual_px = max(least_px, law.moves_times * state.usual_px)

@@ -180,6 +180,17 @@ def test_a_load_that_jumps_up_is_followed_and_ends_no_release() -> None:
     assert world.state.wanted_ticks - world.state.rest_ticks == pytest.approx(1.5 * before, rel=0.1)
 
 
+def test_a_load_that_falls_in_a_release_is_a_sign() -> None:
+    """Assert that a load which falls fast but step by step, as of a slide with a silent detector, is not let pass."""
+    world = World(4.0, 0.3, tells=False).follow(LIFT, 2.0).follow(BALANCE, 1.0)
+    before = world.state.ratio
+    for _ in range(60):
+        world.pulled_px = world.weight_px = 0.99 * world.weight_px
+        world.follow(BALANCE, DT_S)
+    assert not world.slides
+    assert 0.9 * before < world.state.doubted < before
+
+
 def test_a_sign_of_slip_ends_a_release_once_it_comes_again() -> None:
     """Assert that little that sticks is met by a firmer grip for a while, and ends the release the second time."""
     world = World(4.0, 0.3).follow(LIFT, 2.0).follow(BALANCE, 0.5)
