@@ -30,9 +30,9 @@ class LoadLaw:
     """Constants of the law; ticks are those of the encoder, px those of the displacement of all dots.
 
     margin: how many times what is needed the grip aims at. The others were chosen on simulated grasps of seeds 0 to 35,
-    200 to 213, 100 to 124 and 360 to 369 of scripts/grip_trials.py: on the first two, what light contact, probes of the
-    lift and fingers have; on the others, turn, rates, release, boost and bounds, with a detector `disp-xy-grip` at
-    about 4 false alarms per minute.
+    200 to 213, 100 to 124, 360 to 395 and 400 to 429 of scripts/grip_trials.py: on the first two, what light contact,
+    probes of the lift and fingers have; on the others, turn, rates, release, boost and bounds, with a detector
+    `disp-xy-grip` at about 4 false alarms per minute.
     """
 
     margin: float = MARGIN
@@ -64,7 +64,7 @@ class LoadLaw:
     mean_s: float = 0.15  # over which a load that swings is taken
     wait_s: float = 0.4  # for a load to be steady, before it is asked all the same
     probe: float = 0.15  # share by which the lift closes to ask whether the object is carried,
-    most_probe: float = 0.45  # ... twice as much after each answer, up to this,
+    most_probe: float = 1.0  # ... twice as much after each answer, up to this,
     probe_ticks: float = 1.5  # ... and by so much at least, which the encoder sees
     probe_answer: float = 0.6  # as `answer`: dots that the grip itself moves are no answer
     probe_s: float = 0.06
@@ -72,8 +72,9 @@ class LoadLaw:
     leaks_s: float = 2.0  # time constant of a grip that opens in the lift
     calm_s: float = 0.2  # of a steady load, before a release
     calm_most_s: float = 1.5  # ... or so long without: what is carried may swing
-    release_s: float = 2.5  # time constant of the release
-    again: float = 0.7  # a sign of slip counts that comes again before the ratio has fallen to this share
+    release_s: float = 2.0  # time constant of the release
+    lags_ticks: float = 1.0  # ... which waits for fingers that are farther behind
+    again: float = 0.8  # a sign counts that comes again before the ratio has fallen to this share
     window: float = 0.12  # share of the grip in whose release changes are looked at
     moves: float = 0.05  # share of the load that a change in a window has to exceed
     moves_px: float = 0.02
@@ -152,7 +153,7 @@ class LoadState(FingerState):
     base_px: float = 0.0  # load when it was found to be
     held_px: float = 0.0  # load that was carried of late
     calm: bool = False  # a release may begin
-    doubted: float = 0.0  # ratio at which there was a sign of slip
+    doubted: float = 0.0  # ratio at which there was a sign last
     stop_s: float = 0.0  # for which the grip is still to be what stops a slide
     boost: float = 1.0  # by how much it is firmer for that
     needed: float = 0.0  # ratio that the grip aims at, once a release has found it; 0 before

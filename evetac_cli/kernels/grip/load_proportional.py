@@ -13,9 +13,11 @@ gels, objects and friction; so the ratio is found anew in each grasp:
 - In the lift the object still stands on the table, where a slide costs little. While it sticks, the load grows as fast
   as the hand rises; so a sign of slip counts once the load grows less fast, and the grip closes while the load answers:
   friction of what slides goes with the grip, weight does not. Without a sign of slip the grip is made firmer by small
-  steps, until the load no longer answers: then the gripper carries the object, and what was spare joins the ratio.
-- What is carried is released slowly, by the same share per second whatever it weighs, until the load moves more than
-  the fall of the grip explains, or until a sign of slip comes twice. From there on the grip is `margin` times that.
+  steps, until the load no longer answers or the gripper is at its limit: then it carries the object, and what was spare
+  joins the ratio.
+- What is carried is released slowly, by the same share per second whatever it weighs, as far as the fingers follow,
+  until a sign comes twice at about the same grip: of slip, or a load that moves more than the fall of the grip
+  explains. From there on the grip is `margin` times that.
 - An object that slides under its whole weight pulls no more when gripped more firmly, and slides on under a grip that
   would hold it at rest. So at the end of a release, after slip and when the load falls the grip is `slide` times as
   firm for a while; and each time makes what is needed a little more, up to a bound.
@@ -225,12 +227,14 @@ def _seek(state: LoadState, dt_s: float, law: LoadLaw) -> None:
 def _hear(state: LoadState, law: LoadLaw) -> None:
     """The end of a probe: what the load answers."""
     answers, state.probing = _answers(state, law.probe_answer), False
+    moved = _grip_ticks(state) >= state.asked_ticks + 0.5 * state.probe_ticks  # else none was asked
+    at_limit = state.wanted_ticks - state.place_ticks > law.gear.most_push
     most = _grip_ticks(state) + 1.0 - state.ratio * state.load_px  # what the fingers have not followed is taken back
     state.spare = min(state.spare, max(most, state.light_ticks))
-    if answers:  # it slides: ask again, at once where that tells, and for more
+    if answers and moved:  # it slides: ask again, at once where that tells, and for more
         state.waited_s, state.unanswered = law.wait_s if state.tells else 0.0, 0
         state.probe_share = min(2.0 * state.probe_share, law.most_probe)
-    elif _grip_ticks(state) >= state.asked_ticks + 0.5 * state.probe_ticks:  # else they have not moved: none was asked
+    elif moved or at_limit:  # which can hold no more firmly
         state.unanswered, state.probe_share = state.unanswered + 1, law.probe
         if state.tells or state.unanswered > 1:
             _carry(state, law)
@@ -252,21 +256,23 @@ def _hold(
         _lift_again(state, law)
         return
     slips = slips and state.ignore_s <= 0.0
+    boosted = state.boost > 1.0  # such a grip shows nothing of the ratio
     _stop(state, slips, dt_s, law)
     state.calm = state.calm or state.steady_s > law.calm_s or state.carried_s > law.calm_most_s
     sign = slips or felt.sticking_share < law.little_sticks
     if state.needed:
         state.ratio += (state.needed - state.ratio) * dt_s / law.settle_s
-    elif not state.calm:
+    elif boosted or not state.calm:
         state.seen_ticks = 0.0
-    elif sign and not law.again * state.doubted < state.ratio <= state.doubted:
-        state.doubted, state.stop_s = state.ratio, law.settle_s  # may be false: see whether it comes again
+    elif not (sign or _shows(state, load, law)):
+        if state.place_ticks - state.wanted_ticks < law.lags_ticks:  # what fingers have yet to open has shown nothing
+            state.ratio -= state.ratio * dt_s / law.release_s
+    elif not law.again * state.doubted < state.ratio <= state.doubted:
+        state.doubted, state.stop_s = state.ratio, law.settle_s  # may be false: see whether one comes again
         state.calm, state.steady_s, state.carried_s = False, 0.0, 0.0
-    elif sign or _shows(state, load, law):
+    else:
         state.stop_s = law.settle_s
         state.ratio = state.needed = state.known = min(state.ratio * law.margin, law.most_ratio)
-    else:
-        state.ratio -= state.ratio * dt_s / law.release_s
 
 
 def _lift_again(state: LoadState, law: LoadLaw) -> None:
@@ -297,10 +303,9 @@ def _shows(state: LoadState, load: tuple[float, float, float], law: LoadLaw) -> 
     if not state.seen_ticks:
         state.seen_ticks, state.seen_px, state.usual_px = grip, load, -1.0
         return False
-    if not state.steady_s:  # a jolt, which the grip follows, but where the load falls
-        fell = state.load_px < law.falls * math.hypot(*state.seen_px)
-        state.seen_ticks = state.seen_ticks if fell else 0.0
-        return fell
+    if not state.steady_s:  # a jolt, which the grip follows, but where the load falls below what it was of late
+        state.seen_ticks = 0.0
+        return state.load_px < law.falls * state.settled_px
     change_px = math.dist(load, state.seen_px)
     least_px = law.moves * state.load_px + law.moves_px
     usual_px = max(least_px, law.moves_times * state.usual_px)

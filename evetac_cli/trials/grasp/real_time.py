@@ -47,7 +47,7 @@ from evetac_cli.trials.trial import ReplayTrial, device_trials
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-METHOD = 3  # of grasps in real time
+METHOD = 4  # of grasps in real time
 KINDS = ("lift",)  # of scenes that are grasped
 WATCHDOG_MS = 60  # where none is asked for
 EVENTS_S = 500_000  # that the disk must have room for

@@ -23,7 +23,7 @@ from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.trial import OUTPUT, SolverFigures
 
-METHOD = 11
+METHOD = 12
 
 
 def make_recipe(trial: SimulatedGrasp) -> Recipe:
