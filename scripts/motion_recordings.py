@@ -29,11 +29,11 @@ OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
 COUNTS = {
     "learn": {
         **{"slip": 8, "slip-varied": 8, "slip-speeds": 40, "handling": 4, "pushes": 6, "grip": 5, "jerks": 4},
-        **{"lifting": 2, "opening": 5, "light touch": 2, "vibration": 3},
+        **{"lifting": 2, "opening": 5, "light touch": 2, "vibration": 3, "weak lifts": 8},
     },
     "choose": {
         **{"slip": 4, "slip-speeds": 8, "handling": 2, "pushes": 4, "grip": 3, "jerks": 2},
-        **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2},
+        **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2, "weak lifts": 4},
     },
 }
 MOST = max(count for counts in COUNTS.values() for count in counts.values())

@@ -37,11 +37,13 @@ JUDGED = (2, 10, 12, 14, 19, 20)  # and tables are of these
 MOTIONS = (
     *("slip", "slip-varied", "pushes", "jerks", "lifting", "grip", "handling"),
     *("fast jerks", "data-rate", "weights", "vibration", "slip-speeds", "opening", "light touch"),
+    "weak lifts",
 )
 JERKS_MM_S, FAST_JERKS_MM_S = (20.0, 40.0, 80.0), (60.0, 120.0)
 EVETAC = "evetac"
 # A grasp closes with so many times the force that just holds the object, at about so much for each tick.
 GRASP_FACTORS, N_PER_TICK = (0.9, 3.0), 0.2
+WEAK_FACTORS = (0.0, 0.9)  # ... and where it is too weak to lift the object
 LIGHT_TICKS = 2  # the most that a light touch closes beyond where the fingers met the object
 # Fingers that open without slip: forces over what just holds at which they close and to which they open, and how fast.
 FIRM_FACTORS, LOOSE_FACTORS, OPENING_S = (5.0, 20.0), (2.2, 4.0), (0.04, 1.5)
@@ -90,7 +92,7 @@ def planned(
 ) -> Planned:
     """What a motion is with an object of the paper's table, a reshaped one or another; the same for the same seed."""
     rng = np.random.default_rng([seed, number, MOTIONS.index(motion)])
-    lifts = motion in ("jerks", "fast jerks", "lifting", "weights", "light touch")
+    lifts = motion in ("jerks", "fast jerks", "lifting", "weights", "light touch", "weak lifts")
     name = "lift" if lifts else motion
     if motion in ("pushes", "grip", "vibration", "opening"):
         name = "handling"
@@ -116,6 +118,8 @@ def planned(
     if motion == "light touch":
         return Planned(plan, 1 + int(rng.integers(LIGHT_TICKS)), 4.0, 1.0)
     holds_n = 0.5 * weight_n / touched.static_friction
+    if motion == "weak lifts":
+        return Planned(plan, max(int(float(rng.uniform(*WEAK_FACTORS)) * holds_n / N_PER_TICK), 1), 2.0, 1.0)
     beyond_ticks = 1 + math.ceil(float(rng.uniform(*GRASP_FACTORS)) * holds_n / N_PER_TICK)
     lift_s, balance_s = (4.0, 2.0) if motion == "lifting" else (3.0, 3.0)
     return Planned(plan, beyond_ticks, lift_s, balance_s)
@@ -248,6 +252,7 @@ CHANGES: dict[str, Callable[[Scene, np.random.Generator, float], Scene]] = {
     "fast jerks": lambda scene, rng, weight_n: _jerks(scene, rng, weight_n, FAST_JERKS_MM_S),
     "weights": _weights,
     "light touch": _light_touch,
+    "weak lifts": _lifting,
 }
 
 

@@ -206,10 +206,10 @@ def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], comm
         for rule in RULES:
             warned = [leads(of_slips, one, rule, THRESHOLDS.index(chosen[one][rule]), most=1) for one in both]
             row |= _difference(rule, *((one >= WARNED_MS).astype(float) for one in warned), clusters)
-        by_sensor = {sensor: [] for sensor in clusters}
-        for sensor, one in zip(clusters, right[1], strict=True):
-            by_sensor[sensor].append(one)
-        several = {sensor: np.mean(found) for sensor, found in by_sensor.items() if len(found) > 1}
+        by_sensor: dict[str, list[bool]] = {}
+        for of_slip, one in zip(of_slips, right[1], strict=True):
+            by_sensor.setdefault(of_slip["sensor"], []).append(bool(one))
+        several = {sensor: float(np.mean(found)) for sensor, found in by_sensor.items() if len(found) > 1}
         row["worst_sensor"] = min(several, key=lambda sensor: several[sensor]) if several else ""
         row["worst_correct"] = several[row["worst_sensor"]] if several else None
         row["calibration_error"] = calibration_error(rows, model)
