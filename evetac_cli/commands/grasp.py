@@ -27,7 +27,7 @@ class Grasp(Devices, Trials):
     )
     model: Path | None = parameter(
         None,
-        "Model file of the slip detector; default: `shipped`, the package's, disp-xy-grip 10 ms ahead.",
+        "Slip detector; default: `shipped`, the package's, disp-xy-grip 10 ms ahead.",
         recipe=False,
     )
     slip_threshold: float | None = parameter(

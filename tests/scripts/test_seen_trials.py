@@ -37,7 +37,7 @@ def test_probabilities_are_those_of_the_commands(tmp_path: Path) -> None:
     said, horizon_ms = scores["shipped"]
     recording = tmp_path / "a.recording.h5"
     simulated.run(motion_recordings.trial_of(planned, 11, recording), force=False, progress=silent)
-    for stage, params in ((track, Track()), (featurize, Featurize())):
+    for stage, params in ((track, Track()), (featurize, Featurize(sticking_share=True))):
         (job,) = stage.jobs([recording], params, None)
         stage.run(job, params)
     with StageFile(tmp_path / "a.features.h5", "features") as features:
