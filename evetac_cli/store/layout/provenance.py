@@ -71,10 +71,15 @@ class Recipe:
         return hashlib.sha256(canonical(self.identity).encode()).hexdigest()
 
     def header(self) -> Header:
-        """The header of a file made now from this recipe; carries the whole history of its parents, each once."""
+        """The header of a file made now from this recipe; carries the whole history of its parents, each once.
+
+        But a recording does not carry what the detector of its grasp learned from, which the model's own file tells:
+        thousands of ancestors, some megabytes of each grasp.
+        """
         history: dict[str, Header] = {}
         for parent in self.parents:
-            history.update(parent["history"])
+            if self.kind != "recording" or parent["kind"] != "model":
+                history.update(parent["history"])
             history[parent["id"]] = {k: v for k, v in parent.items() if k not in ("history", "made")}
         return {
             "kind": self.kind,
