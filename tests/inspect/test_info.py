@@ -84,15 +84,16 @@ def test_a_simulated_recording_has_neither(made: Made, capsys: pytest.CaptureFix
 
 
 def test_history_is_the_parents_and_a_count_of_the_rest(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that a grasp names its model, counts what lies behind it, and JSON keeps all."""
-    (row,) = info.run([made.grasp]).rows
-    lines = shown(made.grasp, capsys)
-    froms = [line for line in lines if line.startswith("from")]
-    (model,) = row["parents"]
+    """Assert that a grasp names its model, a model its features and a count of what lies behind; JSON keeps all."""
+    (model,) = info.run([made.grasp]).rows[0]["parents"]
+    froms = [line for line in shown(made.grasp, capsys) if line.startswith(("from", "behind"))]
     assert froms == [f"from model {model[:12]} method number {train.METHOD}"]
+    (row,) = info.run([made.model]).rows
+    lines = shown(made.model, capsys)
+    assert sum(line.startswith("from features") for line in lines) == len(row["parents"])
     (behind,) = [line for line in lines if line.startswith("behind these")]
-    kinds = {kind: sum(other["kind"] == kind for other in row["history"]) for kind in ("features", "recording")}
-    assert f"{kinds['features']} features" in behind and f"{kinds['recording']} recording" in behind
+    kinds = {kind: sum(other["kind"] == kind for other in row["history"]) for kind in ("tracks", "recording")}
+    assert f"{kinds['tracks']} tracks" in behind and f"{kinds['recording']} recording" in behind
     assert len(row["history"]) > 4
 
 
