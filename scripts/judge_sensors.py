@@ -92,7 +92,7 @@ def sensors_of(text: str) -> list[Sensor]:
         else:
             raise argparse.ArgumentTypeError(f"expected numbers or some of {', '.join(NAMED)}, found {part!r}")
     if len({sensor.place for sensor in found}) < len(found):
-        raise argparse.ArgumentTypeError(f"expected each sensor once, and {RANDOMISED} on end at most, found {text}")
+        raise argparse.ArgumentTypeError(f"expected each sensor once, and {RANDOMISED} in a row at most, found {text}")
     return found
 
 
@@ -194,7 +194,12 @@ def main() -> None:
     parser.add_argument("what", choices=("adapt", "judge"))
     parser.add_argument("--model", nargs="+", required=True, help="NAME=FILE of each to judge, or one FILE to adapt")
     parser.add_argument("--seed", type=int, required=True, help=f"of the first trial; {SEEDS_APART} for each sensor")
-    parser.add_argument("--sensors", type=sensors_of, default=f"{','.join(NAMED)},54000-{54000 + RANDOMISED - 1}")
+    parser.add_argument(
+        "--sensors",
+        type=sensors_of,
+        default=f"{','.join(NAMED)},54000-{54000 + RANDOMISED - 1}",
+        help="named ones, and numbers of randomised ones, as in second,54000-54005",
+    )
     parser.add_argument("--trials", type=int, help=f"of each sensor; default: {TRIALS}, randomised {TRIALS_RANDOMISED}")
     parser.add_argument("--rows", type=Path, help="of judge: folder of the rows, one file per sensor")
     parser.add_argument("--adapted", type=Path, help="of judge: folder of adapted models")

@@ -320,7 +320,7 @@ def motions_table(name: str, rows: Rows, chosen: Row, scores: Sequence[str], com
 
 
 def ideas_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
-    """What trainings of several seeds are worth: mean over seeds, and the difference from the first named.
+    """What trainings of several seeds are worth: mean and standard deviation over seeds.
 
     Scores are called IDEA/SEED.
     """

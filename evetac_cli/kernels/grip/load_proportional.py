@@ -36,14 +36,7 @@ def start() -> LoadState:
     return LoadState()
 
 
-def step(
-    state: LoadState,
-    phase: GraspPhase,
-    felt: Felt,
-    position_ticks: int,
-    dt_s: float,
-    law: LoadLaw,
-) -> int:
+def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, dt_s: float, law: LoadLaw) -> int:
     """One control step of dt_s: the goal in ticks."""
     if phase is GraspPhase.CONTACT:
         return _touch(state, felt, position_ticks, dt_s, law)
@@ -91,10 +84,7 @@ def _touch(state: LoadState, felt: Felt, position_ticks: int, dt_s: float, law: 
     elif abs(position_ticks - state.first_position) < 3:  # a stiff gear: it has not begun to move
         state.approach_s += dt_s
         if state.approach_s > law.approach_dry_s:
-            state.approach_s, state.approach_more = (
-                0.0,
-                min(state.approach_more + 1, int(law.gear.most_push)),
-            )
+            state.approach_s, state.approach_more = 0.0, min(state.approach_more + 1, int(law.gear.most_push))
     if push and state.approach_more:  # pulses, so that they do not close further than they have to
         push += state.approach_more if state.steps % 4 == 0 else 0.0
         state.harder_ticks = float(state.approach_more)
@@ -104,11 +94,7 @@ def _touch(state: LoadState, felt: Felt, position_ticks: int, dt_s: float, law: 
 
 def _load(felt: Felt, rest_px: tuple[float, float, float], law: LoadLaw) -> tuple[float, float, float]:
     """What pulls, across and down, and what twists, all in px of load."""
-    return (
-        felt.x_px - rest_px[0],
-        felt.y_px - rest_px[1],
-        law.turn * (felt.turn_px - rest_px[2]),
-    )
+    return felt.x_px - rest_px[0], felt.y_px - rest_px[1], law.turn * (felt.turn_px - rest_px[2])
 
 
 def _watch_load(state: LoadState, load_px: float, dt_s: float, law: LoadLaw) -> None:
@@ -141,11 +127,7 @@ def _grip_ticks(state: LoadState) -> float:
 
 def _ask(state: LoadState) -> None:
     """Note grip and load, to be asked later whether the load answers to the grip."""
-    state.asked_s, state.asked_ticks, state.asked_px = (
-        0.0,
-        _grip_ticks(state),
-        state.load_px,
-    )
+    state.asked_s, state.asked_ticks, state.asked_px = 0.0, _grip_ticks(state), state.load_px
 
 
 def _answers(state: LoadState, share: float) -> bool:
@@ -192,10 +174,7 @@ def _ignore(state: LoadState, law: LoadLaw) -> None:
 
 def _spare(state: LoadState, more_ticks: float, law: LoadLaw) -> None:
     """Close by so much more whatever the load, up to the most."""
-    state.spare = max(
-        state.spare,
-        min(state.spare + more_ticks, state.light_ticks + law.most_spare_ticks),
-    )
+    state.spare = max(state.spare, min(state.spare + more_ticks, state.light_ticks + law.most_spare_ticks))
 
 
 def _seek(state: LoadState, dt_s: float, law: LoadLaw) -> None:
