@@ -30,7 +30,7 @@ class LoadLaw:
     """Constants of the law; ticks are those of the encoder, px those of the displacement of all dots.
 
     margin: how many times what is needed the grip aims at. The others were chosen on simulated grasps of seeds 0 to 35,
-    200 to 213, 100 to 124, 360 to 395 and 400 to 429 of scripts/grip_trials.py: on the first two, what light contact,
+    200 to 213, 100 to 124, 360 to 395 and 400 to 519 of scripts/grip_trials.py: on the first two, what light contact,
     probes of the lift and fingers have; on the others, turn, rates, release, boost and bounds, with a detector
     `disp-xy-grip` at about 4 false alarms per minute.
     """
@@ -45,7 +45,8 @@ class LoadLaw:
     small_px: float = 1.0  # an object whose load was less when it was found to be carried was not, if it becomes more
     first_ratio: float = 2.0  # ticks/px
     most_ratio: float = 30.0
-    most_ticks: float = 15.0  # no grip is firmer than so much
+    least_ticks: float = 1.0  # no grip is lighter: where fingers touch is known to about a tick
+    most_ticks: float = 15.0  # ... or firmer than so much
     most_ticks_px: float = 8.0  # ... and so much per px of load
     first_ticks: float = 1.0  # of spare beyond light contact
     search_ticks_s: float = 1.5  # the lift closes by while there is no load
@@ -75,6 +76,7 @@ class LoadLaw:
     release_s: float = 2.0  # time constant of the release
     lags_ticks: float = 1.0  # ... which waits for fingers that are farther behind
     again: float = 0.8  # a sign counts that comes again before the ratio has fallen to this share
+    sure_steps: int = 6  # ... or a slip that lasts
     window: float = 0.12  # share of the grip in whose release changes are looked at
     moves: float = 0.05  # share of the load that a change in a window has to exceed
     moves_px: float = 0.02
@@ -134,9 +136,11 @@ class LoadState(FingerState):
     steady_s: float = 0.0  # for which the load has been steady
     slip_steps: int = 0  # in a row
     quiet_s: float = math.inf  # since slip
+    begins: bool = False  # slip, after a while without
     ignore_s: float = 0.0  # slip is not believed for so long
     next_ignore_s: float = 0.0
     closes: bool = False  # on slip
+    answered: bool = False  # ... and the load has grown with the grip since
     asked_s: float = 0.0  # since the grip and the load were noted, below, to be asked whether one answers the other
     asked_ticks: float = 0.0
     asked_px: float = 0.0

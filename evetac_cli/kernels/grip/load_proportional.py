@@ -12,12 +12,14 @@ gels, objects and friction; so the ratio is found anew in each grasp:
 
 - In the lift the object still stands on the table, where a slide costs little. While it sticks, the load grows as fast
   as the hand rises; so a sign of slip counts once the load grows less fast, and the grip closes while the load answers:
-  friction of what slides goes with the grip, weight does not. Without a sign of slip the grip is made firmer by small
+  friction of what slides goes with the grip, weight does not. It closes on while the load stalls, as a steady slide
+  moves no dots and shows no slip. Without a sign of slip the grip is made firmer by small
   steps, until the load no longer answers or the gripper is at its limit: then it carries the object, and what was spare
   joins the ratio.
 - What is carried is released slowly, by the same share per second whatever it weighs, as far as the fingers follow,
   until a sign comes twice at about the same grip: of slip, or a load that moves more than the fall of the grip
-  explains. From there on the grip is `margin` times that.
+  explains. Slip that lasts, or comes again while the grip is firmer, is no false alarm and counts at once. From there
+  on the grip is `margin` times that.
 - An object that slides under its whole weight pulls no more when gripped more firmly, and slides on under a grip that
   would hold it at rest. So at the end of a release, after slip and when the load falls the grip is `slide` times as
   firm for a while; and each time makes what is needed a little more, up to a bound.
@@ -57,8 +59,8 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
     load_px = max(state.load_px, state.held_px)
     if state.carried:
         load_px = min(load_px, law.most_load * state.base_px)
-    grip = min(state.spare + state.ratio * state.boost * load_px, law.most_ticks + law.most_ticks_px * load_px)
-    wanted = state.rest_ticks + grip
+    grip = min(state.spare + state.ratio * state.boost * load_px, _most_ticks(load_px, law))
+    wanted = state.rest_ticks + max(grip, law.least_ticks)
     before = min(state.wanted_ticks, state.place_ticks)  # fingers that are behind need go no further
     opens = (before - state.rest_ticks) * dt_s / (law.settle_s if state.carried else law.leaks_s)
     state.wanted_ticks = max(wanted, before - opens)
@@ -115,14 +117,24 @@ def _slips(state: LoadState, felt: Felt, dt_s: float, law: LoadLaw) -> bool:
     state.ignore_s = max(state.ignore_s - dt_s, 0.0)
     slips = state.slip_steps >= 2
     if not state.carried:
-        stalls = state.rate_px_s <= law.stalls * state.most_rate_px_s and state.load_px > law.least_px
-        slips = (slips or felt.sticking_share < law.little_sticks) and stalls and state.ignore_s <= 0.0
+        slips = (slips or felt.sticking_share < law.little_sticks) and _stalls(state, law) and state.ignore_s <= 0.0
+    state.begins = slips and state.quiet_s >= law.quiet_s
     state.quiet_s = 0.0 if slips else state.quiet_s + dt_s
     return slips
 
 
+def _stalls(state: LoadState, law: LoadLaw) -> bool:
+    """Whether the load grows less fast than with the hand: in the lift, what is not carried slides."""
+    return state.rate_px_s <= law.stalls * state.most_rate_px_s and state.load_px > law.least_px
+
+
 def _grip_ticks(state: LoadState) -> float:
     return max(state.place_ticks - state.rest_ticks, 0.25)
+
+
+def _most_ticks(load_px: float, law: LoadLaw) -> float:
+    """The firmest grip of such a load."""
+    return law.most_ticks + law.most_ticks_px * load_px
 
 
 def _ask(state: LoadState) -> None:
@@ -139,7 +151,8 @@ def _answers(state: LoadState, share: float) -> bool:
 
 def _lift(state: LoadState, slips: bool, dt_s: float, law: LoadLaw) -> None:
     """On the table: close on slip while the load answers, else look for a load and for whether it is carried."""
-    if slips:
+    if slips or (state.closes and _stalls(state, law)):  # a slide that goes on moves no dots
+        state.quiet_s = 0.0
         _close(state, dt_s, law)
     elif not state.closes:
         _seek(state, dt_s, law)
@@ -150,7 +163,7 @@ def _lift(state: LoadState, slips: bool, dt_s: float, law: LoadLaw) -> None:
 def _close(state: LoadState, dt_s: float, law: LoadLaw) -> None:
     """Close on slip while the load answers to it."""
     if not state.closes:
-        state.closes, state.probing = True, False
+        state.closes, state.probing, state.answered = True, False, False
         state.ratio_at_slip = state.ratio
         _ask(state)
     state.asked_s += dt_s
@@ -159,11 +172,12 @@ def _close(state: LoadState, dt_s: float, law: LoadLaw) -> None:
     if state.asked_s < law.answer_s or _grip_ticks(state) < 1.2 * state.asked_ticks:
         return
     if _answers(state, law.answer):
-        state.next_ignore_s = law.ignore_s
+        state.answered, state.next_ignore_s, state.ratio_at_slip = True, law.ignore_s, state.ratio
         _ask(state)
         return
     state.closes, state.ratio = False, state.ratio_at_slip
-    _ignore(state, law)
+    if not state.answered:
+        _ignore(state, law)
 
 
 def _ignore(state: LoadState, law: LoadLaw) -> None:
@@ -208,6 +222,7 @@ def _hear(state: LoadState, law: LoadLaw) -> None:
     answers, state.probing = _answers(state, law.probe_answer), False
     moved = _grip_ticks(state) >= state.asked_ticks + 0.5 * state.probe_ticks  # else none was asked
     at_limit = state.wanted_ticks - state.place_ticks > law.gear.most_push
+    at_limit = at_limit or state.spare + state.ratio * state.load_px > _most_ticks(state.load_px, law)
     most = _grip_ticks(state) + 1.0 - state.ratio * state.load_px  # what the fingers have not followed is taken back
     state.spare = min(state.spare, max(most, state.light_ticks))
     if answers and moved:  # it slides: ask again, at once where that tells, and for more
@@ -239,19 +254,27 @@ def _hold(
     _stop(state, slips, dt_s, law)
     state.calm = state.calm or state.steady_s > law.calm_s or state.carried_s > law.calm_most_s
     sign = slips or felt.sticking_share < law.little_sticks
+    doubted = law.again * state.doubted < state.ratio <= state.doubted
     if state.needed:
         state.ratio += (state.needed - state.ratio) * dt_s / law.settle_s
+    elif slips and doubted and (state.begins or state.slip_steps == law.sure_steps):
+        _know(state, law)
     elif boosted or not state.calm:
         state.seen_ticks = 0.0
     elif not (sign or _shows(state, load, law)):
         if state.place_ticks - state.wanted_ticks < law.lags_ticks:  # what fingers have yet to open has shown nothing
             state.ratio -= state.ratio * dt_s / law.release_s
-    elif not law.again * state.doubted < state.ratio <= state.doubted:
+    elif not doubted:
         state.doubted, state.stop_s = state.ratio, law.settle_s  # may be false: see whether one comes again
         state.calm, state.steady_s, state.carried_s = False, 0.0, 0.0
     else:
-        state.stop_s = law.settle_s
-        state.ratio = state.needed = state.known = min(state.ratio * law.margin, law.most_ratio)
+        _know(state, law)
+
+
+def _know(state: LoadState, law: LoadLaw) -> None:
+    """What is needed has been found: where a sign came twice."""
+    state.stop_s = law.settle_s
+    state.ratio = state.needed = state.known = min(state.ratio * law.margin, law.most_ratio)
 
 
 def _lift_again(state: LoadState, law: LoadLaw) -> None:

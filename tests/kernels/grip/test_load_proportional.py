@@ -170,6 +170,25 @@ def test_a_gripper_at_its_limit_carries() -> None:
     assert behind_ticks > LAW.gear.most_push
 
 
+def test_a_grip_as_firm_as_the_law_has_it_carries() -> None:
+    """Assert that the law asks for no more than its firmest grip, and takes what that holds as carried."""
+    law = replace(LAW, most_ticks=5.0, most_ticks_px=1.0)
+    world = World(4.0, 0.3, law, tells=False).follow(LIFT, 2.0)
+    assert world.state.carried
+    assert world.most_ticks < 5.0 + 4.0 + 1.0
+
+
+def test_a_slide_that_shows_no_longer_is_closed_on() -> None:
+    """Assert that the lift goes on closing on an object that slides on, though the detector has fallen silent."""
+    world = World(6.0, 6.0)
+    while not world.state.closes:
+        world.follow(LIFT, DT_S)
+    world.tells = False
+    world.follow(LIFT, 0.4)
+    assert not world.slides
+    assert world.load_px == 6.0
+
+
 def test_a_load_that_jumps_up_is_followed_and_ends_no_release() -> None:
     """Assert that what a hand's jerk adds at once to the load says nothing of friction."""
     world = World(4.0, 0.3).follow(LIFT, 2.0).follow(BALANCE, 1.0)
@@ -206,6 +225,21 @@ def test_a_sign_of_slip_ends_a_release_once_it_comes_again() -> None:
     assert ratio < world.state.doubted
     world.follow(BALANCE, DT_S)
     assert world.state.needed == pytest.approx(ratio * LAW.margin)
+
+
+@pytest.mark.parametrize("steps", [(LAW.sure_steps,), (3, 3)])
+def test_slip_that_lasts_or_comes_again_at_once_ends_a_release(steps: tuple[int, ...]) -> None:
+    """Assert that slip ends a release where it lasts, and where it comes again though the grip is firmer by then."""
+    world = World(4.0, 0.3).follow(LIFT, 2.0).follow(BALANCE, 0.5)
+    ratio = world.state.ratio
+    for count in steps:
+        assert world.state.needed == 0.0
+        world.cries = True
+        world.follow(BALANCE, count * DT_S)
+        world.cries = False
+        world.follow(BALANCE, 0.1)
+        assert world.state.boost > 1.0
+    assert world.state.needed == pytest.approx(ratio * LAW.margin, rel=0.01)
 
 
 def test_more_weight_is_gripped_in_proportion() -> None:
