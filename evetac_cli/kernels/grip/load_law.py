@@ -45,8 +45,7 @@ class LoadLaw:
     small_px: float = 1.0  # an object whose load was less when it was found to be carried was not, if it becomes more
     first_ratio: float = 2.0  # ticks/px
     most_ratio: float = 30.0
-    least_ticks: float = 1.0  # no grip is lighter: where fingers touch is known to about a tick
-    most_ticks: float = 15.0  # ... or firmer than so much
+    most_ticks: float = 15.0  # no grip is firmer than so much
     most_ticks_px: float = 8.0  # ... and so much per px of load
     first_ticks: float = 1.0  # of spare beyond light contact
     search_ticks_s: float = 1.5  # the lift closes by while there is no load
@@ -75,6 +74,7 @@ class LoadLaw:
     calm_most_s: float = 1.5  # ... or so long without: what is carried may swing
     release_s: float = 2.0  # time constant of the release
     lags_ticks: float = 1.0  # ... which waits for fingers that are farther behind
+    least_ticks: float = 1.5  # ... and goes no further: where fingers touch is known to about a tick
     again: float = 0.8  # a sign counts that comes again before the ratio has fallen to this share
     sure_steps: int = 6  # ... or a slip that lasts
     window: float = 0.12  # share of the grip in whose release changes are looked at

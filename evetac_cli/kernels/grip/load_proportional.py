@@ -60,7 +60,7 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
     if state.carried:
         load_px = min(load_px, law.most_load * state.base_px)
     grip = min(state.spare + state.ratio * state.boost * load_px, _most_ticks(load_px, law))
-    wanted = state.rest_ticks + max(grip, law.least_ticks)
+    wanted = state.rest_ticks + grip
     before = min(state.wanted_ticks, state.place_ticks)  # fingers that are behind need go no further
     opens = (before - state.rest_ticks) * dt_s / (law.settle_s if state.carried else law.leaks_s)
     state.wanted_ticks = max(wanted, before - opens)
@@ -262,7 +262,8 @@ def _hold(
     elif boosted or not state.calm:
         state.seen_ticks = 0.0
     elif not (sign or _shows(state, load, law)):
-        if state.place_ticks - state.wanted_ticks < law.lags_ticks:  # what fingers have yet to open has shown nothing
+        follows = state.place_ticks - state.wanted_ticks < law.lags_ticks  # what is yet to open has shown nothing
+        if follows and state.ratio * state.load_px > law.least_ticks:
             state.ratio -= state.ratio * dt_s / law.release_s
     elif not doubted:
         state.doubted, state.stop_s = state.ratio, law.settle_s  # may be false: see whether one comes again

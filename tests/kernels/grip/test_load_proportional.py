@@ -157,6 +157,16 @@ def test_a_release_waits_for_the_fingers() -> None:
     assert before * (1.0 - 4.0 * LAW.lags_ticks / world.grip_ticks) < world.state.ratio < before
 
 
+def test_a_release_without_a_sign_ends() -> None:
+    """Assert that a grip which nothing shows to be too light is opened to a tick, and more weight finds more of it."""
+    world = World(2.0, 0.01, tells=False).follow(LIFT, 2.0).follow(BALANCE, 12.0)
+    assert world.state.needed == 0.0
+    assert world.state.ratio * world.load_px == pytest.approx(LAW.least_ticks, rel=0.01)
+    world.weight_px = 4.0
+    world.follow(BALANCE, 0.1, px_s=40.0)
+    assert world.state.ratio * world.load_px == pytest.approx(2.0 * LAW.least_ticks, rel=0.1)
+
+
 def test_a_gripper_at_its_limit_carries() -> None:
     """Assert that an object whose load swings is carried at last by fingers which can close no further."""
     world = World(20.0, 0.3, tells=False).follow(LIFT, 0.1)
