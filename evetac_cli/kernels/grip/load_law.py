@@ -72,11 +72,11 @@ class LoadLaw:
     leaks_s: float = 2.0  # time constant of a grip that opens in the lift
     calm_s: float = 0.2  # of a steady load, before a release
     calm_most_s: float = 1.5  # ... or so long without: what is carried may swing
-    release_s: float = 2.0  # time constant of the release
+    release_s: float = 1.7  # time constant of the release
     lags_ticks: float = 1.0  # ... which waits for fingers that are farther behind
     least_ticks: float = 1.5  # ... and goes no further: where fingers touch is known to about a tick
     again: float = 0.8  # a sign counts that comes again before the ratio has fallen to this share
-    sure_steps: int = 6  # ... or a slip that lasts
+    sure_steps: int = 10  # ... or a slip that lasts
     window: float = 0.12  # share of the grip in whose release changes are looked at
     moves: float = 0.05  # share of the load that a change in a window has to exceed
     moves_px: float = 0.02
