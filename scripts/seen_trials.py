@@ -16,7 +16,8 @@ from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.events import Events
 from evetac_cli.kernels.sensitivity import sensitivity_of
 from evetac_cli.kernels.slip import extras, features
-from evetac_cli.kernels.slip.architectures import DotArchitecture
+from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture
+from evetac_cli.kernels.slip.detector import over_each
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
@@ -84,14 +85,18 @@ class Seen:
         dot_px, events = self.dot_px, np.array(self._events)
         moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
         told, sensitivity = self.extras(), sensitivity_of(self.sensor)
-        said = {}
+        alike: dict[Architecture, list[str]] = {}  # whose inputs are the same
         for name, model in models.items():
-            architecture = model.architecture
+            alike.setdefault(model.architecture, []).append(name)
+        said = {}
+        for architecture, names in alike.items():
             if not isinstance(architecture, DotArchitecture):
-                raise TypeError(f"{name}: expected a network over dots, found {architecture.name}")
+                raise TypeError(f"{names[0]}: expected a network over dots, found {architecture.name}")
             series = features.series(moved, events, moved_xy, architecture.factors(sensitivity))
-            said[name] = (model.detector().over(DotsAndExtras(series, told)), model.horizon_ms)
-        return said
+            detectors = [models[name].detector() for name in names]
+            found = over_each(detectors, DotsAndExtras(series, told))
+            said |= {name: (one, models[name].horizon_ms) for name, one in zip(names, found, strict=True)}
+        return {name: said[name] for name in models}
 
 
 def seen(planned: Planned, seed: int, models: Mapping[str, Model]) -> tuple[Trial, Scores]:

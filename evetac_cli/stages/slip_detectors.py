@@ -1,6 +1,6 @@
 """Slip detectors from model files, their inputs from features files, and their predictions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip import extras, features, inputs, onnx_graphs, sampling
 from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
-from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.detector import Detector, over_each
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
@@ -89,19 +89,21 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     return inputs.DotsAndExtras(dots, extras.columns(len(dots), *told))
 
 
-def predict(detector: Detector, trajectory: Trajectory, header: Header, horizon_ms: int) -> Prediction:
-    """The probabilities of a detector for a trajectory, from its first labelled slice on, beside its labels.
+def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Header, horizon_ms: int) -> list[Prediction]:
+    """The probabilities of detectors of one architecture for a trajectory, from its first labelled slice on.
 
-    The labels are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
+    The labels beside them are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
     """
     slices = len(trajectory.label)
-    probability = np.full(slices, np.nan, np.float32)
+    every = [np.full(slices, np.nan, np.float32) for _ in detectors]
     first = first_labelled(trajectory.label)
     if first < slices:
-        needed = inputs.part(trajectory.series, first_needed(detector.architecture, first), slices)
-        probability[first:] = probabilities(detector, needed, first)
-    label = shift_labels(trajectory.label, horizon_ms)
-    return Prediction(probability, label, trajectory.onset, object_name(header), timed=trajectory.timed)
+        begin = first_needed(detectors[0].architecture, first)
+        needed = inputs.part(trajectory.series, begin, slices)
+        for probability, found in zip(every, over_each(detectors, needed, begin), strict=True):
+            probability[first:] = found[first - begin :]
+    label, name = shift_labels(trajectory.label, horizon_ms), object_name(header)
+    return [Prediction(one, label, trajectory.onset, name, timed=trajectory.timed) for one in every]
 
 
 def first_labelled(label: NDArray[np.int8]) -> int:

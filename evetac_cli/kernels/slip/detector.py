@@ -7,6 +7,7 @@ Why so: online, a slice of events becomes a probability in one compiled call. Ea
 """
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -83,27 +84,42 @@ class Detector:
         `first`: which slice of the trajectory the series begins with, as a detector that predicts every 5th slice
         counts from the trajectory's beginning.
         """
-        architecture = self.architecture
-        slices = inputs.length(series)
-        probability = np.full(slices, np.nan, np.float32)
-        delay = -first % architecture.every  # after a full history, until the next prediction is due
-        due = np.arange(architecture.history - 1 + delay, slices, architecture.every)
-        at_once = max(1, BATCH_VALUES // max(1, self._input_size(series)))
-        for begin in range(0, len(due), at_once):
-            ends = due[begin : begin + at_once]
-            probability[ends] = self.probability(inputs.at(architecture, series, ends))
-        if architecture.every > 1 and len(due):
-            held = np.arange(due[0], slices)
-            probability[held] = probability[held - (held - due[0]) % architecture.every]
-        return probability
+        return over_each([self], series, first)[0]
 
-    def _input_size(self, series: inputs.Series) -> int:
-        """Number of values of one input."""
-        if isinstance(self.architecture, ImageArchitecture):
-            return int(np.prod(self.architecture.input_shape))
-        if isinstance(series, EventImages):
-            return 1
-        return int(inputs.dots_of(series).shape[1]) * self.architecture.inputs_per_dot
+
+def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int = 0) -> list[NDArray[np.float32]]:
+    """`Detector.over` of several detectors of one architecture, whose inputs are made once.
+
+    ValueError if their architectures differ.
+    """
+    architecture = detectors[0].architecture
+    if any(detector.architecture != architecture for detector in detectors):
+        names = ", ".join(detector.architecture.name for detector in detectors)
+        raise ValueError(f"expected detectors of one architecture, found {names}")
+    slices = inputs.length(series)
+    every = [np.full(slices, np.nan, np.float32) for _ in detectors]
+    delay = -first % architecture.every  # after a full history, until the next prediction is due
+    due = np.arange(architecture.history - 1 + delay, slices, architecture.every)
+    at_once = max(1, BATCH_VALUES // max(1, _input_size(architecture, series)))
+    for begin in range(0, len(due), at_once):
+        ends = due[begin : begin + at_once]
+        batch = inputs.at(architecture, series, ends)
+        for detector, probability in zip(detectors, every, strict=True):
+            probability[ends] = detector.probability(batch)
+    if architecture.every > 1 and len(due):
+        held = np.arange(due[0], slices)
+        for probability in every:
+            probability[held] = probability[held - (held - due[0]) % architecture.every]
+    return every
+
+
+def _input_size(architecture: Architecture, series: inputs.Series) -> int:
+    """Number of values of one input."""
+    if isinstance(architecture, ImageArchitecture):
+        return int(np.prod(architecture.input_shape))
+    if isinstance(series, EventImages):
+        return 1
+    return int(inputs.dots_of(series).shape[1]) * architecture.inputs_per_dot
 
 
 def _session(graph: bytes) -> Any:

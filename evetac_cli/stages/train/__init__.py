@@ -322,8 +322,9 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             for done, index in enumerate(fold.evaluated_on):
                 progress(done, len(fold.evaluated_on), "files judged")
                 trajectory = read_trajectory(job.inputs[index], architecture)
-                for detector, of_detector in zip(detectors, predictions, strict=True):
-                    of_detector.append(predict(detector, trajectory, headers[index], settings.horizon_ms))
+                found = predict(detectors, trajectory, headers[index], settings.horizon_ms)
+                for of_detector, prediction in zip(predictions, found, strict=True):
+                    of_detector.append(prediction)
         validated = validating.Validated.of(predictions, networks.preset, params.false_alarms_per_min)
         choice = validated.choice
         layer = last_layer(architecture, *shape)

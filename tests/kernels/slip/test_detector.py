@@ -18,7 +18,7 @@ from onnx import TensorProto, helper
 
 from evetac_cli.kernels.slip import detector, features, inputs, networks, onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
-from evetac_cli.kernels.slip.detector import Detector, Live
+from evetac_cli.kernels.slip.detector import Detector, Live, over_each
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.tracking import presets, tracker
 
@@ -27,10 +27,10 @@ REST = np.stack(np.meshgrid(61 + 62.3 * np.arange(8), 41 + 62.4 * np.arange(7)),
 WINDOW = (540, 0, 640, 480)
 
 
-def trained(name: str) -> Detector:
+def trained(name: str, seed: int = 5) -> Detector:
     """A detector with seeded weights."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(5)
+        torch.manual_seed(seed)
         network = networks.build(ARCHITECTURES[name])
     return Detector(networks.onnx_graph(network), ARCHITECTURES[name])
 
@@ -80,6 +80,18 @@ def test_live_is_over(name: str) -> None:
     np.testing.assert_array_equal(np.array(online, np.float32), offline)
     np.testing.assert_array_equal(np.isnan(offline), np.arange(slices) < history - 1)
     assert np.ptp(offline[history:]) > 1e-5
+
+
+def test_several_at_once_are_each_alone() -> None:
+    """Assert that detectors of one architecture say together what each says alone, and others are refused."""
+    one, two, series = trained("down5"), trained("down5", 6), make_series("down5", 90)
+    for first in (0, 3):
+        together = over_each([one, two], series, first)
+        for detector, found in zip((one, two), together, strict=True):
+            np.testing.assert_array_equal(found, detector.over(series, first))
+        assert not np.array_equal(*together, equal_nan=True)
+    with pytest.raises(ValueError, match="down5, hist10"):
+        over_each([one, trained("hist10")], series)
 
 
 def test_a_column_more_is_tracked_and_not_seen() -> None:

@@ -321,7 +321,7 @@ def test_ahead_is_carried_and_relabels(trials: list[Path], tmp_path: Path) -> No
             result = slip_detectors.load_detector(model)
         trajectory = slip_detectors.read_trajectory(trials[0], result.architecture)
         probabilities[horizon_ms] = result.over(trajectory.series)[ONSET - 10 : ONSET].mean()
-        judged = slip_detectors.predict(result, trajectory, {"kind": "features", "history": {}}, horizon_ms)
+        (judged,) = slip_detectors.predict([result], trajectory, {"kind": "features", "history": {}}, horizon_ms)
         assert (judged.onset, np.flatnonzero(judged.label)[0]) == (ONSET, ONSET - horizon_ms)
     assert probabilities[10] > 0.03 > 3 * probabilities[0]
 
@@ -338,13 +338,13 @@ def test_what_is_not_examined_is_left_out(trials: list[Path], tmp_path: Path, mo
     whole = detector.over(trajectory.series)
     for first in (0, 5, 33, 61):
         trajectory.label[:first] = -1
-        probabilities = slip_detectors.predict(detector, trajectory, {"kind": "features", "history": {}}, 0).probability
-        assert np.isnan(probabilities[:first]).all()
-        assert np.array_equal(probabilities[first:], whole[first:], equal_nan=True)
+        (one,) = slip_detectors.predict([detector], trajectory, {"kind": "features", "history": {}}, 0)
+        assert np.isnan(one.probability[:first]).all()
+        assert np.array_equal(one.probability[first:], whole[first:], equal_nan=True)
     trajectory.label[:] = -1
     nothing = trajectory._replace(onset=-1)
-    probabilities = slip_detectors.predict(detector, nothing, {"kind": "features", "history": {}}, 0).probability
-    assert np.isnan(probabilities).all()
+    (none,) = slip_detectors.predict([detector], nothing, {"kind": "features", "history": {}}, 0)
+    assert np.isnan(none.probability).all()
 
 
 def test_labels_from_truth_are_marked_and_not_mixed(trials: list[Path], tmp_path: Path) -> None:
