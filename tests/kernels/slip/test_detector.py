@@ -87,8 +87,8 @@ def test_several_at_once_are_each_alone() -> None:
     one, two, series = trained("down5"), trained("down5", 6), make_series("down5", 90)
     for first in (0, 3):
         together = over_each([one, two], series, first)
-        for detector, found in zip((one, two), together, strict=True):
-            np.testing.assert_array_equal(found, detector.over(series, first))
+        for alone, found in zip((one, two), together, strict=True):
+            np.testing.assert_array_equal(found, alone.over(series, first))
         assert not np.array_equal(*together, equal_nan=True)
     with pytest.raises(ValueError, match="down5, hist10"):
         over_each([one, trained("hist10")], series)
