@@ -22,6 +22,7 @@ import multiprocessing
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -167,6 +168,7 @@ class Asked:
 AS_SHIPPED = Asked()
 
 
+@lru_cache  # reading a model's file takes a twentieth of a grasp
 def settings_of(law: str, latency_ms: int, asked: Asked) -> GraspSettings:
     """Law, detector and timing, as the flags of `grasp` make them; of an oracle without the law."""
     named = "none" if law.startswith(grip_oracle.NAME) else law
