@@ -344,7 +344,7 @@ def ideas_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
         row: Row = {"idea": idea, "seeds": len(scores)}
         every = [figures(score) for score in scores]
         for key in every[0]:
-            values = np.array([one[key] for one in every if one[key] is not None])  # none of what says nothing above 0.1
+            values = np.array([one[key] for one in every if one[key] is not None])  # none where nothing is above 0.1
             row[key] = float(values.mean()) if len(values) else None
             row[f"{key}_sd"] = float(values.std(ddof=1)) if len(values) > 1 else None
         shown.append(row)
