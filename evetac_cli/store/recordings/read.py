@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,11 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import SLICE_US, Events, SliceBlock, empty
 from evetac_cli.store.files import StageFile
 
+if TYPE_CHECKING:
+    from evetac_cli.kernels.representations import ImageBlock, Kind, Polarity
+
 BLOCK_SLICES = 1000
+RATE_HZ = 200.0  # of images of events, unless asked for another
 UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
 
 
@@ -95,6 +99,86 @@ class Recording(StageFile):
         if ms < 1:
             raise InputError("no length of a block", where="ms", expected="at least 1", found=str(ms))
         return (self._block(first, min(first + ms, stop)) for first in range(start, stop, ms))
+
+    def frames(
+        self,
+        rate_hz: float = RATE_HZ,
+        size_px: tuple[int, int] | None = None,
+        window_ms: int | None = None,
+        polarity: "Polarity" = "split",
+    ) -> Iterator["ImageBlock"]:
+        """Counts of events (channels, height, width) at a fixed rate, in blocks of images; see `Representation`.
+
+        size_px: width and height, the sensor's unless given. window_ms: what an image counts, from one image to the
+        next unless given. InputError for numbers that cannot be.
+
+        >>> with evetac.open_recording("a.recording.h5") as recording:
+        ...     for block in recording.frames(rate_hz=200, size_px=(160, 120)):
+        ...         counts = block.images          # (images, 2, 120, 160): OFF, ON
+        >>> counts.shape[1:], counts.dtype.name
+        ((2, 120, 160), 'int16')
+        """
+        return self._images("frames", rate_hz, size_px, window_ms, polarity=polarity)
+
+    def histogram(
+        self,
+        bins: int = 5,
+        rate_hz: float = RATE_HZ,
+        size_px: tuple[int, int] | None = None,
+        window_ms: int | None = None,
+        polarity: "Polarity" = "split",
+    ) -> Iterator["ImageBlock"]:
+        """Counts as of `frames`, of each of the `bins` that the window is divided into (channels, bins, height, width).
+
+        >>> with evetac.open_recording("a.recording.h5") as recording:
+        ...     block = next(recording.histogram(bins=10, window_ms=50, size_px=(64, 48)))
+        >>> block.images.shape[1:]
+        (2, 10, 48, 64)
+        """
+        return self._images("histogram", rate_hz, size_px, window_ms, bins=bins, polarity=polarity)
+
+    def voxels(
+        self,
+        bins: int = 5,
+        rate_hz: float = RATE_HZ,
+        size_px: tuple[int, int] | None = None,
+        window_ms: int | None = None,
+    ) -> Iterator["ImageBlock"]:
+        """Voxel grids (bins, height, width): ON is 1, OFF -1, shared between the two nearest bins; else as `frames`.
+
+        >>> with evetac.open_recording("a.recording.h5") as recording:
+        ...     block = next(recording.voxels(bins=5, window_ms=50, size_px=(160, 120)))
+        >>> block.images.shape[1:], block.images.dtype.name
+        ((5, 120, 160), 'float32')
+        """
+        return self._images("voxels", rate_hz, size_px, window_ms, bins=bins)
+
+    def time_surface(
+        self,
+        decay_ms: float = 10.0,
+        rate_hz: float = RATE_HZ,
+        size_px: tuple[int, int] | None = None,
+        polarity: "Polarity" = "split",
+    ) -> Iterator["ImageBlock"]:
+        """Time surfaces: exp(-(age of each pixel's last event) / decay_ms), 0 where there was none; else as `frames`.
+
+        >>> with evetac.open_recording("a.recording.h5") as recording:
+        ...     block = next(recording.time_surface(decay_ms=20, size_px=(112, 90)))
+        >>> float(block.images.min()), float(block.images.max()) <= 1.0
+        (0.0, True)
+        """
+        return self._images("surface", rate_hz, size_px, None, polarity=polarity, decay_ms=decay_ms)
+
+    def _images(
+        self, kind: "Kind", rate_hz: float, size_px: tuple[int, int] | None, window_ms: int | None, **more: Any
+    ) -> Iterator["ImageBlock"]:
+        from evetac_cli.kernels.representations import fold, representation
+
+        try:
+            of = representation(kind, self.frame_px, size_px, rate_hz, window_ms, **more)
+        except ValueError as error:
+            raise InputError(f"no such images: {error}", where=str(self.path)) from None
+        return fold(of, self.blocks())
 
     def _block(self, first: int, stop: int) -> SliceBlock:
         starts = self.starts[first : stop + 1]
