@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from evetac_cli.api import (
         DotTracker,
+        EventImages,
         Gel,
         Simulation,
         SlipDetector,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     )
     from evetac_cli.errors import EvetacError, InputError, UnavailableError
     from evetac_cli.events import Events, SliceBlock, Slicer
+    from evetac_cli.kernels.representations import ImageBlock
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
@@ -45,9 +47,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DotTracker",
+    "EventImages",
     "Events",
     "EvetacError",
     "Gel",
+    "ImageBlock",
     "InputError",
     "Recording",
     "Sensitivity",
@@ -79,6 +83,7 @@ __all__ = [
 
 _MODULES = {
     **dict.fromkeys(("Events", "SliceBlock", "Slicer"), "events"),
+    "ImageBlock": "kernels.representations",
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),

@@ -16,6 +16,7 @@ from evetac_cli import resources
 from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.kernels import representations
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
@@ -38,6 +39,7 @@ from evetac_cli.stages.touch.known_gel import (
 )
 from evetac_cli.stages.touch.touch_fold import sticking_of
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.read import RATE_HZ
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.record import SCENE_KINDS, simulated
 from evetac_cli.trials.trial import SimulatedTrial
@@ -314,6 +316,43 @@ class TouchMap:
     def hold(self) -> None:
         """Count what is `since` in readings from now on: when a grip has closed and shear is to come."""
         touch_map.hold(self._state)
+
+
+class EventImages:
+    """Images of events at a fixed rate, in a loop of your own: the same bits as `frames` and the like of a recording.
+
+    kind: frames, histogram, voxels or surface. frame_px: width and height of the sensor's frame; size_px: of the
+    images, the frame's unless given. window_ms: what an image looks back on, from one image to the next unless given;
+    of a surface the last event of each pixel counts, however long ago. bins, polarity, decay_ms: as in
+    `Recording.histogram`, `Recording.frames` and `Recording.time_surface`. ValueError for numbers that cannot be.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     images = evetac.EventImages("frames", recording.frame_px, rate_hz=200, size_px=(160, 120))
+    ...     found = [image for events in recording if (image := images.step(events)) is not None]
+    >>> found[0].shape, len(found) == len(recording) // 5
+    ((2, 120, 160), True)
+    """
+
+    def __init__(
+        self,
+        kind: representations.Kind,
+        frame_px: tuple[int, int] = FRAME_PX,
+        *,
+        rate_hz: float = RATE_HZ,
+        size_px: tuple[int, int] | None = None,
+        window_ms: int | None = None,
+        bins: int = 1,
+        polarity: representations.Polarity = "split",
+        decay_ms: float = 10.0,
+    ) -> None:
+        more = {"bins": bins, "polarity": polarity, "decay_ms": decay_ms}
+        of = representations.representation(kind, frame_px, size_px, rate_hz, window_ms, **more)
+        self._state = representations.start(of)
+        self.shape = of.shape  # of an image
+
+    def step(self, events: Events) -> NDArray[Any] | None:
+        """Take one more slice; the image that ends with it, a new array, or None."""
+        return representations.step(self._state, events)
 
 
 class Simulation:

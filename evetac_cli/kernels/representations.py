@@ -102,6 +102,11 @@ class ImageBlock(NamedTuple):
     """Consecutive images (n, ...) and the time in us that each ends at (n,), from the start of the recording.
 
     torch.from_numpy(block.images) makes a tensor of them without a copy.
+
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     block = next(recording.frames(rate_hz=100))
+    >>> block.end_us[:2].tolist(), block.images.shape[1:]
+    ([10000, 20000], (2, 480, 640))
     """
 
     end_us: NDArray[np.int64]
