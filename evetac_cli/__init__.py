@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from evetac_cli.api import (
         DotTracker,
-        EventImages,
+        EventImager,
         Gel,
         Simulation,
         SlipDetector,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DotTracker",
-    "EventImages",
+    "EventImager",
     "Events",
     "EvetacError",
     "Gel",

@@ -318,7 +318,7 @@ class TouchMap:
         touch_map.hold(self._state)
 
 
-class EventImages:
+class EventImager:
     """Images of events at a fixed rate, in a loop of your own: the same bits as `frames` and the like of a recording.
 
     kind: frames, histogram, voxels or surface. frame_px: width and height of the sensor's frame; size_px: of the
@@ -327,7 +327,7 @@ class EventImages:
     `Recording.histogram`, `Recording.frames` and `Recording.time_surface`. ValueError for numbers that cannot be.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
-    ...     images = evetac.EventImages("frames", recording.frame_px, rate_hz=200, size_px=(160, 120))
+    ...     images = evetac.EventImager("frames", recording.frame_px, rate_hz=200, size_px=(160, 120))
     ...     found = [image for events in recording if (image := images.step(events)) is not None]
     >>> found[0].shape, len(found) == len(recording) // 5
     ((2, 120, 160), True)
