@@ -76,11 +76,11 @@ def predictions(model: Path, trials: list[Path]) -> list[Prediction]:
         detector, horizon_ms = slip_detectors.load_detector(file), model_files.read_horizon_ms(file)
     return [
         slip_detectors.predict(
-            detector,
+            [detector],
             slip_detectors.read_trajectory(path, detector.architecture),
             header_of(path, "features"),
             horizon_ms,
-        )
+        )[0]
         for path in trials
     ]
 
