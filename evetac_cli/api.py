@@ -341,7 +341,7 @@ class EventImager:
         rate_hz: float = RATE_HZ,
         size_px: tuple[int, int] | None = None,
         window_ms: int | None = None,
-        bins: int = 1,
+        bins: int = 5,
         polarity: representations.Polarity = "split",
         decay_ms: float = 10.0,
     ) -> None:

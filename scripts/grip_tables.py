@@ -84,7 +84,7 @@ def mass_table(laws: dict[str, Rows], command: str, sizes: Row) -> Row:
     return table_of("grip-by-mass", "Grasps of randomised objects by mass", columns, shown, command, sizes)
 
 
-def real_time_table(rows: Rows, command: str) -> Row:
+def real_time_table(rows: Rows) -> Row:
     """How grasps in real time ended beside the same grasps simulated."""
     made = [row for row in rows if not any("failed" in row[how] for how in ("real_time", "simulated"))]
 
@@ -123,7 +123,8 @@ def real_time_table(rows: Rows, command: str) -> Row:
         "99th percentile": "{late_p99_ms:.2f}",
         "most": "{late_most_ms:.1f}",
     }
-    sizes = {"seeds": f"{min(row['seed'] for row in rows)}-{max(row['seed'] for row in rows)}"}
+    seeds = f"{min(row['seed'] for row in rows)}-{max(row['seed'] for row in rows)}"
+    command, sizes = f"python scripts/grip_real_time.py --seeds {seeds} -o FILE", {"seeds": seeds}
     title = "The same law, detector and threshold in real time and simulated"
     note = "Noise of camera and gripper differ between the two, as between two seeds. Lateness: medians over grasps."
     return table_of("grip-real-time", title, columns, shown, command, sizes, notes=(note,))
@@ -154,7 +155,7 @@ def main() -> None:
         mass_table(laws, command, sizes),
     ]
     if chosen.real_time:
-        tables.append(real_time_table(rows_in(chosen.real_time), f"{command} --real-time FILE"))
+        tables.append(real_time_table(rows_in(chosen.real_time)))
     write(RESULTS, *tables)
     draw(laws, PICTURE)
 

@@ -71,6 +71,19 @@ def test_every_public_function_is_offered() -> None:
         _ = evetac.nothing
 
 
+def test_images_of_a_loop_are_those_of_a_recording(files: Path) -> None:
+    """Assert that EventImager, asked for nothing but a size, gives what the methods of a recording do."""
+    with evetac.open_recording(files / "a.recording.h5") as recording:
+        methods = {"frames": recording.frames, "histogram": recording.histogram}
+        methods |= {"voxels": recording.voxels, "surface": recording.time_surface}
+        for kind, method in methods.items():
+            imager = evetac.EventImager(kind, recording.frame_px, size_px=(16, 12))
+            found = [image for events in recording if (image := imager.step(events)) is not None]
+            blocks = list(method(size_px=(16, 12)))
+            np.testing.assert_array_equal(found, np.concatenate([block.images for block in blocks]))
+            assert np.abs(found).max() > 0
+
+
 def test_simulate_gives_the_events_of_record(short_scene: Path, tmp_path: Path) -> None:
     """Assert that slices and truth of `simulate` are those that `record` writes with the same flags."""
     recipe = Record(scene=str(short_scene), objects="3", seed=5)

@@ -205,7 +205,7 @@ def _judge(
                 if waiting:
                     detector = models[index].detector()
                 for number, first, stop, part in waiting:
-                    by_path[number][index][first:stop] = probabilities(detector, part, first)
+                    (by_path[number][index][first:stop],) = probabilities([detector], part, first)
     for place, kept, of_path, gaps in zip(places, known, by_path, missing, strict=True):
         if place is not None and gaps:
             kept |= {models[index].key: of_path[index].tobytes() for index in sorted(gaps)}

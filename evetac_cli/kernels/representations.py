@@ -47,7 +47,7 @@ class Representation:
     size_px: tuple[int, int]
     rate_hz: float
     window_ms: int
-    bins: int = 1
+    bins: int = 5
     polarity: Polarity = "split"
     decay_ms: float = 10.0
 
@@ -132,14 +132,14 @@ def start(of: Representation) -> ImageState:
         np.arange(frame, dtype=np.int64) * size // frame for frame, size in zip(of.frame_px, of.size_px, strict=True)
     )
     last_us = np.full(of.shape if of.kind == "surface" else (0, 0, 0), NEVER, np.int64)
-    window: deque[Events] = deque(maxlen=1 if of.kind == "surface" else of.window_ms)
+    window: deque[Events] = deque(maxlen=0 if of.kind == "surface" else of.window_ms)
     return ImageState(of, column, row, last_us, window)
 
 
 def step(state: ImageState, events: Events) -> NDArray[Any] | None:
     """Take one more slice; an image, a new array, where one ends with it, else None.
 
-    Times are from the start of the recording, or of the camera. ValueError for events beside the frame.
+    Times are from the first slice on. ValueError for events beside the frame, or of another time than their slice's.
     """
     state.window.append(events)
     state.slices += 1
@@ -148,9 +148,8 @@ def step(state: ImageState, events: Events) -> NDArray[Any] | None:
     if state.slices < state.of.end(state.images):
         return None
     state.images += 1
-    seen = empty() if state.of.kind == "surface" else concatenate(list(state.window))
     image = np.zeros(state.of.shape, state.of.dtype)
-    _draw(state, seen, state.slices, image)
+    _draw(state, concatenate(list(state.window)), state.slices, image)
     return image
 
 
@@ -204,7 +203,7 @@ def _draw(state: ImageState, events: Events, end: int, image: NDArray[Any]) -> N
 
 def _beside(state: ImageState) -> ValueError:
     width, height = state.of.frame_px
-    return ValueError(f"expected events within {width} x {height} px, found some beside")
+    return ValueError(f"expected events within {width} x {height} px and the time of their slices, found others")
 
 
 @njit(cache=True)
@@ -213,13 +212,16 @@ def _count(
     column: NDArray[np.int64], row: NDArray[np.int64], begin_us: int, window_us: int, polarity: int,
     image: NDArray[np.int16],
 ) -> bool:  # fmt: skip
-    """Count events by channel and bin; whether all were within the frame."""
+    """Count events by channel and bin; whether all were within frame and window.
+
+    polarity: its place in POLARITIES.
+    """
     bins = image.shape[1]
     for i in range(t.shape[0]):
-        if x[i] >= column.shape[0] or y[i] >= row.shape[0]:
+        place = (t[i] - begin_us) * bins // window_us if bins > 1 else 0
+        if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0] and 0 <= place < bins):
             return False
         channel = 1 if polarity == 0 and p[i] > 0 else 0
-        place = (t[i] - begin_us) * bins // window_us if bins > 1 else 0
         more = -1 if polarity == 1 and p[i] == 0 else 1
         value = image[channel, place, row[y[i]], column[x[i]]] + more
         if -MOST_COUNTED <= value <= MOST_COUNTED:
@@ -232,12 +234,12 @@ def _share(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8],
     column: NDArray[np.int64], row: NDArray[np.int64], begin_us: int, window_us: int, image: NDArray[np.float32],
 ) -> bool:  # fmt: skip
-    """Share each event between the two bins about it; whether all were within the frame."""
+    """Share each event between the two bins about it; whether all were within frame and window."""
     bins = image.shape[0]
     for i in range(t.shape[0]):
-        if x[i] >= column.shape[0] or y[i] >= row.shape[0]:
-            return False
         place = (t[i] - begin_us) * bins / window_us
+        if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0] and 0.0 <= place < bins):
+            return False
         left = int(place)
         right = place - left
         sign = 1.0 if p[i] > 0 else -1.0
@@ -254,7 +256,7 @@ def _remember(
 ) -> bool:  # fmt: skip
     """Note the time of the last event of each pixel; whether all were within the frame."""
     for i in range(t.shape[0]):
-        if x[i] >= column.shape[0] or y[i] >= row.shape[0]:
+        if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
             return False
         last_us[1 if split and p[i] > 0 else 0, row[y[i]], column[x[i]]] = t[i]
     return True

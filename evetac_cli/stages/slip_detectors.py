@@ -98,10 +98,9 @@ def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Heade
     every = [np.full(slices, np.nan, np.float32) for _ in detectors]
     first = first_labelled(trajectory.label)
     if first < slices:
-        begin = first_needed(detectors[0].architecture, first)
-        needed = inputs.part(trajectory.series, begin, slices)
-        for probability, found in zip(every, over_each(detectors, needed, begin), strict=True):
-            probability[first:] = found[first - begin :]
+        needed = inputs.part(trajectory.series, first_needed(detectors[0].architecture, first), slices)
+        for probability, found in zip(every, probabilities(detectors, needed, first), strict=True):
+            probability[first:] = found
     label, name = shift_labels(trajectory.label, horizon_ms), object_name(header)
     return [Prediction(one, label, trajectory.onset, name, timed=trajectory.timed) for one in every]
 
@@ -117,10 +116,10 @@ def first_needed(architecture: Architecture, first: int) -> int:
     return max(0, first - architecture.history - architecture.every + 2)
 
 
-def probabilities(detector: Detector, series: inputs.Series, first: int) -> NDArray[np.float32]:
-    """The probabilities of a detector from slice `first` of a trajectory on; the inputs begin where it needs them."""
-    begin = first_needed(detector.architecture, first)
-    return detector.over(series, begin)[first - begin :]
+def probabilities(detectors: Sequence[Detector], series: inputs.Series, first: int) -> list[NDArray[np.float32]]:
+    """What detectors of one architecture say from slice `first` of a trajectory on; series: from where they need it."""
+    begin = first_needed(detectors[0].architecture, first)
+    return [found[first - begin :] for found in over_each(detectors, series, begin)]
 
 
 def load_detector(model: StageFile) -> Detector:

@@ -307,9 +307,9 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The architectures of the detectors that are run on a trajectory from now on."""
     calls: list[str] = []
 
-    def counted(detector: Detector, series: Series, first: int) -> NDArray[np.float32]:
-        calls.append(detector.architecture.name)
-        return slip_detectors.probabilities(detector, series, first)
+    def counted(detectors: Sequence[Detector], series: Series, first: int) -> list[NDArray[np.float32]]:
+        calls.append(detectors[0].architecture.name)
+        return slip_detectors.probabilities(detectors, series, first)
 
     monkeypatch.setattr(slip_models, "probabilities", counted)
     return calls

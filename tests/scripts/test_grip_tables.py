@@ -57,7 +57,9 @@ def test_real_time_is_beside_simulated(tables: Any) -> None:
         {"seed": 2, "real_time": {**ended, **late, "balanced": False}, "simulated": ended},
         {"seed": 3, "real_time": {"failed": "no memory"}, "simulated": ended},
     ]
-    first, second = tables.real_time_table(rows, "command")["rows"]
+    table = tables.real_time_table(rows)
+    assert "--seeds 1-3" in table["commands"][0]
+    first, second = table["rows"]
     assert (first["grasps"], first["failed"], first["kept"], first["alike"]) == (2, 1, 1, 1)
     assert (second["kept"], second["late_p50_ms"]) == (2, None)
     assert (first["late_p50_ms"], first["late_p99_ms"], first["late_most_ms"]) == (0.5, 2.0, 9.0)
