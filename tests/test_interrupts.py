@@ -9,6 +9,7 @@ from contextlib import suppress
 import pytest
 
 from evetac_cli import interrupts
+from tests.patience import PATIENCE_S
 
 
 def test_the_second_signal_breaks_off() -> None:
@@ -91,6 +92,18 @@ def test_a_signal_that_is_held_back_comes_up_where_it_is_let_through() -> None:
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
+def send_and_wait(number: signal.Signals) -> None:
+    """Send a signal to this process, and wait until one of its threads has it: on a busy computer that takes a while.
+
+    Else it could come after the block that is to hold it, where nothing expects it, and end the process of the tests.
+    """
+    before, deadline = len(interrupts._held), time.monotonic() + PATIENCE_S
+    os.kill(os.getpid(), number)
+    while len(interrupts._held) == before and number not in signal.sigpending():
+        assert time.monotonic() < deadline
+        time.sleep(1e-3)
+
+
 def test_a_signal_waits_also_if_another_thread_takes_it() -> None:
     """Assert that a library's thread, to which the system gives a blocked signal, does not bring it up too early."""
     number, done = signal.SIGINT, []
@@ -101,12 +114,12 @@ def test_a_signal_waits_also_if_another_thread_takes_it() -> None:
     try:
         with pytest.raises(KeyboardInterrupt), interrupts.signals_blocked(interrupts.CTRL_C):
             with interrupts.signals_blocked(interrupts.CTRL_C):  # the inner one ends nothing
-                os.kill(os.getpid(), number)
+                send_and_wait(number)
                 done.append("inner")
             done.append("outer")
             with pytest.raises(KeyboardInterrupt), interrupts.SignalsLetThrough(interrupts.CTRL_C):
                 pytest.fail("it did not come up")
-            os.kill(os.getpid(), number)
+            send_and_wait(number)
             done.append("again")
     finally:
         over.set()
