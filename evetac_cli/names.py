@@ -43,6 +43,10 @@ EXPORTS = {
     "parquet": "a table a recording, or with -o FOLDER one data set of all",
     "touch-map": "a table of the touch maps, a row a cell, as Parquet",
     "csv": "the same as text",
+    "frames": "images for networks, counts of events, as npz, or with -o NAME.parquet or NAME.zarr.zip as these",
+    "histogram": "the same, counts of each part of the window",
+    "voxels": "the same, ON less OFF shared between the two nearest parts of the window",
+    "surface": "the same, how recent the last event of each pixel is",
     "lerobot": "a LeRobotDataset v3.0 in the folder -o",
 }
 CONTROLLERS = {

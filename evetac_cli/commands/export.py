@@ -6,7 +6,7 @@ from evetac_cli import names, plugins
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
-LEROBOT = "LeRobot"  # the panel of --help of what only this format takes
+IMAGES, LEROBOT = "Images of events", "LeRobot"  # panels of --help of what only these formats take
 
 
 @dataclass(frozen=True)
@@ -14,8 +14,9 @@ class Export:
     """Write recordings, and what was computed from them, in a format that other programs read.
 
     Formats of events hold the events alone; mcap has dots, touch, labels, gripper and control too. Tables have a row
-    a slice, with all that tracks, labels, features and touch beside the recording say of it. A data set for LeRobot
-    has a frame for several slices.
+    a slice, with all that tracks, labels, features and touch beside the recording say of it. Images of events, for
+    networks, are those of `Recording.frames` and its like in Python. A data set for LeRobot has a frame for several
+    slices.
     """
 
     format: str = parameter(
@@ -31,7 +32,52 @@ class Export:
         recipe=False,
     )
     fps: int | None = parameter(
-        None, "Frames a second; default: 50.", unit="1/s", low=1, high=1000, recipe=False, panel=LEROBOT
+        None,
+        "Images or frames per second; default: 200 of images of events, 50 for LeRobot.",
+        unit="1/s",
+        low=1,
+        high=1000,
+        recipe=False,
+    )
+    size: str | None = parameter(
+        None,
+        "Width and height of the images, as in 160x120: pixels of the sensor are added up; default: the sensor's.",
+        unit="px",
+        recipe=False,
+        panel=IMAGES,
+    )
+    window_ms: int | None = parameter(
+        None,
+        "What an image looks back on; default: from one image to the next.",
+        unit="ms",
+        low=1,
+        high=100_000,
+        recipe=False,
+        panel=IMAGES,
+    )
+    polarity: str | None = parameter(
+        None,
+        "Channels: OFF and ON (split, the default), ON less OFF (signed), or both together (sum).",
+        choices=("split", "signed", "sum"),
+        recipe=False,
+        panel=IMAGES,
+    )
+    bins: int | None = parameter(
+        None,
+        "Parts of the window of a histogram or voxel grid; default: 5.",
+        low=1,
+        high=1000,
+        recipe=False,
+        panel=IMAGES,
+    )
+    decay_ms: float | None = parameter(
+        None,
+        "Time in which a surface falls to 0.37; default: 10.",
+        unit="ms",
+        low=0.001,
+        high=100_000.0,
+        recipe=False,
+        panel=IMAGES,
     )
     per_frame: str | None = parameter(
         None,
@@ -66,6 +112,7 @@ COMMAND = Command(
     examples=(
         "evetac export a.recording.h5 --format aedat4",
         "evetac export data --format parquet -o tables",
+        "evetac export data --format frames --fps 200 --size 160x120 -o images",
         "evetac export grasps --format lerobot --fps 50 -o touch",
     ),
 )

@@ -9,6 +9,7 @@ trial: the recording and what was computed from it, with a row a slice or a fram
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from evetac_cli import plugins
@@ -18,6 +19,7 @@ from evetac_cli.formats.write import (
     write_aedat4,
     write_calibration,
     write_dsec,
+    write_event_images,
     write_mcap,
     write_prophesee,
     write_table,
@@ -26,6 +28,7 @@ from evetac_cli.formats.write import (
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
+from evetac_cli.kernels.representations import Kind
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of, utf8_path
 from evetac_cli.store.made_folders import new_folder
@@ -37,18 +40,28 @@ class ExportFormat(NamedTuple):
 
     of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
     who writes a data set of many trials.
-    holds: groups and datasets of a recording that they hold beside its events. A plug-in's row is one of these, too.
+    holds: groups and datasets of a recording that they hold beside its events. takes: the parameters of `export` that
+    have an effect; all but `model`, which chooses what of_trial gets, go to the writer. A plug-in's row is one of these.
     """
 
     suffixes: tuple[str, ...]
-    write: Callable[[Any, Path, Progress], list[str] | None] | None
+    write: Callable[..., list[str] | None] | None
     events: bool = True
     of_trial: bool = False
     write_folder: Callable[..., WrittenFolder] | None = None
     holds: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()
 
 
-TABLE: dict[str, Any] = {"events": False, "of_trial": True}
+TABLE: dict[str, Any] = {"events": False, "of_trial": True, "takes": ("model",)}
+OF_IMAGES = ("fps", "size")  # parameters of all images of events
+
+
+def _images(kind: Kind, *takes: str) -> ExportFormat:
+    suffixes = f".{kind}.npz", *write_event_images.SUFFIXES
+    return ExportFormat(suffixes, write_event_images.writer(kind), events=False, takes=(*OF_IMAGES, *takes))
+
+
 FORMATS = {
     "aedat4": ExportFormat((".aedat4",), write_aedat4.write),
     "dsec": ExportFormat((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
@@ -61,7 +74,16 @@ FORMATS = {
     "parquet": ExportFormat((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
     "touch-map": ExportFormat((".touch-map.parquet", ".parquet"), touch_map_table.write, **TABLE),
     "csv": ExportFormat((".csv",), write_table.write_csv, **TABLE),
-    "lerobot": ExportFormat((".parquet", ".json", ".mp4", ".md"), None, **TABLE, write_folder=write_lerobot.write),
+    "frames": _images("frames", "window_ms", "polarity"),
+    "histogram": _images("histogram", "window_ms", "bins", "polarity"),
+    "voxels": _images("voxels", "window_ms", "bins"),
+    "surface": _images("surface", "decay_ms", "polarity"),
+    "lerobot": ExportFormat(
+        (".parquet", ".json", ".mp4", ".md"),
+        None,
+        **TABLE | {"takes": ("model", "fps", "per_frame", "test_objects", "task", "tactile_key")},
+        write_folder=write_lerobot.write,
+    ),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
 LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
@@ -105,6 +127,7 @@ def export(
     source: Path,
     format_: str,
     target: Path,
+    options: Mapping[str, Any] = MappingProxyType({}),
     *,
     force: bool = False,
     progress: Progress = silent,
@@ -112,7 +135,7 @@ def export(
 ) -> dict[str, Any]:
     """Write a recording in another format, all or nothing; returns what was written and what was left out.
 
-    opened: gives the files of the recording's trial. InputError if the target exists, unless `force`, or if the
+    options: of the format. opened: gives the files of the recording's trial. InputError if the target exists, unless `force`, or if the
     recording has not got what the format holds.
     """
     require_possible_name(target)
@@ -128,7 +151,7 @@ def export(
             raise InputError("the output would replace the recording", where=str(target))
         with taking_the_place_of(target, target.suffix) as temporary:
             with utf8_path(temporary) as plain:
-                left_out = row.write(files if row.of_trial else recording, plain, progress) or []
+                left_out = row.write(files if row.of_trial else recording, plain, progress, **options) or []
             size = temporary.stat().st_size
         if row.events:
             left_out += _left_out(recording, row.holds)
@@ -137,7 +160,7 @@ def export(
             "output": str(target),
             "format": format_,
             "events": recording.event_count if row.events else None,
-            "slices": len(recording) if row.events or row.of_trial else None,
+            "slices": len(recording) if row.events or row.takes else None,
             "size_bytes": size,
             "left_out": ("; " if row.of_trial else " ").join(left_out) or None,
             "simulated": files.simulated,

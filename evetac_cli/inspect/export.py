@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from evetac_cli.commands.export import Export
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
-from evetac_cli.formats.exports import FORMATS, export, export_folder, is_folder, target_path
+from evetac_cli.formats.exports import FORMATS, export, export_folder, is_folder, named_format, target_path
 from evetac_cli.formats.write.slice_columns import Opener, TrialFiles
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.pages.view.time_series import model_output
@@ -20,7 +21,6 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 
 OF_TRACKS = ("features", "touch")  # kinds that are made from tracks
-LEROBOT = ("fps", "per_frame", "test_objects", "task", "tactile_key")  # parameters of this format alone
 
 
 def run(
@@ -41,7 +41,7 @@ def run(
     if twice:
         raise InputError("several recordings would write the same output", found=", ".join(twice))
     rows = [
-        export(file, params.format, target, force=force, progress=progress, opened=opened)
+        export(file, params.format, target, options, force=force, progress=progress, opened=opened)
         for file, target in zip(files, targets, strict=True)
     ]
     simulated = any([row.pop("simulated") for row in rows])
@@ -58,20 +58,31 @@ def _model(params: Export) -> Path | None:
 
 
 def _options(params: Export) -> dict[str, Any]:
-    """What was chosen for the format; InputError for what has no effect with it."""
-    tables = [name for name, row in FORMATS.items() if row.of_trial and not row.events]
-    if params.model is not None and params.format not in tables:
-        expected = f"--format {', '.join(tables)}"
-        raise InputError("has no effect", where="--model", expected=expected, found=params.format)
-    given = {name: getattr(params, name) for name in LEROBOT if getattr(params, name) is not None}
-    if params.format != "lerobot" and given:
-        named = [flag_of(item) for name, item in Export.__dataclass_fields__.items() if name in given]
-        raise InputError("has no effect", where=", ".join(named), expected="--format lerobot", found=params.format)
+    """What was chosen for the format, for its writer; InputError for what has no effect with it."""
+    chosen = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
+    given = {name: value for name, value in chosen.items() if value is not None}
+    takes = named_format(params.format).takes
+    for name in given:
+        if name not in takes:
+            others = ", ".join(other for other, row in FORMATS.items() if name in row.takes)
+            flag = flag_of(Export.__dataclass_fields__[name])
+            raise InputError("has no effect", where=flag, expected=f"--format {others}", found=params.format)
     if "task" in given:
         given["task"] = as_utf8(given["task"])
     if "test_objects" in given:
         given["test_objects"] = numbers(given["test_objects"])
+    if "size" in given:
+        given["size"] = _size(given["size"])
+    given.pop("model", None)
     return given
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height from `160x120`; InputError."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and max(len(width), len(height)) < 6):
+        raise InputError("no size", where="--size", expected="width and height in px, as in 160x120", found=text)
+    return int(width), int(height)
 
 
 @contextmanager

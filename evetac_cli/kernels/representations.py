@@ -65,6 +65,17 @@ class Representation:
         check_range("decay_ms", self.decay_ms, 0.0, MOST_DECAY_MS, "ms", above=True)
 
     @property
+    def used(self) -> tuple[str, ...]:
+        """The fields that matter for its kind."""
+        of_kind = {
+            "frames": ("window_ms", "polarity"),
+            "histogram": ("window_ms", "bins", "polarity"),
+            "voxels": ("window_ms", "bins"),
+            "surface": ("decay_ms", "polarity"),
+        }
+        return ("kind", "frame_px", "size_px", "rate_hz", *of_kind[self.kind])
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """Of one image."""
         width, height = self.size_px

@@ -12,7 +12,7 @@ from evetac_cli.events import SLICE_US, Events, SliceBlock, empty
 from evetac_cli.store.files import StageFile
 
 if TYPE_CHECKING:
-    from evetac_cli.kernels.representations import ImageBlock, Kind, Polarity
+    from evetac_cli.kernels.representations import ImageBlock, Kind, Polarity, Representation
 
 BLOCK_SLICES = 1000
 RATE_HZ = 200.0  # of images of events, unless asked for another
@@ -118,7 +118,7 @@ class Recording(StageFile):
         >>> counts.shape[1:], counts.dtype.name
         ((2, 120, 160), 'int16')
         """
-        return self._images("frames", rate_hz, size_px, window_ms, polarity=polarity)
+        return self.images(self.representation("frames", rate_hz, size_px, window_ms, polarity=polarity))
 
     def histogram(
         self,
@@ -135,7 +135,8 @@ class Recording(StageFile):
         >>> block.images.shape[1:]
         (2, 10, 48, 64)
         """
-        return self._images("histogram", rate_hz, size_px, window_ms, bins=bins, polarity=polarity)
+        of = self.representation("histogram", rate_hz, size_px, window_ms, bins=bins, polarity=polarity)
+        return self.images(of)
 
     def voxels(
         self,
@@ -151,7 +152,7 @@ class Recording(StageFile):
         >>> block.images.shape[1:], block.images.dtype.name
         ((5, 120, 160), 'float32')
         """
-        return self._images("voxels", rate_hz, size_px, window_ms, bins=bins)
+        return self.images(self.representation("voxels", rate_hz, size_px, window_ms, bins=bins))
 
     def time_surface(
         self,
@@ -167,17 +168,29 @@ class Recording(StageFile):
         >>> float(block.images.min()), float(block.images.max()) <= 1.0
         (0.0, True)
         """
-        return self._images("surface", rate_hz, size_px, None, polarity=polarity, decay_ms=decay_ms)
+        of = self.representation("surface", rate_hz, size_px, polarity=polarity, decay_ms=decay_ms)
+        return self.images(of)
 
-    def _images(
-        self, kind: "Kind", rate_hz: float, size_px: tuple[int, int] | None, window_ms: int | None, **more: Any
-    ) -> Iterator["ImageBlock"]:
-        from evetac_cli.kernels.representations import fold, representation
+    def representation(
+        self,
+        kind: "Kind",
+        rate_hz: float = RATE_HZ,
+        size_px: tuple[int, int] | None = None,
+        window_ms: int | None = None,
+        **more: Any,
+    ) -> "Representation":
+        """What images of this recording show, from the parameters of `frames` and its like; InputError as there."""
+        from evetac_cli.kernels.representations import representation
 
         try:
-            of = representation(kind, self.frame_px, size_px, rate_hz, window_ms, **more)
+            return representation(kind, self.frame_px, size_px, rate_hz, window_ms, **more)
         except ValueError as error:
             raise InputError(f"no such images: {error}", where=str(self.path)) from None
+
+    def images(self, of: "Representation") -> Iterator["ImageBlock"]:
+        """The images of a representation, in blocks of images; ValueError if it is of another frame."""
+        from evetac_cli.kernels.representations import fold
+
         return fold(of, self.blocks())
 
     def _block(self, first: int, stop: int) -> SliceBlock:

@@ -1,0 +1,109 @@
+"""Write the events of a recording as images for networks: npz, Parquet or a zarr store in one zip file.
+
+Whatever the file, it holds `images` (n, ...), `end_us` (n,), and as JSON, under `evetac`, what the images show and the
+recording's header. The images are those of `Recording.frames` and the like, bit for bit.
+"""
+
+import json
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import missing_extra
+from evetac_cli.formats.write.slice_columns import TrialFiles
+from evetac_cli.formats.write.write_table import COMPRESSION, load_pyarrow, provenance
+from evetac_cli.jobs import Progress
+from evetac_cli.kernels.representations import ImageBlock, Kind, Representation
+from evetac_cli.store.recordings.read import RATE_HZ, Recording
+
+SUFFIXES = (".npz", ".parquet", ".zarr.zip", ".zip")
+CHUNK_BYTES = 1 << 20  # of a zarr store
+NPZ_LEVEL = 1  # images are mostly zeros: higher levels gain little and take several times as long
+
+
+def writer(kind: Kind) -> Callable[..., None]:
+    """Who writes images of a kind: write(recording, path, progress, **options), these as of the command."""
+
+    def write(
+        recording: Recording,
+        path: Path,
+        progress: Progress,
+        *,
+        fps: float = RATE_HZ,
+        size: tuple[int, int] | None = None,
+        window_ms: int | None = None,
+        **more: Any,
+    ) -> None:
+        of = recording.representation(kind, fps, size, window_ms, **more)
+        files = TrialFiles({"recording": recording})
+        shows = {name: getattr(of, name) for name in of.used}
+        said = json.dumps({"representation": shows, **provenance(files, files.facts())})
+        count = of.images(len(recording))
+        by_suffix = {".npz": _npz, ".parquet": _parquet, ".zip": _zarr}
+        by_suffix[path.suffix.lower()](path, of, count, said, _shown(recording.images(of), count, progress))
+
+    return write
+
+
+def _shown(blocks: Iterator[ImageBlock], count: int, progress: Progress) -> Iterator[ImageBlock]:
+    done = 0
+    for block in blocks:
+        progress(done, count, "images")
+        yield block
+        done += len(block.images)
+    progress(count, count, "images")
+
+
+def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator[ImageBlock]) -> None:
+    """What numpy.load reads. Written piece by piece: the images of a minute can be larger than memory."""
+    ends: list[NDArray[np.int64]] = []
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=NPZ_LEVEL) as archive:
+        with archive.open("images.npy", "w", force_zip64=True) as member:
+            header = {"descr": np.dtype(of.dtype).str, "fortran_order": False, "shape": (count, *of.shape)}
+            np.lib.format.write_array_header_2_0(cast(BinaryIO, member), header)
+            for block in blocks:
+                member.write(block.images.data)
+                ends.append(block.end_us)
+        for name, array in (("end_us", np.concatenate([np.empty(0, np.int64), *ends])), ("evetac", np.array(said))):
+            with archive.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array(cast(BinaryIO, member), array, allow_pickle=False)
+
+
+def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iterator[ImageBlock]) -> None:
+    """A row for each image: a tensor of Arrow in pyarrow, a flat list elsewhere."""
+    arrow = load_pyarrow(str(path.parent))
+    tensor = arrow.fixed_shape_tensor(arrow.from_numpy_dtype(of.dtype), of.shape)
+    fields = arrow.field("end_us", arrow.int64(), metadata={"units": "us"}), arrow.field("images", tensor)
+    schema = arrow.schema(fields, metadata={"evetac": said})
+    with arrow.parquet.ParquetWriter(path, schema, compression=COMPRESSION) as writer:
+        for block in blocks:
+            images = arrow.FixedShapeTensorArray.from_numpy_ndarray(block.images)
+            writer.write_batch(arrow.record_batch([arrow.array(block.end_us), images], schema=schema))
+
+
+def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterator[ImageBlock]) -> None:
+    """A group in one zip file, in the second version of zarr's format, as replay buffers for policies have it."""
+    try:
+        import zarr
+    except ImportError as error:
+        raise missing_extra("a zarr store needs zarr", "convert", where=str(path.parent), error=error) from None
+    image_bytes = int(np.prod(of.shape)) * np.dtype(of.dtype).itemsize
+    chunk = min(max(1, CHUNK_BYTES // image_bytes), max(1, count))
+    with zarr.storage.ZipStore(path, mode="w") as store:
+        group = zarr.create_group(store, zarr_format=2, attributes={"evetac": json.loads(said)})
+        images = group.create_array("images", shape=(count, *of.shape), chunks=(chunk, *of.shape), dtype=of.dtype)
+        ends, kept, first = [np.empty(0, np.int64)], np.empty((0, *of.shape), of.dtype), 0
+        for block in blocks:
+            ends.append(block.end_us)
+            kept = np.concatenate([kept, block.images])
+            whole = len(kept) // chunk * chunk  # a chunk written twice stands twice in a zip file
+            if whole:
+                images[first : first + whole] = kept[:whole]
+                first, kept = first + whole, kept[whole:]
+        if len(kept):
+            images[first:] = kept
+        group.create_array("end_us", data=np.concatenate(ends))
