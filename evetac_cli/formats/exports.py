@@ -41,7 +41,7 @@ class ExportFormat(NamedTuple):
     of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
     who writes a data set of many trials.
     holds: groups and datasets of a recording that they hold beside its events. takes: the parameters of `export` that
-    have an effect; all but `model`, which chooses what of_trial gets, go to the writer. A plug-in's row is one of these.
+    have an effect; all but `model`, which chooses what of_trial gets, go to the writer. A plug-in's row is like ours.
     """
 
     suffixes: tuple[str, ...]
@@ -135,8 +135,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a recording in another format, all or nothing; returns what was written and what was left out.
 
-    options: of the format. opened: gives the files of the recording's trial. InputError if the target exists, unless `force`, or if the
-    recording has not got what the format holds.
+    options: of the format. opened: gives the files of the recording's trial. InputError if the target exists, unless
+    `force`, or if the recording has not got what the format holds.
     """
     require_possible_name(target)
     if target.is_dir():

@@ -25,7 +25,7 @@ POLARITIES: tuple[Polarity, ...] = ("split", "signed", "sum")
 MOST_COUNTED = np.iinfo(np.int16).max  # of a pixel: a count goes no further
 MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0
 NEVER = -1  # time of the last event of a pixel that had none
-AT_ONCE_BYTES = 1 << 24  # of images in a block, unless a single one is larger
+AT_ONCE_BYTES = 1 << 26  # of images in a block, unless a single one is larger; where less, numpy clears used memory
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def start(of: Representation) -> ImageState:
         np.arange(frame, dtype=np.int64) * size // frame for frame, size in zip(of.frame_px, of.size_px, strict=True)
     )
     last_us = np.full(of.shape if of.kind == "surface" else (0, 0, 0), NEVER, np.int64)
-    window: deque[Events] = deque(maxlen=0 if of.kind == "surface" else of.window_ms)
+    window: deque[Events] = deque(maxlen=1 if of.kind == "surface" else of.window_ms)
     return ImageState(of, column, row, last_us, window)
 
 
@@ -152,16 +152,18 @@ def step(state: ImageState, events: Events) -> NDArray[Any] | None:
 
     Times are from the first slice on. ValueError for events beside the frame, or of another time than their slice's.
     """
+    first_us = state.slices * SLICE_US
+    if events.size and not first_us <= events.t[0] <= events.t[-1] < first_us + SLICE_US:
+        expected = f"times from {first_us} to {first_us + SLICE_US - 1} us in slice {state.slices}"
+        raise ValueError(f"expected {expected}, found {events.t[0]} to {events.t[-1]}")
     state.window.append(events)
     state.slices += 1
-    if state.of.kind == "surface":
-        _remember_events(state, events)
-    if state.slices < state.of.end(state.images):
-        return None
-    state.images += 1
-    image = np.zeros(state.of.shape, state.of.dtype)
-    _draw(state, concatenate(list(state.window)), state.slices, image)
-    return image
+    due = state.slices >= state.of.end(state.images)
+    images = np.zeros((int(due), *state.of.shape), state.of.dtype)
+    if due or state.of.kind == "surface":  # which has to see every event, but of its window the newest slice alone
+        _draw(state, concatenate(list(state.window)), np.full(int(due), state.slices), images)
+    state.images += due
+    return images[0] if due else None
 
 
 def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBlock]:
@@ -172,113 +174,119 @@ def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBloc
         events = concatenate([kept, block.events])
         due = range(state.images, of.images(block.stop))
         for first in range(0, len(due), at_once):
-            ends = [of.end(image) for image in due[first : first + at_once]]
+            ends = np.array([of.end(image) for image in due[first : first + at_once]], np.int64)
             images = np.zeros((len(ends), *of.shape), of.dtype)
-            for end, image in zip(ends, images, strict=True):
-                begin = state.slices if of.kind == "surface" else max(end - of.window_ms, 0)
-                part = events.part(*np.searchsorted(events.t, (begin * SLICE_US, end * SLICE_US)).tolist())
-                if of.kind == "surface":
-                    _remember_events(state, part)
-                    state.slices = end
-                _draw(state, part, end, image)
-            yield ImageBlock(np.array(ends, np.int64) * SLICE_US, images)
+            _draw(state, events, ends, images)
+            if of.kind == "surface":
+                events = events.part(int(np.searchsorted(events.t, ends[-1] * SLICE_US)), events.size)
+            yield ImageBlock(ends * SLICE_US, images)
         state.images = due.stop
-        needed = state.slices if of.kind == "surface" else of.end(due.stop) - of.window_ms
-        kept = events.part(int(np.searchsorted(events.t, needed * SLICE_US)), events.size)
+        oldest = of.end(due.stop) - of.window_ms
+        kept = (
+            events
+            if of.kind == "surface"
+            else events.part(int(np.searchsorted(events.t, oldest * SLICE_US)), events.size)
+        )
 
 
-def _remember_events(state: ImageState, events: Events) -> None:
-    split = state.of.polarity == "split"
-    if not _remember(*events, state.column, state.row, split, state.last_us):
-        raise _beside(state)
+def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: NDArray[Any]) -> None:
+    """Draw the images that end before these slices, of the events of their windows.
 
-
-def _draw(state: ImageState, events: Events, end: int, image: NDArray[Any]) -> None:
-    """Draw the image that ends before a slice; events: of its window."""
+    Of a surface, events are those since its last image; without an image they are remembered.
+    """
     of = state.of
     t, x, y, p = events
     places = state.column, state.row
+    end_us = ends * SLICE_US
+    last = np.searchsorted(t, end_us)
     if of.kind == "surface":
-        _decay(state.last_us, end * SLICE_US, of.decay_ms * SLICE_US, image)
-        return
-    window_us = of.window_ms * SLICE_US
-    begin_us = end * SLICE_US - window_us
-    if of.kind == "voxels":
-        inside = _share(t, x, y, p, *places, begin_us, window_us, image)
+        edges = np.append(0, last if len(last) else len(t))
+        of_channel = of.polarity == "split", edges, end_us, of.decay_ms * SLICE_US, state.last_us
+        inside = _remember_and_decay(t, x, y, p, *places, *of_channel, images)
     else:
-        binned = image.reshape(image.shape[0], of.bins if of.kind == "histogram" else 1, *image.shape[-2:])
-        inside = _count(t, x, y, p, *places, begin_us, window_us, POLARITIES.index(of.polarity), binned)
+        window_us = of.window_ms * SLICE_US
+        begin_us = end_us - window_us
+        windows = np.searchsorted(t, begin_us), last, begin_us, window_us
+        if of.kind == "voxels":
+            inside = _share(t, x, y, p, *places, *windows, images)
+        else:
+            bins = of.bins if of.kind == "histogram" else 1
+            binned = images.reshape(*images.shape[:2], bins, *images.shape[-2:])
+            inside = _count(t, x, y, p, *places, *windows, POLARITIES.index(of.polarity), binned)
     if not inside:
-        raise _beside(state)
-
-
-def _beside(state: ImageState) -> ValueError:
-    width, height = state.of.frame_px
-    return ValueError(f"expected events within {width} x {height} px and the time of their slices, found others")
+        width, height = of.frame_px
+        raise ValueError(f"expected events within {width} x {height} px, found others")
 
 
 @njit(cache=True)
 def _count(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8],
-    column: NDArray[np.int64], row: NDArray[np.int64], begin_us: int, window_us: int, polarity: int,
-    image: NDArray[np.int16],
+    column: NDArray[np.int64], row: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64],
+    begin_us: NDArray[np.int64], window_us: int, polarity: int, images: NDArray[np.int16],
 ) -> bool:  # fmt: skip
-    """Count events by channel and bin; whether all were within frame and window.
+    """Count the events [first, last) of each image by channel and bin; whether all were within the frame.
 
     polarity: its place in POLARITIES.
     """
-    bins = image.shape[1]
-    for i in range(t.shape[0]):
-        place = (t[i] - begin_us) * bins // window_us if bins > 1 else 0
-        if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0] and 0 <= place < bins):
-            return False
-        channel = 1 if polarity == 0 and p[i] > 0 else 0
-        more = -1 if polarity == 1 and p[i] == 0 else 1
-        value = image[channel, place, row[y[i]], column[x[i]]] + more
-        if -MOST_COUNTED <= value <= MOST_COUNTED:
-            image[channel, place, row[y[i]], column[x[i]]] = value
+    bins = images.shape[2]
+    for number in range(images.shape[0]):
+        image = images[number]
+        for i in range(first[number], last[number]):
+            if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
+                return False
+            place = (t[i] - begin_us[number]) * bins // window_us if bins > 1 else 0
+            channel = 1 if polarity == 0 and p[i] > 0 else 0
+            more = -1 if polarity == 1 and p[i] == 0 else 1
+            value = image[channel, place, row[y[i]], column[x[i]]] + more
+            if -MOST_COUNTED <= value <= MOST_COUNTED:
+                image[channel, place, row[y[i]], column[x[i]]] = value
     return True
 
 
 @njit(cache=True)
 def _share(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8],
-    column: NDArray[np.int64], row: NDArray[np.int64], begin_us: int, window_us: int, image: NDArray[np.float32],
+    column: NDArray[np.int64], row: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64],
+    begin_us: NDArray[np.int64], window_us: int, images: NDArray[np.float32],
 ) -> bool:  # fmt: skip
-    """Share each event between the two bins about it; whether all were within frame and window."""
-    bins = image.shape[0]
-    for i in range(t.shape[0]):
-        place = (t[i] - begin_us) * bins / window_us
-        if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0] and 0.0 <= place < bins):
-            return False
-        left = int(place)
-        right = place - left
-        sign = 1.0 if p[i] > 0 else -1.0
-        image[left, row[y[i]], column[x[i]]] += np.float32(sign * (1.0 - right))
-        if left + 1 < bins:
-            image[left + 1, row[y[i]], column[x[i]]] += np.float32(sign * right)
+    """Share each event of an image between the two bins about it; whether all were within the frame."""
+    bins = images.shape[1]
+    for number in range(images.shape[0]):
+        image = images[number]
+        for i in range(first[number], last[number]):
+            if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
+                return False
+            place = (t[i] - begin_us[number]) * bins / window_us
+            left = int(place)
+            right = place - left
+            sign = 1.0 if p[i] > 0 else -1.0
+            image[left, row[y[i]], column[x[i]]] += np.float32(sign * (1.0 - right))
+            if left + 1 < bins:
+                image[left + 1, row[y[i]], column[x[i]]] += np.float32(sign * right)
     return True
 
 
 @njit(cache=True)
-def _remember(
+def _remember_and_decay(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8],
-    column: NDArray[np.int64], row: NDArray[np.int64], split: bool, last_us: NDArray[np.int64],
+    column: NDArray[np.int64], row: NDArray[np.int64], split: bool, edges: NDArray[np.int64],
+    end_us: NDArray[np.int64], decay_us: float, last_us: NDArray[np.int64], images: NDArray[np.float32],
 ) -> bool:  # fmt: skip
-    """Note the time of the last event of each pixel; whether all were within the frame."""
-    for i in range(t.shape[0]):
-        if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
-            return False
-        last_us[1 if split and p[i] > 0 else 0, row[y[i]], column[x[i]]] = t[i]
+    """Note the time of the last event of each pixel, and how recent these are: 1 now, 0 never.
+
+    Image k follows the events [edges[k], edges[k + 1]); whether all were within the frame.
+    """
+    for number in range(edges.shape[0] - 1):
+        for i in range(edges[number], edges[number + 1]):
+            if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
+                return False
+            last_us[1 if split and p[i] > 0 else 0, row[y[i]], column[x[i]]] = t[i]
+        if number == images.shape[0]:
+            return True
+        image = images[number]
+        for channel in range(last_us.shape[0]):
+            for i in range(last_us.shape[1]):
+                for j in range(last_us.shape[2]):
+                    if last_us[channel, i, j] >= 0:
+                        image[channel, i, j] = np.exp((last_us[channel, i, j] - end_us[number]) / decay_us)
     return True
-
-
-@njit(cache=True)
-def _decay(last_us: NDArray[np.int64], end_us: int, decay_us: float, image: NDArray[np.float32]) -> None:
-    """How recent the last event of each pixel is: 1 now, 0 never."""
-    for channel in range(last_us.shape[0]):
-        for row in range(last_us.shape[1]):
-            for column in range(last_us.shape[2]):
-                if last_us[channel, row, column] >= 0:
-                    age_us = end_us - last_us[channel, row, column]
-                    image[channel, row, column] = np.exp(-age_us / decay_us)

@@ -26,10 +26,12 @@ from evetac_cli.formats.exports import FORMATS, export, target_path
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read.calibration_pickle import read_pickle
-from evetac_cli.formats.write import pieces, write_dsec, write_text
+from evetac_cli.formats.write import pieces, write_dsec, write_event_images, write_text
+from evetac_cli.kernels import representations
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5 import disk
+from evetac_cli.store.recordings.read import Recording
 from tests.importing import FRAME, same
 from tests.make import event_arrays, write_recording
 from tests.patience import PATIENCE_S
@@ -247,6 +249,81 @@ def test_what_exists_stays(source: Path, tmp_path: Path, format_: str) -> None:
     assert "is a folder" in refusal(lambda: export(source, format_, tmp_path, force=True))
     assert "replace the recording" in refusal(lambda: export(source, format_, source, force=True))
     assert "output folder is a file" in refusal(lambda: export(source, format_, target / target.name))
+
+
+OF_IMAGES: dict[str, dict[str, Any]] = {
+    "frames": {"size": (64, 48), "polarity": "signed", "window_ms": 20},
+    "histogram": {"size": (32, 24), "bins": 3},
+    "voxels": {"size": (64, 48), "bins": 2},
+    "surface": {"size": (16, 12), "decay_ms": 5.0},
+}
+
+
+def read_images(path: Path) -> tuple[Any, Any, dict[str, Any]]:
+    """Images, their ends and what is said of them, by numpy, pyarrow or zarr alone."""
+    if path.suffix == ".npz":
+        with np.load(path) as arrays:
+            return arrays["images"], arrays["end_us"], json.loads(str(arrays["evetac"]))
+    if path.suffix == ".parquet":
+        table = pytest.importorskip("pyarrow.parquet").read_table(path)
+        images = table["images"].combine_chunks().to_numpy_ndarray()
+        return images, table["end_us"].to_numpy(), json.loads(table.schema.metadata[b"evetac"])
+    zarr = pytest.importorskip("zarr")
+    with zarr.storage.ZipStore(path, mode="r") as store:
+        group = zarr.open_group(store, mode="r")
+        return group["images"][:], group["end_us"][:], group.attrs["evetac"]
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".parquet", ".zarr.zip"])
+@pytest.mark.parametrize("kind", OF_IMAGES)
+def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a file of images holds what `Recording.frames` and the like give, and what they show."""
+    monkeypatch.setattr(representations, "AT_ONCE_BYTES", 50_000)  # several blocks, that fit no chunk
+    monkeypatch.setattr(write_event_images, "CHUNK_BYTES", 70_000)
+    source = write(tmp_path / "a.recording.h5", drawn(3_000), 1_300, simulated=True)
+    target, options = tmp_path / f"a{suffix}", OF_IMAGES[kind]
+    row = export(source, kind, target, {"fps": 100, **options})
+    images, end_us, said = read_images(target)
+    with Recording(source) as recording:
+        named = {name: value for name, value in options.items() if name != "size"}
+        of = recording.representation(kind, 100.0, options["size"], **named)  # type: ignore[arg-type]
+        blocks = list(recording.images(of))
+    assert len(blocks) > 1
+    np.testing.assert_array_equal(images, np.concatenate([block.images for block in blocks]))
+    assert images.dtype == of.dtype
+    assert end_us.tolist() == list(range(10_000, 1_300_001, 10_000))
+    shown = said["representation"]
+    assert (shown["kind"], shown["rate_hz"], shown["size_px"]) == (kind, 100.0, list(options["size"]))
+    assert said["simulated"] is row["simulated"] is True
+    assert row["left_out"] is None
+
+
+def test_images_of_nothing(tmp_path: Path) -> None:
+    """Assert that a recording shorter than an image gives a file of none."""
+    source = write(tmp_path / "a.recording.h5", drawn(0), 3)
+    for suffix in (".npz", ".parquet", ".zarr.zip"):
+        export(source, "frames", tmp_path / f"a{suffix}")
+        images, end_us, _ = read_images(tmp_path / f"a{suffix}")
+        assert (images.shape, end_us.shape) == ((0, 2, 480, 640), (0,))
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (("surface", "--bins", "3"), "--format histogram, voxels"),
+        (("text", "--fps", "50"), "--format frames, histogram, voxels, surface, lerobot"),
+        (("frames", "--size", "160"), "as in 160x120"),
+        (("frames", "--size", "900x480"), "1 to 640 px"),
+        (("surface", "--polarity", "signed"), "split or sum"),
+    ],
+)
+def test_what_has_no_effect_on_images(tmp_path: Path, flags: tuple[str, ...], said: str) -> None:
+    """Assert that flags of other formats, and numbers that cannot be, are refused, and nothing is written."""
+    source = write(tmp_path / "a.recording.h5", drawn(10), 9)
+    result = CliRunner().invoke(app, ["export", str(source), "--format", *flags])
+    assert result.exit_code == 2
+    assert said in " ".join(result.output.split())
+    assert [path.name for path in tmp_path.iterdir()] == [source.name]
 
 
 def test_names_of_outputs(tmp_path: Path) -> None:

@@ -1,0 +1,279 @@
+"""Images of events by evetac, by tonic and by dv-processing: equal, and how fast?
+
+    pip install tonic dv-processing
+    python scripts/compare_images.py FILE ... [--seconds 1] [--rounds 9] [--out docs/results]
+
+FILE: a recording, or an event file of anybody's. A row for each file, each of our representations, and each peer that
+defines the same: how many images were compared over the first `--seconds`, how many values differ, by how much at most,
+and how long each took, alternately, in the median. Times are counted from the first event, as tonic does. Counts have
+to be equal; voxels and surfaces, which tonic computes in double precision, to 1e-6 of the largest value. Exit code 1
+where they are not.
+
+What a peer defines otherwise: tonic's voxel grid lasts from the first of its events to the last, so two more events
+mark the window, and are taken out again. dv-processing has the time of each pixel's last event, without a decay; its
+surface is compared by its times, at the last image alone, as it gives them one by one; its time is that of its own
+picture. Its accumulator, which does not decay here, has counts of ON less OFF, or of both.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from script_tables import table_of, write
+
+from evetac_cli.events import SLICE_US, Events, SliceBlock
+from evetac_cli.formats.imports import read_events
+from evetac_cli.jobs import Row
+from evetac_cli.kernels.representations import POLARITIES, Representation, fold, representation
+from evetac_cli.store.recordings.read import open_recording
+
+Images = NDArray[Any]
+BLOCK_SLICES = 1000
+DECAY_MS = 10.0
+ROUNDING = 1e-6  # ours are in single precision
+COLUMNS = {
+    "events of": "{file}",
+    "images": "{representation}",
+    "of": "{peer}",
+    "compared": "{images}",
+    "values that differ": "{differ}",
+    "largest difference": "{largest_difference:.1g}",
+    "ours [ms]": "{ours_ms:.1f}",
+    "theirs [ms]": "{theirs_ms:.1f}",
+    "times as fast": "{times_as_fast:.1f}",
+}
+
+
+class Input(NamedTuple):
+    """Events in order of time, from 0 on, as evetac, tonic and dv-processing take them."""
+
+    blocks: list[SliceBlock]
+    rows: NDArray[Any]
+    store: Any
+    frame_px: tuple[int, int]
+    slices: int
+    simulated: bool
+
+
+class Peer(NamedTuple):
+    """Somebody's images of a representation: all of them, or the last alone; by how much values may differ."""
+
+    name: str
+    of: Representation
+    images: Callable[[Input, Representation], Images]
+    timed: Callable[[Input, Representation], Any]
+    tolerance: float = 0.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--seconds", type=float, default=1.0)
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--out", type=Path)
+    chosen = parser.parse_args()
+    rows = []
+    for file in chosen.files:
+        given = load(file, chosen.seconds)
+        for peer in peers(given.frame_px):
+            name = f"{file.name} (simulated)" if given.simulated else file.name
+            rows.append({"file": name, **compared(given, peer, chosen.rounds)})
+            sys.stdout.write(json.dumps(rows[-1]) + "\n")
+    if chosen.out is not None:
+        names = " ".join(file.name for file in chosen.files)
+        command = f"python scripts/compare_images.py {names} --seconds {chosen.seconds:g} --rounds {chosen.rounds}"
+        sizes = {"seconds": chosen.seconds, "rounds": chosen.rounds}
+        title = "Images of events: equal to tonic's and dv-processing's, and how fast"
+        write(chosen.out, table_of("event-images", title, COLUMNS, rows, command, sizes))
+    sys.exit(any(row["differ"] for row in rows))
+
+
+def load(file: Path, seconds: float) -> Input:
+    """The first seconds of a file; times are counted from the first event."""
+    import dv_processing as dv
+
+    simulated = False
+    if file.name.endswith(".recording.h5"):
+        with open_recording(file) as recording:
+            events, frame_px = recording.between(0, len(recording)), recording.frame_px
+            simulated = bool(recording.header["simulated"])
+    else:
+        imported = read_events(file)
+        events, frame_px = imported.events, imported.frame_px
+    t = events.t - events.t[0]
+    count = int(np.searchsorted(t, round(seconds * 1e6)))
+    events = Events(t[:count], *(column[:count] for column in events[1:]))
+    slices = int(t[count - 1]) // SLICE_US + 1
+    blocks = []
+    for first in range(0, slices, BLOCK_SLICES):
+        stop = min(first + BLOCK_SLICES, slices)
+        starts = np.searchsorted(events.t, np.arange(first, stop + 1) * SLICE_US)
+        blocks.append(SliceBlock(first, starts - starts[0], events.part(int(starts[0]), int(starts[-1]))))
+    rows = np.empty(count, [("x", "i2"), ("y", "i2"), ("t", "i8"), ("p", "i1")])
+    store = dv.EventStore()
+    for name in "xytp":
+        rows[name] = getattr(events, name)
+    for t_us, x, y, p in zip(*(column.tolist() for column in events), strict=True):
+        store.push_back(t_us, x, y, bool(p))
+    return Input(blocks, rows, store, frame_px, slices, simulated)
+
+
+def peers(frame_px: tuple[int, int]) -> Iterator[Peer]:
+    """What is compared with whom."""
+    surface = representation("surface", frame_px, None, 100.0, None, decay_ms=DECAY_MS)
+    counts, signed, both = (
+        representation("frames", frame_px, None, 200.0, None, polarity=polarity) for polarity in POLARITIES
+    )
+    histogram, voxels = (representation(kind, frame_px, None, 20.0, None, bins=5) for kind in ("histogram", "voxels"))
+    yield Peer("tonic", counts, tonic_frames, tonic_frames)
+    yield Peer("tonic", histogram, tonic_histogram, tonic_histogram)
+    yield Peer("tonic", voxels, tonic_voxels, tonic_voxels, ROUNDING)
+    yield Peer("tonic", surface, tonic_surface, tonic_surface, ROUNDING)
+    yield Peer("dv-processing", signed, dv_counts, dv_counts)
+    yield Peer("dv-processing", both, dv_counts, dv_counts)
+    yield Peer("dv-processing", surface, dv_surface, dv_surface_pictures, ROUNDING)
+
+
+def compared(given: Input, peer: Peer, rounds: int) -> Row:
+    """The row of one representation and one peer."""
+    of = peer.of
+
+    def ours() -> list[Images]:
+        return [block.images for block in fold(of, given.blocks)]
+
+    mine, theirs = np.concatenate(ours()), peer.images(given, of)
+    images = min(len(mine), len(theirs))
+    mine = mine[-1:] if peer.images is dv_surface else mine[:images]
+    difference = np.abs(mine - theirs[:images].astype(np.float64))
+    largest = max(1.0, float(np.abs(theirs).max(initial=0.0)))
+    ours_s, theirs_s = [], []
+    for _ in range(rounds):
+        for run, took in ((ours, ours_s), (partial(peer.timed, given, of), theirs_s)):
+            begin = time.perf_counter()
+            run()
+            took.append(time.perf_counter() - begin)
+    ours_median_s, theirs_median_s = statistics.median(ours_s), statistics.median(theirs_s)
+    return {
+        "peer": peer.name,
+        "representation": f"{of.kind}, {of.polarity}" if of.kind == "frames" else of.kind,
+        "simulated": given.simulated,
+        "frame_px": list(given.frame_px),
+        "events": len(given.rows),
+        "images": images,
+        "differ": int(np.count_nonzero(difference > peer.tolerance * largest)),
+        "largest_difference": float(difference.max(initial=0.0)),
+        "ours_ms": 1e3 * ours_median_s,
+        "theirs_ms": 1e3 * theirs_median_s,
+        "times_as_fast": theirs_median_s / ours_median_s,
+    }
+
+
+def window(given: Input, of: Representation, image: int) -> NDArray[Any]:
+    """Rows of tonic of the window of an image; a copy, as tonic changes them."""
+    end_us = of.end(image) * SLICE_US
+    first, last = np.searchsorted(given.rows["t"], (end_us - of.window_ms * SLICE_US, end_us))
+    return given.rows[first:last].copy()
+
+
+def tonic_frames(given: Input, of: Representation) -> Images:
+    from tonic.functional import to_frame_numpy
+
+    shape, window_us = (*given.frame_px, 2), of.window_ms * SLICE_US
+    frames: Images = to_frame_numpy(
+        given.rows, shape, time_window=window_us, start_time=0, end_time=given.slices * SLICE_US
+    )
+    return frames
+
+
+def tonic_histogram(given: Input, of: Representation) -> Images:
+    from tonic.functional import to_frame_numpy
+
+    shape, bin_us = (*given.frame_px, 2), of.window_ms * SLICE_US // of.bins
+    frames = to_frame_numpy(given.rows, shape, time_window=bin_us, start_time=0, end_time=given.slices * SLICE_US)
+    images = len(frames) // of.bins
+    binned: Images = frames[: images * of.bins].reshape(images, of.bins, *frames.shape[1:]).swapaxes(1, 2)
+    return binned
+
+
+def tonic_voxels(given: Input, of: Representation) -> Images:
+    from tonic.functional import to_voxel_grid_numpy
+
+    grids = []
+    for image in range(of.images(given.slices)):
+        end_us = of.end(image) * SLICE_US
+        marks = np.zeros(2, given.rows.dtype)
+        marks["t"], marks["p"] = (end_us - of.window_ms * SLICE_US, end_us), 1
+        marked = np.concatenate([marks[:1], window(given, of, image), marks[1:]])
+        grid = to_voxel_grid_numpy(marked, (*given.frame_px, 2), of.bins)[:, 0]
+        grid[0, 0, 0] -= 1
+        grids.append(grid)
+    return np.array(grids)
+
+
+def tonic_surface(given: Input, of: Representation) -> Images:
+    from tonic.functional import to_timesurface_numpy
+
+    step_us = of.end(0) * SLICE_US
+    surfaces: Images = to_timesurface_numpy(given.rows, (*given.frame_px, 2), step_us, of.decay_ms * SLICE_US)
+    return surfaces
+
+
+def dv_counts(given: Input, of: Representation) -> Images:
+    import dv_processing as dv
+
+    most = 1e6
+    accumulator = dv.Accumulator(
+        given.frame_px, dv.Accumulator.Decay.NONE, 0.0, False, 1.0, most, 0.0, -most, of.polarity == "sum"
+    )
+    images = np.empty((of.images(given.slices), *of.shape), np.float32)
+    for number, image in enumerate(images):
+        end_us = of.end(number) * SLICE_US
+        accumulator.accept(given.store.sliceTime(end_us - of.window_ms * SLICE_US, end_us))
+        image[0] = accumulator.getPotentialSurface()
+        accumulator.clear()
+    return images
+
+
+def dv_surfaces(given: Input) -> list[tuple[Any, Any]]:
+    """An empty surface of dv-processing for each polarity, with the filter of its events."""
+    import dv_processing as dv
+
+    return [(dv.TimeSurface(given.frame_px), dv.EventPolarityFilter(on)) for on in (False, True)]
+
+
+def dv_surface(given: Input, of: Representation) -> Images:
+    """The last surface."""
+    end_us = of.end(of.images(given.slices) - 1) * SLICE_US
+    result = np.zeros((1, *of.shape))
+    rows = given.rows[given.rows["t"] < end_us]
+    for channel, (surface, of_polarity) in enumerate(dv_surfaces(given)):
+        of_polarity.accept(given.store.sliceTime(0, end_us))
+        surface.accept(of_polarity.generateEvents())
+        for y, x in np.unique(rows[rows["p"] == channel][["y", "x"]]).tolist():
+            result[0, channel, y, x] = np.exp((surface.at(y, x) - end_us) / (of.decay_ms * SLICE_US))
+    return result
+
+
+def dv_surface_pictures(given: Input, of: Representation) -> None:
+    """What it draws of its surfaces, image after image."""
+    surfaces, begin_us = dv_surfaces(given), 0
+    for image in range(of.images(given.slices)):
+        end_us = of.end(image) * SLICE_US
+        new = given.store.sliceTime(begin_us, end_us)
+        for surface, of_polarity in surfaces:
+            of_polarity.accept(new)
+            surface.accept(of_polarity.generateEvents())
+            surface.generateFrame()
+        begin_us = end_us
+
+
+if __name__ == "__main__":
+    main()
