@@ -5,6 +5,7 @@ one. Places and size of the dots need not be known (kernels/calibration); which 
 decided in calibrated_gel.py.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from evetac_cli.store.layout.provenance import Recipe, made
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
-METHOD = 3
+METHOD = 4
 LEAST_DOTS = 4
 WORST_JITTER_PX = 1.0
 
@@ -104,6 +105,9 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
             )
         figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **_against_stored(recording, dots)}
         calibration = Calibration(recording.frame_px, dots, radius, window)
+        hot = gel_at_rest.hot_pixels(recording)
+        if hot is not None:
+            calibration = replace(calibration, hot_xy_px=hot)
     _write(job, calibration, recipe, figures)
     return _outcome(job, recipe, made_now=True)
 
@@ -184,6 +188,7 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
         "gel": "closed" if calibration.window_px is None else "cut",
         "window_px": " ".join(map(str, calibration.window_px or ())) or None,
         "radius_px": calibration.dot_radius_px,
+        "hot_pixels": len(calibration.hot_xy_px),
         "notes": "; ".join(calibrated_gel.notes(calibration)) or None,
     }
     result = outcome(job, made=made_now, simulated=recipe.simulated, **figures)

@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.calibration import dot_search, rest_image
 from evetac_cli.kernels.calibration.gel_layout import Grid
@@ -13,6 +15,8 @@ from evetac_cli.stages.calibrated_gel import PRESS
 from evetac_cli.store.recordings.read import Recording
 
 BLOCK_SLICES = 200
+SETTLING_SLICES = 100  # after a stroke, in which pixels of the rims still fire
+LEAST_REST_SLICES = 1000  # in all, to tell hot pixels
 LONGEST_STROKE = 5000  # slices; a first run is over long before that
 
 
@@ -56,6 +60,28 @@ def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False
         events = recording.between(first, last)
         rest_image.step(state, events.x, events.y, events.p, backwards=backwards)
     return rest_image.image(state)
+
+
+def hot_pixels(recording: Recording) -> NDArray[np.uint16] | None:
+    """Pixels (n, 2) that fire while the gel is at rest between strokes, row by row; None where that cannot be told."""
+    from evetac_cli.kernels.identify.rest import check_still, find_hot
+
+    width, height = recording.frame_px
+    counts, slices = np.zeros(width * height, np.int64), 0
+    for first, stop in rest_image.quiet_spells(np.diff(recording.starts)):
+        settled = min(first + SETTLING_SLICES, stop)
+        events = recording.between(settled, stop)
+        counts += np.bincount(events.y.astype(np.int64) * width + events.x, minlength=len(counts))
+        slices += stop - settled
+    if slices < LEAST_REST_SLICES:
+        return None
+    hot = find_hot(counts, slices / SLICES_PER_S).reshape(height, width)
+    try:
+        check_still(hot)
+    except ValueError:
+        return None
+    rows, columns = np.nonzero(hot)
+    return np.column_stack([columns, rows]).astype(np.uint16)
 
 
 def jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:

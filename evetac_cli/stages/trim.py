@@ -1,4 +1,4 @@
-"""trim: a range of slices out of a recording, as a recording of its own.
+"""trim: a range of slices out of a recording, or its noise, as a recording of its own.
 
 Every group is cut: rows of slices by their index, rows of gripper, controller and other streams by their time. Times
 begin anew at 0, and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost
@@ -6,18 +6,22 @@ slices and why it ended, because its counts are those of the whole recording.
 
 Tracks and features of a piece from slice 0 on are the first rows of those of the whole, bit for bit, because a slice's
 depend on no later slice. In a piece that begins later the tracker starts with dots at rest, as in every recording.
+
+What is left of the noise depends on no other slices than the filter looks back on, and these are looked at before the
+piece too: a piece of a denoised recording and a denoised piece of it have the same events.
 """
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.store.files import stem, up_to_date, write_stage
@@ -28,6 +32,8 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "recording"
 METHOD = 1
+DV_SUPPORT_MS = 2.0  # of dv-processing's filter, unless it is given another
+DENOISED_SLICES = 200  # at a time
 PIECE_ROWS = 1 << 18  # events that are in memory together
 MANY_VALUES = 1 << 12  # of a row: of images fewer rows are in memory together
 # Dims whose rows have times of their own, and where these are; in the stream itself for `samples`.
@@ -35,7 +41,7 @@ CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "samples"
 
 
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
-    """One piece of every recording, named <name>-<from>-<to>ms."""
+    """One piece of every recording, named <name>-<from>-<to>ms; of a whole one without its noise, <name>-denoised."""
     if params.to_ms is not None and params.to_ms <= params.from_ms:
         raise InputError(
             "the piece ends before it begins",
@@ -43,11 +49,15 @@ def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
             expected=f"more than --from-ms {params.from_ms}",
             found=f"{params.to_ms}",
         )
+    if params.support_ms is not None and not params.denoise:
+        raise InputError("has no effect", where="--support-ms", expected="--denoise", found="none")
     one_file(files, out)
     if out is not None and out.suffix == ".h5":
         return [Job((file,), out) for file in files]
     to = "end" if params.to_ms is None else f"{params.to_ms}"
-    named = [(file, f"{stem(file)}-{params.from_ms}-{to}ms.{OUTPUT}.h5") for file in files]
+    whole = params.denoise and not params.from_ms and params.to_ms is None
+    called = ("" if whole else f"-{params.from_ms}-{to}ms") + ("-denoised" if params.denoise else "")
+    named = [(file, f"{stem(file)}{called}.{OUTPUT}.h5") for file in files]
     return [Job((file,), (out or file.parent) / name) for file, name in named]
 
 
@@ -66,24 +76,62 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
         header = recording.header
         simulated = bool(header["simulated"])
         parameters = {**header["parameters"], "trimmed": {"from_ms": first, "to_ms": end}}
+        noise = None
+        if params.denoise:
+            support_ms = DV_SUPPORT_MS if params.support_ms is None else params.support_ms
+            noise = _Noise(recording, first, end, support_ms)
+            parameters["denoised"] = {"support_ms": support_ms}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,))
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
-        piece = _CutDatasets(recording, first, end)
+        piece = _CutDatasets(recording, first, end, noise)
         write_stage(job.output, recipe, piece.whole, piece.blocks(progress), piece.lengths)
+        before = int(recording.starts[end] - recording.starts[first])
     events = int(piece.whole["ms_to_idx"][-1])
-    return outcome(job, made=True, simulated=simulated, slices=end - first, events=events)
+    left_out = {"left_out": before - events} if params.denoise else {}
+    return outcome(job, made=True, simulated=simulated, slices=end - first, events=events, **left_out)
+
+
+class _Noise(NamedTuple):
+    """What tells noise from other events of the slices [first, end) of a recording."""
+
+    recording: Recording
+    first: int
+    end: int
+    support_ms: float
+
+    def rest(self) -> Iterator[Events]:
+        """The events that are left of each block of slices, with the times of the recording."""
+        from evetac_cli.kernels.noise_filter import NoiseFilter
+
+        hot = self.recording.hot_pixels()
+        behind = NoiseFilter(self.support_ms, self.recording.frame_px)
+        looked_back = max(0, self.first - math.ceil(self.support_ms))
+        for block in self.recording.blocks(DENOISED_SLICES, looked_back, self.first):
+            behind.keep(_without(block.events, hot))
+        for block in self.recording.blocks(DENOISED_SLICES, self.first, self.end):
+            yield Events(*behind.keep(_without(block.events, hot)))
+
+
+def _without(events: Events, hot: NDArray[np.bool_]) -> Events:
+    """Events that come from no hot pixel, as new arrays; hot: (height, width)."""
+    return events.at(~hot[events.y, events.x])
 
 
 class _CutDatasets:
     """The datasets of a recording, cut to the slices [first, end): small ones whole, those with rows block by block."""
 
-    def __init__(self, recording: Recording, first: int, end: int) -> None:
+    def __init__(self, recording: Recording, first: int, end: int, noise: _Noise | None) -> None:
         self._recording = recording
         self._slices = first, end
+        self._noise = noise
         begin, stop = int(recording.starts[first]), int(recording.starts[end])
+        starts = recording.starts[first : end + 1] - begin
+        if noise is not None:
+            edges_us = np.arange(first, end + 1) * SLICE_US
+            starts = np.sum([np.searchsorted(events.t, edges_us) for events in noise.rest()], axis=0, dtype=np.int64)
         self.whole: dict[str, Any] = {
-            "ms_to_idx": recording.starts[first : end + 1] - begin,
+            "ms_to_idx": starts,
             "t_offset": np.int64(recording.read("t_offset") + first * SLICE_US),
         }
         self.lengths: dict[str, int] = {}
@@ -96,7 +144,9 @@ class _CutDatasets:
             group = described.named_group(name) if described is not None else ""
             if name in self.whole or (name.startswith("capture/") and name != "capture/ended"):
                 continue
-            if dim in ("events", "slices"):
+            if dim == "events" and noise is not None:
+                self.lengths[name] = int(starts[-1])
+            elif dim in ("events", "slices"):
                 rows = (begin, stop) if dim == "events" else (first, end)
                 self._ranges[name] = (*rows, "")
                 self.lengths[name] = rows[1] - rows[0]
@@ -114,6 +164,10 @@ class _CutDatasets:
         """One dataset after the other; as progress count all rows, in slices."""
         shift_us = self._slices[0] * SLICE_US
         slices = self._slices[1] - self._slices[0]
+        for events in () if self._noise is None else self._noise.rest():
+            yield {
+                f"events/{name}": column for name, column in events._replace(t=events.t - shift_us)._asdict().items()
+            }
         done, total = 0, sum(stop - start for start, stop, _ in self._ranges.values())
         for name, (start, stop, clock) in self._ranges.items():
             for first, last in row_blocks(stop - start, self._at_once(name)):

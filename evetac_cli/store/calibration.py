@@ -1,6 +1,6 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
-rows, columns, mask, window_px, contrast_over_threshold and shear_modulus_pa. The dots may come in any order; rows and
-columns follow from their centres. Dots in no grid are one row, [[[x, y], [x, y], ...]].
+rows, columns, mask, window_px, hot_pixels, contrast_over_threshold and shear_modulus_pa. The dots may come in any
+order; rows and columns follow from their centres. Dots in no grid are one row, [[[x, y], [x, y], ...]].
 
 A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
 by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
@@ -9,7 +9,7 @@ that `evetac calibrate` writes list them for other programs, and nothing here re
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe, content_digest, first_difference, other_recipe
+from evetac_cli.store.recordings.read import HOT_PIXELS
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class Calibration:
     dot_radius_px: float
     window_px: tuple[int, int, int, int] | None
     sensitivity: Sensitivity = UNKNOWN
+    hot_xy_px: NDArray[np.uint16] = field(default_factory=lambda: np.empty((0, 2), np.uint16))  # pixels that are hot
 
     def arrays(self) -> dict[str, Any]:
         """As the datasets of a stage file's sensor group."""
@@ -53,6 +55,10 @@ class Calibration:
             arrays["sensor/window_px"] = np.array(self.window_px, np.int32)
         known = self.sensitivity.known()
         return arrays | {f"sensor/{name}": np.float64(value) for name, value in known.items()}
+
+    def recorded(self) -> dict[str, Any]:
+        """As the datasets of a recording's sensor group: beside the rest, which of its pixels are hot."""
+        return self.arrays() | ({HOT_PIXELS: self.hot_xy_px} if len(self.hot_xy_px) else {})
 
     def require_frame(self, frame_px: Sequence[int], where: str) -> None:
         """InputError unless it is of this frame (width, height), that of the camera or file named by `where`."""
@@ -67,7 +73,7 @@ class Calibration:
 
     def digest(self) -> str:
         """What stands for this calibration in a recipe."""
-        return content_digest(self.arrays())
+        return content_digest(self.recorded())
 
 
 def stored_calibration(recording: "StageFile") -> Calibration:
@@ -78,7 +84,8 @@ def stored_calibration(recording: "StageFile") -> Calibration:
         x0, y0, x1, y1 = recording.read("sensor/window_px").tolist()
         window = (x0, y0, x1, y1)
     radius = float(recording.read("sensor/dot_radius_px"))
-    return Calibration((int(width), int(height)), recording.read("sensor/dot_xy_px"), radius, window)
+    hot = {"hot_xy_px": recording.read(HOT_PIXELS)} if recording.has(HOT_PIXELS) else {}
+    return Calibration((int(width), int(height)), recording.read("sensor/dot_xy_px"), radius, window, **hot)
 
 
 def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Calibration:
@@ -95,6 +102,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         radius = table["radius_px"]
         window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
         mask = table.get("mask")
+        hot = _pixels(table.get("hot_pixels", []), width, height)
         shape = [table[key] for key in ("rows", "columns") if key in table]
         sensor = Sensitivity(**{name: table.get(name) for name in Sensitivity._fields})
     except KeyError as error:
@@ -150,6 +158,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         float(radius),
         (x0, y0, x1, y1) if window else None,
         Sensitivity(**{name: float(value) for name, value in sensor.known().items()}),
+        hot,
     )
     if frame_px is not None:
         calibration.require_frame(frame_px, where)
@@ -199,6 +208,7 @@ def write_calibration(
         **{name: float(f"{value:.5g}") for name, value in calibration.sensitivity.known().items()},
         "dot_xy_px": [[_rounded(dot) for dot in row] for row in dots],
         "mask": present.tolist(),
+        "hot_pixels": calibration.hot_xy_px.tolist(),
         "neighbours": neighbours,
         "quality": quality,
         "provenance": provenance,
@@ -262,6 +272,18 @@ def _whole(table: Any, key: str, count: int) -> tuple[int, ...]:
     if not isinstance(values, list) or len(values) != count or not all(_is_number(v) and v == int(v) for v in values):
         raise ValueError(f"{key} is {values}, not {count} whole numbers")
     return tuple(int(value) for value in values)
+
+
+def _pixels(values: Any, width: int, height: int) -> NDArray[np.uint16]:
+    """Pixels (n, 2) of a frame as whole numbers x, y; each once."""
+    pixels = [_whole({"hot_pixels": pixel}, "hot_pixels", 2) for pixel in values] if isinstance(values, list) else None
+    if (
+        pixels is None
+        or len(set(pixels)) < len(pixels)
+        or not all(x < width and y < height and min(x, y) >= 0 for x, y in pixels)
+    ):
+        raise ValueError(f"hot_pixels: expected different pixels [x, y] within {width} x {height} px")
+    return np.array(pixels, np.uint16).reshape(-1, 2)
 
 
 def _dots(values: Any) -> NDArray[np.float64]:

@@ -416,6 +416,33 @@ def test_nothing_moved(tmp_path: Path, events: Events) -> None:
 
 
 @pytest.mark.skipif(not NOISE.exists(), reason="the recording of noise is not here")
+def resting(path: Path, hot_xy: NDArray[np.integer], seconds: float) -> Path:
+    """A gel that is at rest but for a stroke in the middle, behind a camera with hot pixels of 60 events per second."""
+    rng = np.random.default_rng(5)
+    slices = round(1000 * seconds)
+    of_hot = rng.poisson(60 * seconds, len(hot_xy))
+    stroke = 20_000
+    t = np.concatenate([rng.uniform(0, 1000 * slices, of_hot.sum()), rng.uniform(450, 550, stroke) * slices])
+    places = np.concatenate([np.repeat(hot_xy, of_hot, axis=0), rng.integers(0, 480, (stroke, 2))])
+    order = np.argsort(t)
+    columns = t.astype(np.int64)[order], *places.T.astype(np.uint16)[:, order], np.ones(len(t), np.uint8)
+    return recorded(path, Events(*columns))
+
+
+def test_hot_pixels_between_strokes(tmp_path: Path) -> None:
+    """Assert that pixels that fire at rest are found, row by row, but not in a short rest or where things move."""
+    hot_xy = np.random.default_rng(6).permutation(480)[:80].reshape(40, 2)
+    with open_recording(resting(tmp_path / "a.recording.h5", hot_xy, 4.0)) as recording:
+        found = gel_at_rest.hot_pixels(recording)
+    assert found is not None
+    assert found.tolist() == sorted(hot_xy.tolist(), key=lambda pixel: pixel[::-1])
+    with open_recording(resting(tmp_path / "b.recording.h5", hot_xy, 1.0)) as recording:
+        assert gel_at_rest.hot_pixels(recording) is None
+    edge_xy = np.column_stack([np.arange(100, 200), np.full(100, 50)])
+    with open_recording(resting(tmp_path / "c.recording.h5", edge_xy, 4.0)) as recording:
+        assert gel_at_rest.hot_pixels(recording) is None
+
+
 def test_noise_is_no_dot(tmp_path: Path) -> None:
     """Assert that a real camera's noise at a still scene is refused, also when taken for strokes."""
     importing = Record(source=NOISE)

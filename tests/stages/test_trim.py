@@ -12,8 +12,9 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
-from evetac_cli.events import SLICE_US
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import validate
+from evetac_cli.kernels.noise_filter import NoiseFilter
 from evetac_cli.stages import featurize, track, trim
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout import schema
@@ -22,7 +23,7 @@ from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
 from tests.conftest import Made
 from tests.inspect.test_repair import control
-from tests.make import run_stage
+from tests.make import event_arrays, run_stage, write_recording
 from tests.store.recordings.test_recovery import STATIC, events_of
 
 
@@ -119,6 +120,59 @@ def test_features_of_a_beginning_are_those_of_the_whole(made: Made, tmp_path: Pa
                     np.testing.assert_array_equal(ours.read(name), theirs.read(name, 0, 250))
                     compared += 1
         assert compared >= 2
+
+
+def noisy(path: Path, *, hot: bool = True) -> Path:
+    """Random events in 40 slices, which a filter thins out, with a calibration that names a hot pixel, or none."""
+    rng = np.random.default_rng(3)
+    t, x, y, p = (np.sort(rng.integers(0, 40_000, 3000)), *rng.integers(0, 20, (2, 3000)), rng.integers(0, 2, 3000))
+    events = Events(t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
+    named = {"sensor/hot_xy_px": np.array([[4, 5]], np.uint16)} if hot else {}
+    return write_recording(path, event_arrays(events, 40) | named)
+
+
+def read_events(path: Path) -> list[list[int]]:
+    with open_recording(path) as recording:
+        return np.stack(recording.between(0, len(recording))).tolist()  # type: ignore[no-any-return]
+
+
+def test_noise_is_left_out(tmp_path: Path) -> None:
+    """Assert that what is left is what the filter keeps of the events of no hot pixel, and that the recipe says it."""
+    source = noisy(tmp_path / "a.recording.h5")
+    left = piece(source, tmp_path, denoise=True, support_ms=0.4)
+    assert left.name == "a-denoised.recording.h5"
+    with open_recording(source) as recording:
+        events = recording.between(0, len(recording))
+    kept = NoiseFilter(0.4, (640, 480)).keep(events.at((events.x != 4) | (events.y != 5)))
+    assert 0 < len(kept[0]) < events.size / 2
+    assert read_events(left) == np.stack(kept).tolist()
+    with open_recording(left) as recording:
+        assert recording.header["parameters"]["denoised"] == {"support_ms": 0.4}
+        np.testing.assert_array_equal(recording.starts, np.searchsorted(kept[0], np.arange(41) * SLICE_US))
+    plain = piece(noisy(tmp_path / "b.recording.h5", hot=False), tmp_path, denoise=True)
+    with open_recording(plain) as recording:
+        assert recording.header["parameters"]["denoised"] == {"support_ms": 2.0}
+
+
+@pytest.mark.parametrize("support_ms", [0.4, 7.5])
+def test_a_denoised_piece_is_a_piece_of_the_denoised(
+    tmp_path: Path, support_ms: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that the filter looks at what came before the piece, however the slices are cut into blocks."""
+    monkeypatch.setattr(trim, "DENOISED_SLICES", 7)
+    source = noisy(tmp_path / "a.recording.h5")
+    whole = piece(source, tmp_path, denoise=True, support_ms=support_ms)
+    at_once = piece(source, tmp_path / "at_once", denoise=True, support_ms=support_ms, from_ms=11, to_ms=30)
+    in_turn = piece(whole, tmp_path / "in_turn", from_ms=11, to_ms=30)
+    assert read_events(at_once) == read_events(in_turn) != []
+    with open_recording(in_turn) as recording:
+        assert recording.header["parameters"]["denoised"] == {"support_ms": support_ms}
+
+
+def test_a_time_without_a_filter(tmp_path: Path) -> None:
+    """Assert that a time that nothing takes is refused."""
+    with pytest.raises(InputError, match="has no effect"):
+        piece(rich_recording(tmp_path / "a.recording.h5"), tmp_path, support_ms=1.0)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Dot grids as JSON: good ones in any order, and every kind of fault."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,16 +9,20 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
+from evetac_cli.events import empty
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.store.calibration import (
     Calibration,
     read_calibration,
     read_quality,
+    stored_calibration,
     up_to_date,
     write_calibration,
 )
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.read import open_recording
+from tests.make import event_arrays, write_recording
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "evetac_base_calibration.json"
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(4), 40.0 + 60 * np.arange(3)), axis=-1)
@@ -124,9 +129,26 @@ def test_written_is_read(tmp_path: Path) -> None:
         assert again.window_px == window
         assert again.sensitivity == sensor
         assert again.dot_radius_px == 14.432
+        assert again.hot_xy_px.tolist() == []
         assert read_quality(path) == {"a_px": 1.0}
     assert [file.name for file in path.parent.iterdir()] == ["grid.json"]
     assert json.loads(path.read_text())["mask"][1] == [True, False, True, True]
+
+
+def test_hot_pixels_are_kept(tmp_path: Path) -> None:
+    """Assert that they are written and read, go into recordings but not into tracks, and make another calibration."""
+    hot = np.array([[639, 0], [3, 479]], np.uint16)
+    plain = Calibration((640, 480), GRID, 15.0, None)
+    calibration = replace(plain, hot_xy_px=hot)
+    write_calibration(tmp_path / "grid.json", calibration, [], {}, {"id": "x"}, "x")
+    again = read_calibration(tmp_path / "grid.json")
+    np.testing.assert_array_equal(again.hot_xy_px, hot)
+    assert again.digest() == calibration.digest() != plain.digest()
+    assert again.recorded().keys() - again.arrays().keys() == {"sensor/hot_xy_px"}
+    arrays = event_arrays(empty(), 3) | again.recorded()
+    with open_recording(write_recording(tmp_path / "a.recording.h5", arrays)) as recording:
+        assert np.argwhere(recording.hot_pixels()).tolist() == [[0, 639], [479, 3]]
+        np.testing.assert_array_equal(stored_calibration(recording).hot_xy_px, hot)
 
 
 def test_writing_that_fails(tmp_path: Path) -> None:
@@ -212,6 +234,12 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "modulus too small": ({**GOOD, "shear_modulus_pa": -1.0}, "shear_modulus_pa is not valid"),
     "rows of others": ({**GOOD, "rows": 4, "columns": 3}, "rows and columns do not fit"),
     "rows alone": ({**GOOD, "rows": 3}, "rows and columns do not fit"),
+    "hot pixels of one": ({**GOOD, "hot_pixels": [3, 4]}, "hot_pixels"),
+    "hot pixels outside": ({**GOOD, "hot_pixels": [[640, 0]]}, "within 640 x 480 px"),
+    "hot pixels below 0": ({**GOOD, "hot_pixels": [[0, -1]]}, "within 640 x 480 px"),
+    "hot pixels twice": ({**GOOD, "hot_pixels": [[1, 2], [1, 2]]}, "different pixels"),
+    "hot pixels in parts": ({**GOOD, "hot_pixels": [[1.5, 2]]}, "whole numbers"),
+    "hot pixels no list": ({**GOOD, "hot_pixels": {"x": 1}}, "different pixels"),
     "mask of one": ({**GOOD, "mask": True}, "expected a mask of 3 rows"),
     "mask of dots": ({**GOOD, "mask": [True] * 12}, "expected a mask of 3 rows"),
     "mask too short": ({**GOOD, "mask": [[True] * 4] * 2}, "expected a mask of 3 rows"),

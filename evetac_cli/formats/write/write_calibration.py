@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.store.calibration import Calibration, write_calibration
+from evetac_cli.store.calibration import stored_calibration, write_calibration
 from evetac_cli.store.layout.provenance import made
 from evetac_cli.store.recordings.read import Recording
 
@@ -23,18 +23,18 @@ PROTOCOL = 3  # the newest in which names are lines of text
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
     """The grid that is stored in the recording; InputError if there is none."""
-    dots = recording.dot_xy_px
-    if dots is None:
+    if recording.dot_xy_px is None:
         raise InputError("the recording has no dot grid", where=str(recording.path), hint="evetac calibrate finds one")
-    radius_px = float(recording.read("sensor/dot_radius_px"))
+    calibration = stored_calibration(recording)
+    dot_xy_px = calibration.dot_xy_px.reshape(-1, 2)
     if path.suffix.lower() == ".pkl":
-        path.write_bytes(official(dots.reshape(-1, 2), radius_px))
+        path.write_bytes(official(dot_xy_px, calibration.dot_radius_px))
         return
-    neighbours = [[int(other) for other in row if other >= 0] for row in grid.neighbours(dots.reshape(-1, 2))]
+    neighbours = [[int(other) for other in row if other >= 0] for row in grid.neighbours(dot_xy_px)]
     header = recording.header
     write_calibration(
         path,
-        Calibration(recording.frame_px, dots, radius_px, recording.window_px),
+        calibration,
         neighbours,
         {},
         {"recording": header["id"], "simulated": header["simulated"], "made": made()},

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 BLOCK_SLICES = 1000
 RATE_HZ = 200.0  # of images of events, unless asked for another
+HOT_PIXELS = "sensor/hot_xy_px"
 UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
 
 
@@ -70,6 +71,15 @@ class Recording(StageFile):
     def dot_radius_px(self) -> float | None:
         """Radius of the printed dots, or None where no calibration is stored."""
         return float(self.read("sensor/dot_radius_px")) if self.has("sensor/dot_radius_px") else None
+
+    def hot_pixels(self) -> NDArray[np.bool_]:
+        """Mask of the pixels that its calibration names as hot, (height, width); none where it names none."""
+        width, height = self.frame_px
+        hot = np.zeros((height, width), np.bool_)
+        if self.has(HOT_PIXELS):
+            x, y = self.read(HOT_PIXELS).T
+            hot[y, x] = True
+        return hot
 
     def sensor_datasets(self) -> dict[str, Any]:
         """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""

@@ -249,7 +249,7 @@ def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None") -> dict[str, Any]:
     """The dot grid, which has to be known before the camera is opened; InputError if it is not."""
     (camera,) = trial.cameras
     if trial.calibration is not None:
-        sensor: Mapping[str, Any] = trial.calibration.arrays()
+        sensor: Mapping[str, Any] = trial.calibration.recorded()
     elif world is not None:
         sensor = world.sensor
     else:

@@ -116,7 +116,7 @@ def _begin(
     sensor = {**rig.known_sensor(), "t_offset": np.int64(0)}
     if trial.calibration is not None:
         trial.calibration.require_frame(sensor["sensor/frame_px"], str(trial.cameras[place]))
-        sensor |= trial.calibration.arrays()
+        sensor |= trial.calibration.recorded()
     if view is not None:
         view.begin(sensor)
     hold = _hold(trial, rig)

@@ -56,7 +56,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     )
     known: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
     if params.calibration is not None:
-        known |= read_calibration(params.calibration, file.frame_px).arrays()
+        known |= read_calibration(params.calibration, file.frame_px).recorded()
     digest, starts = ContentDigest(), SliceStarts()
     made, folders = False, missing_folders(job.output.parent)
     with _removed_if_refused(folders), writing(job.output, OUTPUT, known) as recording:

@@ -58,7 +58,7 @@ def run(trial: Preview) -> Outcome:
         try:
             sensor = rig.known_sensor()
             if trial.calibration is not None:
-                sensor |= trial.calibration.arrays()
+                sensor |= trial.calibration.recorded()
             view.begin(sensor)
             most = round(SLICES_PER_S * trial.seconds) if trial.seconds is not None else None
             row = _watch(rig, view, most, paced=camera.has(Capability.STEPPED))

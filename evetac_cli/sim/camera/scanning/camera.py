@@ -28,13 +28,13 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.noise_filter import NoiseFilter
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, SliceMotion, Window
 from evetac_cli.sim.camera.contact_edges import ContactEdges
 from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
-from evetac_cli.sim.camera.noise_filter import NoiseFilter
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines

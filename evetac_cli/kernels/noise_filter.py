@@ -1,4 +1,4 @@
-"""The filter that a host puts behind a camera against noise: an event with no recent one beside it is left out.
+"""The filter against background activity: an event is left out that has no recent one beside it.
 
 It is that of the authors' readout, dv-processing's filter of background activity: an event is kept if one of the 8
 pixels around its own had an event less than a given time before, kept or not. What came at its own pixel does not
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.camera.event_keys import Columns
 
+Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
 LONG_AGO_US = -(2**62)
 OWN = 4  # of the 9 pixels at and around an event, row by row, its own
 

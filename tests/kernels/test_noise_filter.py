@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from evetac_cli.events import concatenate
 from evetac_cli.formats.imports import read_events
+from evetac_cli.kernels.noise_filter import NoiseFilter
 from evetac_cli.sim.camera.event_keys import Columns
 from evetac_cli.sim.camera.ideal import camera as ideal
-from evetac_cli.sim.camera.noise_filter import NoiseFilter
 from evetac_cli.sim.camera.scanning import camera as scanning
 from tests.conftest import DATA
 from tests.sim.camera.small_frames import FRAME, QUIET, line, play, start
