@@ -16,7 +16,7 @@ from evetac_cli import resources
 from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, Events
-from evetac_cli.kernels import representations
+from evetac_cli.kernels import event_representation, representations
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
@@ -335,18 +335,18 @@ class EventImager:
 
     def __init__(
         self,
-        kind: representations.Kind,
+        kind: event_representation.Kind,
         frame_px: tuple[int, int] = FRAME_PX,
         *,
         rate_hz: float = RATE_HZ,
         size_px: tuple[int, int] | None = None,
         window_ms: int | None = None,
         bins: int = 5,
-        polarity: representations.Polarity = "split",
+        polarity: event_representation.Polarity = "split",
         decay_ms: float = 10.0,
     ) -> None:
         more = {"bins": bins, "polarity": polarity, "decay_ms": decay_ms}
-        of = representations.representation(kind, frame_px, size_px, rate_hz, window_ms, **more)
+        of = event_representation.representation(kind, frame_px, size_px, rate_hz, window_ms, **more)
         self._state = representations.start(of)
         self.shape = of.shape  # of an image
 

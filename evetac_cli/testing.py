@@ -16,6 +16,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import Imported, read_events
 from evetac_cli.kernels.grip.control import Control, PluginLaw, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
-from evetac_cli.kernels.slip.architectures import PluginArchitecture, weight_shapes
+from evetac_cli.kernels.slip.architectures import DotArchitecture, PluginLayers, PluginNetwork, weight_shapes
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.object_file import TouchedObject
@@ -266,7 +267,7 @@ def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
     from evetac_cli.kernels.slip import networks, onnx_graphs
     from evetac_cli.kernels.slip.detector import Detector
 
-    architecture = _plugin(plugins.NETWORKS, name, PluginArchitecture)
+    architecture = cast(PluginNetwork, _plugin(plugins.NETWORKS, name, PluginLayers))
     assert architecture.name == name, f"it calls itself {architecture.name}"
     rng = np.random.default_rng(3)
     network = networks.build(architecture, rows, columns)
@@ -276,7 +277,11 @@ def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
     weights = {layer: rng.normal(0.0, 0.3, shape).astype(np.float32) for layer, shape in shapes.items()}
     graph = onnx_graphs.build(architecture, weights, rows, columns)
     onnx_graphs.check(graph, architecture, rows, columns, weights)
-    batch = rng.normal(0.0, 1.0, (5, rows * columns, architecture.inputs_per_dot)).astype(np.float32)
+    if isinstance(architecture, DotArchitecture):
+        sample: tuple[int, ...] = (rows * columns, architecture.inputs_per_dot)
+    else:
+        sample = architecture.input_shape
+    batch = rng.normal(0.0, 1.0, (5, *sample)).astype(np.float32)
     with torch.no_grad():
         logits = networks.from_weights(architecture, weights, rows, columns)(torch.from_numpy(batch))
         wanted = torch.sigmoid(logits).numpy()

@@ -183,6 +183,24 @@ def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path)
         file.read("architecture")
 
 
+@pytest.mark.slow
+def test_a_network_over_images(toy: Path, made: Made, tmp_path: Path) -> None:
+    """Assert that one is trained on features with events, evaluated, and grasps; without events it is refused."""
+    model, recordings = tmp_path / "own.model.h5", made.recordings
+    tracks = ("--tracks", made.folder, "--labels", made.folder)
+    features = [Path(row["output"]) for row in rows(toy, "featurize", *recordings, *tracks, "--events", "-o", tmp_path)]
+    trained = ("--model", "mean-of-picture", "--preset", "adam", "--max-steps", "20", "--validate", features[-1])
+    without = [made.beside(path, "features") for path in recordings]
+    assert "featurize --events" in refusal(toy, "train", *without, *trained[:-1], without[-1], "-o", model)
+    (row,) = rows(toy, "train", *features, *trained, "-o", model)
+    assert row["model"] == "mean-of-picture"
+    assert all(row["valid"] for row in rows(toy, "validate", model, features[0]))
+    named = ("--scene", "short-lift", "--object", "can", "--sensor", "noisy", "--model", model)
+    (grasped,) = rows(toy, "grasp", *named, "--lift-s", "1", "--balance-s", "0", "-o", tmp_path)
+    with StageFile(Path(grasped["output"]), "recording") as file:
+        assert np.isfinite(file.read("control/probability")).any()
+
+
 @pytest.mark.parametrize("text", ["1,2,3,0\n", "t_us x y p\n1 2 3 0\n", "# t_us x y p\n1 2 3 0\n"])
 def test_text_of_events_is_ours(text: str, tmp_path: Path, asked: list[str]) -> None:
     """Assert that plug-ins are not asked for a text that begins with events, or with names of their columns."""

@@ -29,13 +29,15 @@ from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import write_lerobot
+from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.stages import model_files, train
+from evetac_cli.stages import model_files, train, trim
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.read import RATE_HZ
 from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.record import capture_plan
 
@@ -91,7 +93,11 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
         "the model's own, or of a model that does not say how often it alarms falsely,"
         f" {model_files.OLDER_CONTROLLER_THRESHOLD:g}"
     ),
-    ("export", "fps"): lambda: str(_of_lerobot("fps")),
+    ("trim", "support_ms"): lambda: f"{trim.DV_SUPPORT_MS:g}",
+    ("export", "fps"): lambda: f"{RATE_HZ:g} of images of events, {_of_lerobot('fps')} for LeRobot",
+    ("export", "polarity"): lambda: f"{Representation.polarity}, the default",
+    ("export", "bins"): lambda: str(Representation.bins),
+    ("export", "decay_ms"): lambda: f"{Representation.decay_ms:g}",
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
     ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),
 }

@@ -19,6 +19,11 @@ class Featurize:
         "Labels of the recording, or their folder; default: beside it, under the same name, where there are any.",
         recipe=False,
     )
+    events: bool = parameter(
+        False,
+        "Add the events outside the window, for plug-in networks that see images of them.",
+        recipe=False,  # it is, where it is asked for: features that were made before there was such a choice stay
+    )
     images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
     sticking_share: bool = parameter(
         False,

@@ -28,7 +28,7 @@ from evetac_cli.formats.write import (
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
 from evetac_cli.jobs import Progress, require_possible_name, silent
-from evetac_cli.kernels.representations import Kind
+from evetac_cli.kernels.event_representation import Kind
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of, utf8_path
 from evetac_cli.store.made_folders import new_folder

@@ -5,108 +5,21 @@ there and here, not from the first of its events to the last. `start` and `step`
 give an image whenever one is due; `fold` takes blocks of slices, and gives the same bits.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
-from evetac_cli.events import SLICE_US, SLICES_PER_S, Events, SliceBlock, concatenate, empty
+from evetac_cli.events import SLICE_US, Events, SliceBlock, concatenate, empty
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.event_representation import POLARITIES, Representation
 
-Kind = Literal["frames", "histogram", "voxels", "surface"]
-Polarity = Literal["split", "signed", "sum"]
-KINDS: tuple[Kind, ...] = ("frames", "histogram", "voxels", "surface")
-POLARITIES: tuple[Polarity, ...] = ("split", "signed", "sum")
 MOST_COUNTED = np.iinfo(np.int16).max  # of a pixel: a count goes no further
-MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0
 NEVER = -1  # time of the last event of a pixel that had none
 AT_ONCE_BYTES = 1 << 26  # of images in a block, unless a single one is larger; where less, numpy clears used memory
-
-
-@dataclass(frozen=True)
-class Representation:
-    """What images show of events. ValueError for numbers that cannot be.
-
-    kind: `frames`, counts of the window (channels, height, width), int16; `histogram`, counts of each of its `bins`
-    (channels, bins, height, width), int16; `voxels`, ON as 1 and OFF as -1, shared between the two nearest bins by how
-    near they are, (bins, height, width), float32; `surface`, exp(-(age of the last event) / decay_ms), 0 where there
-    was none, (channels, height, width), float32.
-    frame_px: width and height of the sensor's frame; size_px: of the images, whose pixels add up the sensor's.
-    rate_hz: image k ends with slice floor((k + 1) * 1000 / rate_hz); window_ms: what it looks back on (not `surface`);
-    one that ends earlier looks back on less. polarity: `split` has two channels, OFF and ON; `signed` has one, ON less
-    OFF; `sum` has one of both. Voxels are always signed, surfaces never.
-    """
-
-    kind: Kind
-    frame_px: tuple[int, int]
-    size_px: tuple[int, int]
-    rate_hz: float
-    window_ms: int
-    bins: int = 5
-    polarity: Polarity = "split"
-    decay_ms: float = 10.0
-
-    def __post_init__(self) -> None:
-        for name, value, allowed in (("kind", self.kind, KINDS), ("polarity", self.polarity, POLARITIES)):
-            if value not in allowed:
-                raise ValueError(f"{name}: expected {', '.join(allowed)}, found {value!r}")
-        if self.kind == "surface" and self.polarity == "signed":
-            raise ValueError("polarity: expected split or sum for surface, found 'signed'")
-        for place, name in enumerate(("width", "height")):
-            check_range(f"{name} of size_px", self.size_px[place], 1, self.frame_px[place], "px")
-        check_range("rate_hz", self.rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
-        check_range("window_ms", self.window_ms, 1, MOST_WINDOW_MS, "ms")
-        check_range("bins", self.bins, 1, MOST_BINS)
-        check_range("decay_ms", self.decay_ms, 0.0, MOST_DECAY_MS, "ms", above=True)
-
-    @property
-    def used(self) -> tuple[str, ...]:
-        """The fields that matter for its kind."""
-        of_kind = {
-            "frames": ("window_ms", "polarity"),
-            "histogram": ("window_ms", "bins", "polarity"),
-            "voxels": ("window_ms", "bins"),
-            "surface": ("decay_ms", "polarity"),
-        }
-        return ("kind", "frame_px", "size_px", "rate_hz", *of_kind[self.kind])
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of one image."""
-        width, height = self.size_px
-        channels = 2 if self.polarity == "split" else 1
-        if self.kind == "voxels":
-            return self.bins, height, width
-        return (channels, self.bins, height, width) if self.kind == "histogram" else (channels, height, width)
-
-    @property
-    def dtype(self) -> type[Any]:
-        """Of its values."""
-        return np.int16 if self.kind in ("frames", "histogram") else np.float32
-
-    def end(self, image: int) -> int:
-        """The slice that the image, counted from 0, ends before."""
-        return math.floor((image + 1) * SLICES_PER_S / self.rate_hz + 1e-9)
-
-    def images(self, slices: int) -> int:
-        """How many images end within so many slices."""
-        images = math.floor(slices * self.rate_hz / SLICES_PER_S)
-        return images + (self.end(images) <= slices)
-
-
-def representation(
-    kind: Kind, frame_px: tuple[int, int], size_px: tuple[int, int] | None, rate_hz: float, window_ms: int | None,
-    **more: Any,
-) -> Representation:  # fmt: skip
-    """A Representation of the size of the frame, and of a window from one image to the next, unless they are given."""
-    check_range("rate_hz", rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
-    window_ms = math.ceil(SLICES_PER_S / rate_hz - 1e-9) if window_ms is None else window_ms
-    return Representation(kind, frame_px, frame_px if size_px is None else size_px, rate_hz, window_ms, **more)
 
 
 class ImageBlock(NamedTuple):
@@ -187,6 +100,16 @@ def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBloc
             if of.kind == "surface"
             else events.part(int(np.searchsorted(events.t, oldest * SLICE_US)), events.size)
         )
+
+
+def images_ending(of: Representation, events: Events, ends: NDArray[np.int64]) -> NDArray[Any]:
+    """The images (n, ...) that end before these slices, in order, of events whose times count from slice 0.
+
+    A surface knows these events alone. ValueError for events beside the frame.
+    """
+    images = np.zeros((len(ends), *of.shape), of.dtype)
+    _draw(start(of), events, ends, images)
+    return images
 
 
 def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: NDArray[Any]) -> None:

@@ -2,7 +2,8 @@
 
 Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
 may be a folder. Where the recording has a gripper, its position and goals are told of each slice. Added on request
-alone: event images, which only the image baselines need and which are half of the file; the share of the contact that
+alone: event images, which only the image baselines need and which are half of the file; the events themselves, of which
+plug-in networks make images; the share of the contact that
 sticks; and from the truth of a simulation the share that slips, for `train --learn-true-slip-share`.
 """
 
@@ -55,8 +56,8 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
 
 
 def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
-    sticking = {"sticking_share": True} if params.sticking_share else {}
-    return Recipe(OUTPUT, METHOD, recipe_of(params) | sticking, parents=tuple(parents))
+    chosen = {name: True for name in ("sticking_share", "events") if getattr(params, name)}
+    return Recipe(OUTPUT, METHOD, recipe_of(params) | chosen, parents=tuple(parents))
 
 
 def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
@@ -107,8 +108,9 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
             arrays["sticking_share"] = _sticking_share(tracks)
         arrays["events_total"] = np.diff(recording.starts).astype(np.int32)
         arrays["dot_shape"] = np.array(rest_xy_px.shape[:2], np.int32)
-        blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params.images, progress)
+        blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params, progress)
         lengths = dict.fromkeys(COLUMNS, slices) | ({"image/start": slices + 1} if params.images else {})
+        lengths |= {"gel_events/start": slices + 1} if params.events else {}
         write_stage(job.output, recipe, arrays, blocks, lengths)
     onset = int(arrays.get("onset_slice", -1))  # a slice is a millisecond
     return outcome(
@@ -172,14 +174,19 @@ def _true_slip_share(recording: Recording) -> NDArray[np.float32]:
 
 
 def _blocks(
-    recording: Recording, tracks: StageFile, rest_xy_px: NDArray[Any], window: Any, images: bool, progress: Progress
+    recording: Recording,
+    tracks: StageFile,
+    rest_xy_px: NDArray[Any],
+    window: Any,
+    params: Featurize,
+    progress: Progress,
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """The features in blocks of slices; `images` grow with the pixels that had events."""
+    """The features in blocks of slices; images grow with the pixels that had events."""
     from evetac_cli.kernels.slip import features
 
     slices = len(recording)
     blank = np.zeros(GEL_PX[::-1], np.int8)
-    pixels = 0
+    pixels = events = 0
     for first, stop in row_blocks(slices):
         progress(first, slices)
         dot_xy_px = tracks.read("dot_xy_px", first, stop)
@@ -192,7 +199,13 @@ def _blocks(
             "events_per_dot": tracks.read("events_per_dot", first, stop),
             "events_outside": features.events_outside(x, y, starts, window),
         }
-        if images:
+        if params.events:
+            whole = recording.events(*recording.starts[[first, stop]].tolist())
+            of_gel = features.gel_events(whole, starts, window)
+            block |= {f"gel_events/{name}": column for name, column in of_gel._asdict().items()}
+            block["gel_events/start"] = events + of_gel.start[int(first > 0) :]
+            events += len(of_gel.x)
+        if params.images:
             p = recording.read("events/p", *recording.starts[[first, stop]].tolist())
             slices_of = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
             drawn = [features.gel_image(x[i:j], y[i:j], p[i:j], window, blank) for i, j in slices_of]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip import extras, features, inputs, onnx_graphs, sampling
-from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture, PluginImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, over_each
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.labels import shift_labels
@@ -68,6 +68,17 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
         begin = file.read("image/start", start, None if stop is None else stop + 1)
         pixels = (file.read(f"image/{name}", int(begin[0]), int(begin[-1])) for name in ("pixel", "sign"))
         return features.EventImages(begin - begin[0], *pixels)
+    if isinstance(architecture, PluginImageArchitecture):
+        if not file.has("gel_events"):
+            raise InputError(
+                f"{architecture.name} sees images of events, and the features have no events",
+                where=str(file.path),
+                hint="evetac featurize --events",
+            )
+        begin = file.read("gel_events/start", start, None if stop is None else stop + 1)
+        columns = features.GelEvents._fields[1:]
+        of_events = (file.read(f"gel_events/{name}", int(begin[0]), int(begin[-1])) for name in columns)
+        return features.GelEvents(begin - begin[0], *of_events)
     displacement_xy_px = None
     if architecture.sees_direction:
         if not file.has("displacement_xy_px"):

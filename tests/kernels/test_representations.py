@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events, SliceBlock, slice_starts
 from evetac_cli.kernels import representations
-from evetac_cli.kernels.representations import MOST_COUNTED, ImageBlock, Representation, fold, representation
+from evetac_cli.kernels.event_representation import KINDS, Representation, representation
+from evetac_cli.kernels.representations import MOST_COUNTED, ImageBlock, fold
 
 FRAME_PX = (64, 48)
 SLICES = 90
@@ -97,7 +98,7 @@ def test_images_are_as_defined(
     assert [k + 1 for k, image in enumerate(online) if image is not None] == (ends // 1000).tolist()
 
 
-@pytest.mark.parametrize("kind", representations.KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("t_us", [-1, 1_000, 1_700_000_000_000_000])
 def test_events_of_another_time_are_refused(kind: Any, t_us: int) -> None:
     """Assert that a camera's times that do not count from the first slice write nowhere, but are refused."""
@@ -120,7 +121,7 @@ def test_events_beside_the_frame_are_refused() -> None:
     """Assert that events outside the sensor's frame write nowhere, but are refused."""
     for x, y in ((FRAME_PX[0], 0), (0, FRAME_PX[1])):
         columns = (np.array([5]), np.array([x], np.uint16), np.array([y], np.uint16), np.ones(1, np.uint8))
-        for kind in representations.KINDS:
+        for kind in KINDS:
             of = representation(kind, FRAME_PX, None, 1000.0, None)
             with pytest.raises(ValueError, match="64 x 48 px"):
                 representations.step(representations.start(of), Events(*columns))

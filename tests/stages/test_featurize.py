@@ -9,8 +9,10 @@ import pytest
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.event_image import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
+from evetac_cli.kernels.slip.features import GelEvents
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series, read_trajectory
@@ -82,6 +84,25 @@ def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> N
             result[pixel[start[index] : start[index + 1]]] = sign[start[index] : start[index + 1]]
             np.testing.assert_array_equal(result.reshape(480, 540), expected)
     assert len(pixel) > 0
+
+
+def test_events_are_those_of_the_gel(made: Made, tmp_path: Path) -> None:
+    """Assert that --events stores what lies outside the window, with times in slices, and nothing else changes."""
+    path = made.recordings[0]
+    output, _ = run_stage(featurize, [path], Featurize(events=True), tmp_path)
+    with open_recording(path) as recording:
+        events, slices, window = recording.between(0, len(recording)), len(recording), recording.window_px
+    assert window is not None
+    outside = events.at((events.x < window[0]) | (events.x >= window[2]))
+    assert 0 < outside.size < events.size
+    with StageFile(output, "features") as file, StageFile(made.beside(path, "features")) as plain:
+        starts = file.read("gel_events/start")
+        np.testing.assert_array_equal(starts, np.searchsorted(outside.t, np.arange(slices + 1) * SLICE_US))
+        np.testing.assert_array_equal(file.read("gel_events/t_us"), outside.t % SLICE_US)
+        for name in "xyp":
+            np.testing.assert_array_equal(file.read(f"gel_events/{name}"), getattr(outside, name))
+        assert file.contents().keys() - plain.contents().keys() == {f"gel_events/{name}" for name in GelEvents._fields}
+        assert (file.header["parameters"]["events"], "events" in plain.header["parameters"]) == (True, False)
 
 
 def test_tracks_and_labels_of_a_folder(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from evetac_cli.evaluate.slip import split_models
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.evaluate.slip_tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages
 from evetac_cli.kernels.slip.detector import Detector, Live
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.files import StageFile
@@ -167,7 +167,7 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
 def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
     """One inference on one input of random numbers."""
     architecture = candidate.detector.architecture
-    if isinstance(architecture, ImageArchitecture):
+    if isinstance(architecture, OverImages):
         shape: tuple[int, ...] = architecture.input_shape
     else:
         shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)

@@ -8,7 +8,7 @@ import json
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,11 @@ from evetac_cli.errors import missing_extra
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.formats.write.write_table import COMPRESSION, load_pyarrow, provenance
 from evetac_cli.jobs import Progress
-from evetac_cli.kernels.representations import ImageBlock, Kind, Representation
+from evetac_cli.kernels.event_representation import Kind, Representation
 from evetac_cli.store.recordings.read import RATE_HZ, Recording
+
+if TYPE_CHECKING:  # compiled code, which other exports do without
+    from evetac_cli.kernels.representations import ImageBlock
 
 SUFFIXES = (".npz", ".parquet", ".zarr.zip", ".zip")
 CHUNK_BYTES = 1 << 20  # of a zarr store
@@ -49,7 +52,7 @@ def writer(kind: Kind) -> Callable[..., None]:
     return write
 
 
-def _shown(blocks: Iterator[ImageBlock], count: int, progress: Progress) -> Iterator[ImageBlock]:
+def _shown(blocks: Iterator["ImageBlock"], count: int, progress: Progress) -> Iterator["ImageBlock"]:
     done = 0
     for block in blocks:
         progress(done, count, "images")
@@ -58,7 +61,7 @@ def _shown(blocks: Iterator[ImageBlock], count: int, progress: Progress) -> Iter
     progress(count, count, "images")
 
 
-def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator[ImageBlock]) -> None:
+def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
     """What numpy.load reads. Written piece by piece: the images of a minute can be larger than memory."""
     ends: list[NDArray[np.int64]] = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=NPZ_LEVEL) as archive:
@@ -73,7 +76,7 @@ def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator
                 np.lib.format.write_array(cast(BinaryIO, member), array, allow_pickle=False)
 
 
-def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iterator[ImageBlock]) -> None:
+def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
     """A row for each image: a tensor of Arrow in pyarrow, a flat list elsewhere."""
     arrow = load_pyarrow(str(path.parent))
     tensor = arrow.fixed_shape_tensor(arrow.from_numpy_dtype(of.dtype), of.shape)
@@ -85,7 +88,7 @@ def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iter
             writer.write_batch(arrow.record_batch([arrow.array(block.end_us), images], schema=schema))
 
 
-def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterator[ImageBlock]) -> None:
+def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
     """A group in one zip file, in the second version of zarr's format, as replay buffers for policies have it."""
     try:
         import zarr

@@ -9,7 +9,7 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.formats import exports, imports
 from evetac_cli.kernels.grip.control import PluginLaw
-from evetac_cli.kernels.slip.architectures import PluginArchitecture
+from evetac_cli.kernels.slip.architectures import PluginLayers
 from evetac_cli.plugins import Plugin
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_objects, one_sensor
@@ -21,7 +21,7 @@ LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.IMPORTERS: imports.format_of_plugin,
     plugins.EXPORTERS: lambda plugin: plugin.load(exports.ExportFormat),
     plugins.CONTROLLERS: lambda plugin: plugin.load(PluginLaw),
-    plugins.NETWORKS: lambda plugin: plugin.load(PluginArchitecture),
+    plugins.NETWORKS: lambda plugin: plugin.load(PluginLayers),
     plugins.SCENES: lambda plugin: scene_file.load(plugin.name),
     plugins.SENSORS: lambda plugin: one_sensor(plugin.name),
     plugins.OBJECTS: lambda plugin: named_objects(plugin.name),

@@ -1,4 +1,4 @@
-"""The table of slip detectors: the paper's model configurations, its image baselines, and our own.
+"""The table of slip detectors: the paper's model configurations, its image baselines, and our own; what plug-ins add.
 
 Why so: the table stands here and not beside the networks, because `grasp` and `evaluate` need a detector's history and
 inputs but must not import torch. This module needs numpy alone.
@@ -11,6 +11,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.events import FRAME_PX, SLICES_PER_S
+from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.kernels.sensitivity import Sensitivity
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
@@ -185,9 +187,8 @@ class ImageArchitecture:
         return _train_cut_ms(self.history)
 
 
-@dataclass(frozen=True)
-class PluginArchitecture(DotArchitecture):
-    """A network over dots of another package: its inputs are `views`, normalised as ours; its layers are its own.
+class PluginLayers:
+    """The layers of a network of another package, written down twice: as torch modules, and as nodes of a graph.
 
     A layer has arrays NAME.weight and NAME.bias, one value of it for each row of the weight. The graph in a model file
     is never run for what it is: it is written anew by `add_layers` from the weights, and refused if it is another.
@@ -195,16 +196,15 @@ class PluginArchitecture(DotArchitecture):
     recipes, so that models are trained anew then.
     """
 
+    name: str
     method: ClassVar[int]
-    fc1: int = 1  # it has none of these
-    fc2: int = 1
 
     def layers(self, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
         """Shape of the weight of each layer, by the layer's name, for so many rows and columns of dots."""
         raise NotImplementedError(f"{self.name} has no layers")
 
     def add_layers(self, graph: Any, value: str, rows: int, columns: int) -> str:
-        """Add nodes to an onnx_graphs.GraphWriter: from inputs (batch, dots, inputs_per_dot) to logits (batch, 1)."""
+        """Add nodes to an onnx_graphs.GraphWriter: from inputs (batch, ...) to logits (batch, 1)."""
         raise NotImplementedError(f"{self.name} has no layers")
 
     def modules(self, rows: int, columns: int) -> dict[str, Any]:
@@ -212,12 +212,74 @@ class PluginArchitecture(DotArchitecture):
         raise NotImplementedError(f"{self.name} cannot be trained")
 
     def hidden(self, modules: Any, inputs: Any) -> Any:
-        """Torch: from inputs (batch, dots, inputs_per_dot) to those of the last layer; modules: by their names."""
+        """Torch: from inputs (batch, ...) to those of the last layer; modules: by their names."""
         raise NotImplementedError(f"{self.name} cannot be trained")
 
 
-Architecture = DotArchitecture | ImageArchitecture
+@dataclass(frozen=True)
+class PluginArchitecture(PluginLayers, DotArchitecture):
+    """A network over dots of another package: its inputs are `views`, normalised as ours; its layers are its own.
+
+    Its inputs are (batch, dots, inputs_per_dot).
+    """
+
+    fc1: int = 1  # it has none of these
+    fc2: int = 1
+
+
+@dataclass(frozen=True)
+class PluginImageArchitecture(PluginLayers):
+    """A network over images of events of another package; rows and columns of dots mean nothing to its layers.
+
+    of: what an image shows of the events outside the window, of a frame of 640 x 480 px; one ends with every slice that
+    a prediction is made for, and each of the `images` - 1 before it 1000 / rate_hz slices earlier. Of a surface, events
+    more than window_ms before the end of the first image are not known. Its inputs are (batch, images * channels,
+    height, width), the newest image first, normalised by channel. ValueError where images are not whole slices apart.
+    """
+
+    name: str
+    of: Representation
+    images: int = 1
+
+    def __post_init__(self) -> None:
+        if self.images < 1 or self.of.frame_px != FRAME_PX or SLICES_PER_S % self.of.rate_hz:
+            raise ValueError(
+                f"expected images of {FRAME_PX[0]} x {FRAME_PX[1]} px, a whole number of ms apart, found {self}"
+            )
+
+    @property
+    def every(self) -> int:
+        """Slices from one prediction to the next, and from one image to the next."""
+        return int(SLICES_PER_S // self.of.rate_hz)
+
+    @property
+    def history(self) -> int:
+        """Slices that one prediction needs."""
+        return (self.images - 1) * self.every + self.of.window_ms
+
+    @property
+    def input_shape(self) -> tuple[int, int, int]:
+        """(channels of all images, height, width) of one input."""
+        *channels, height, width = self.of.shape
+        return self.images * int(np.prod(channels)), height, width
+
+    @property
+    def train_cut_ms(self) -> int:
+        """How much of a trajectory after its onset is trained on."""
+        return _train_cut_ms(self.history)
+
+
+OverImages = ImageArchitecture | PluginImageArchitecture
+PluginNetwork = PluginArchitecture | PluginImageArchitecture
+Architecture = DotArchitecture | OverImages
 Weights = NDArray[np.float32]
+
+
+def channels(architecture: Architecture) -> int:
+    """How many channels are normalised, each by itself: inputs of a dot, or channels of all images."""
+    if isinstance(architecture, DotArchitecture):
+        return architecture.inputs_per_dot
+    return architecture.input_shape[0]
 
 
 def joined(networks: Sequence[Mapping[str, Weights]]) -> dict[str, Weights]:
@@ -252,18 +314,17 @@ def weight_shapes(
     networks: what the names of each network's weights begin with, as from `prefixes`.
     """
     layers: dict[str, tuple[int, ...]]
+    wide = channels(architecture)
     if isinstance(architecture, ImageArchitecture):
-        wide = architecture.history
         entering = (wide, *IMAGE_CONVS)
         layers = {
             f"convs.{index}": (after, before, IMAGE_KERNEL, IMAGE_KERNEL)
             for index, (before, after) in enumerate(zip(entering, IMAGE_CONVS, strict=False))
         }
         layers |= {"fc1": (IMAGE_FC, IMAGE_CONVS[-1]), "fc2": (1, IMAGE_FC)}
-    elif isinstance(architecture, PluginArchitecture):
-        wide, layers = architecture.inputs_per_dot, architecture.layers(rows, columns)
+    elif isinstance(architecture, PluginLayers):
+        layers = architecture.layers(rows, columns)
     else:
-        wide = architecture.inputs_per_dot
         layers = {
             "fc1": (architecture.fc1, wide),
             "fc2": (architecture.fc2, architecture.fc1),
@@ -291,7 +352,7 @@ _POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
 
 def last_layer(architecture: Architecture, rows: int, columns: int) -> str:
     """The name of the layer that gives the logit, of networks over so many dots; of plug-ins it takes torch."""
-    if isinstance(architecture, PluginArchitecture):
+    if isinstance(architecture, PluginLayers):
         return list(architecture.modules(rows, columns))[-1]
     return "fc2" if isinstance(architecture, ImageArchitecture) else "fc5"
 

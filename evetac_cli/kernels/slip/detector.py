@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.events import Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip import dot_network, extras, features, inputs, onnx_graphs
@@ -21,10 +22,11 @@ from evetac_cli.kernels.slip.architectures import (
     GEL_PX,
     Architecture,
     DotArchitecture,
-    ImageArchitecture,
+    OverImages,
     PluginArchitecture,
+    PluginImageArchitecture,
 )
-from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.slip.features import EventImages, GelEvents
 from evetac_cli.kernels.tracking import tracker
 
 BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
@@ -115,9 +117,9 @@ def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int =
 
 def _input_size(architecture: Architecture, series: inputs.Series) -> int:
     """Number of values of one input."""
-    if isinstance(architecture, ImageArchitecture):
+    if isinstance(architecture, OverImages):
         return int(np.prod(architecture.input_shape))
-    if isinstance(series, EventImages):
+    if isinstance(series, inputs.OfEvents):
         return 1
     return int(inputs.dots_of(series).shape[1]) * architecture.inputs_per_dot
 
@@ -185,7 +187,7 @@ class Live:
             self._told = self._features.record["extras"][0]
         self._slices = 0  # of images, or of dots for a network of a plug-in, so far
         self._newest = np.array([architecture.history - 1])
-        self._images: deque[tuple[NDArray[np.uint32], NDArray[np.int8]]] = deque(maxlen=architecture.history)
+        self._images: deque[tuple[NDArray[Any], ...]] = deque(maxlen=architecture.history)  # columns of each slice
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
     def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
@@ -195,10 +197,22 @@ class Live:
         """
         self._told[:] = position_ticks, command_ticks, sticking_share
 
-    def step(self, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> float:
+    @property
+    def needs_times(self) -> bool:
+        """Whether the network sees when in a slice its events were."""
+        return isinstance(self.detector.architecture, PluginImageArchitecture)
+
+    def step(
+        self,
+        x: NDArray[np.uint16],
+        y: NDArray[np.uint16],
+        p: NDArray[np.uint8],
+        t_us: NDArray[np.int64] | None = None,
+    ) -> float:
         """Slip probability after the events of one more slice; NaN until the history is full.
 
-        Takes and refuses columns as `tracker.step` does.
+        t_us: of the events, from the start of any slice; only networks that `needs_times` read it. Takes and refuses
+        columns as `tracker.step` does; ValueError without times where they are needed.
         """
         if self.detector.networks is not None:
             p = tracker.checked_polarities(self.tracking, x, y, p)
@@ -210,6 +224,11 @@ class Live:
         if isinstance(architecture, PluginArchitecture):
             dots = self.tracking.dot_xy_px[self._seen], self.tracking.events_per_dot[self._seen]
             features.step(self._features, *dots)
+        elif isinstance(architecture, PluginImageArchitecture):
+            if t_us is None or len(t_us) != len(x):
+                raise ValueError(f"{architecture.name}: expected the times of {len(x)} events")
+            of_slice = features.gel_events(Events(t_us, x, y, p), np.array([0, len(x)]), self._window_px)
+            self._images.append(of_slice[1:])
         else:
             self._images.append(features.gel_image(x, y, p, self._window_px, self._blank))
         since_full = self._slices - architecture.history
@@ -224,10 +243,10 @@ class Live:
             self._probability = float(self.detector.probability(batch)[0])
         return self._probability
 
-    def _stack(self) -> EventImages:
-        pixels, signs = zip(*self._images, strict=True)
-        start = np.cumsum([0, *(len(pixel) for pixel in pixels)])
-        return EventImages(start, np.concatenate(pixels), np.concatenate(signs))
+    def _stack(self) -> inputs.OfEvents:
+        start = np.cumsum([0, *(len(columns[0]) for columns in self._images)])
+        series = GelEvents if self.needs_times else EventImages
+        return series(start, *(np.concatenate(column) for column in zip(*self._images, strict=True)))
 
 
 @njit(cache=True)

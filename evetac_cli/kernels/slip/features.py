@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.records import check_record
@@ -226,6 +227,39 @@ class EventImages(NamedTuple):
         """The slices [first, last); pixels are views."""
         start = self.start[first : last + 1]
         return EventImages(start - start[0], self.pixel[start[0] : start[-1]], self.sign[start[0] : start[-1]])
+
+
+class GelEvents(NamedTuple):
+    """The events of every slice outside the window, in order of time."""
+
+    start: NDArray[np.int64]  # (slices + 1,), where each slice begins
+    t_us: NDArray[np.uint16]  # (events,), from the start of their slice
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    p: NDArray[np.uint8]
+
+    def part(self, first: int, last: int) -> "GelEvents":
+        """The slices [first, last); events are views."""
+        start = self.start[first : last + 1]
+        columns: list[Any] = [column[start[0] : start[-1]] for column in self[1:]]
+        return GelEvents(start - start[0], *columns)
+
+
+def gel_events(
+    events: Events, starts: NDArray[np.int64], window_px: tuple[int, int, int, int] | NDArray[np.int32] | None
+) -> GelEvents:
+    """The events of slices without those in the window (as for `events_outside`), whose times are the recording's.
+
+    starts: (slices + 1,), where each slice begins. Events beside a frame of 640 x 480 px are left out.
+    """
+    t, x, y, p = events
+    kept = (x < FRAME_PX[0]) & (y < FRAME_PX[1])
+    if window_px is not None:
+        x0, y0, x1, y1 = (int(edge) for edge in window_px)
+        kept &= (x < x0) | (x >= x1) | (y < y0) | (y >= y1)
+    before = np.append(0, np.cumsum(kept))
+    in_slice = (t % SLICE_US).astype(np.uint16)
+    return GelEvents(before[starts], in_slice[kept], x[kept], y[kept], p[kept])
 
 
 def gel_image(

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.representations import images_ending
 from evetac_cli.kernels.slip import extras, features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
@@ -21,8 +23,10 @@ from evetac_cli.kernels.slip.architectures import (
     ChannelView,
     DotArchitecture,
     ImageArchitecture,
+    OverImages,
+    PluginImageArchitecture,
 )
-from evetac_cli.kernels.slip.features import EventImages
+from evetac_cli.kernels.slip.features import EventImages, GelEvents
 
 
 class DotsAndExtras(NamedTuple):
@@ -32,7 +36,8 @@ class DotsAndExtras(NamedTuple):
     extras: NDArray[np.float32]
 
 
-Series = NDArray[np.float32] | DotsAndExtras | EventImages
+OfEvents = EventImages | GelEvents
+Series = NDArray[np.float32] | DotsAndExtras | OfEvents
 
 
 class Trajectory(NamedTuple):
@@ -48,9 +53,9 @@ class Trajectory(NamedTuple):
 
 def part(series: Series, first: int, last: int) -> Series:
     """The slices [first, last) of a series, a copy."""
-    if isinstance(series, EventImages):
-        images = series.part(first, last)
-        return EventImages(images.start.copy(), images.pixel.copy(), images.sign.copy())
+    if isinstance(series, OfEvents):
+        columns: list[Any] = [column.copy() for column in series.part(first, last)]
+        return type(series)(*columns)
     if isinstance(series, DotsAndExtras):
         return DotsAndExtras(*(column[first:last].copy() for column in series))
     return series[first:last].copy()
@@ -90,22 +95,22 @@ def join(parts: Iterable[Series]) -> Series:
             column.add(rows)
     if isinstance(first, DotsAndExtras):
         return DotsAndExtras(*(column.joined() for column in columns))
-    if not isinstance(first, EventImages):
+    if not isinstance(first, OfEvents):
         return columns[0].joined()
-    pixels, pixel, sign = (column.joined() for column in columns)
-    return EventImages(np.concatenate([np.zeros(1, np.int64), np.cumsum(pixels)]), pixel, sign)
+    counts, *rest = (column.joined() for column in columns)
+    return type(first)(np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)]), *rest)
 
 
 def _columns(series: Series) -> Sequence[NDArray[Any]]:
-    """What of a series can be put end to end: dots, or pixels of each slice, where they are, and their signs."""
-    if isinstance(series, EventImages):
-        return np.diff(series.start), series.pixel, series.sign
+    """What of a series can be put end to end: dots, or how many pixels or events each slice has, and their columns."""
+    if isinstance(series, OfEvents):
+        return np.diff(series.start), *series[1:]
     return series if isinstance(series, DotsAndExtras) else (series,)
 
 
 def length(series: Series) -> int:
     """Slices in a series."""
-    return len(series.start) - 1 if isinstance(series, EventImages) else len(dots_of(series))
+    return len(series.start) - 1 if isinstance(series, OfEvents) else len(dots_of(series))
 
 
 def dots_of(series: NDArray[np.float32] | DotsAndExtras) -> NDArray[np.float32]:
@@ -118,18 +123,26 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
 
     Dots: (slices, n, channels) as from `features.series`, which has to hold the channels that are viewed -> (samples,
     n, inputs_per_dot); a network that is told extras knows none without them. Images: `EventImages` ->
-    (samples, history, height, width), the newest first. ValueError if the series is of the other sort, or if a slice
+    (samples, history, height, width), and of plug-ins `GelEvents` -> (samples, images * channels, height, width), the
+    newest first. ValueError if the series is of the other sort, or if a slice
     is outside of it or has fewer than history - 1 slices before it.
     """
     ends = _checked_ends(slices, architecture.history, length(series))
     if isinstance(architecture, ImageArchitecture):
         if not isinstance(series, EventImages):
-            raise ValueError(f"{architecture.name}: expected event images, found dots {dots_of(series).shape}")
+            raise ValueError(f"{architecture.name}: expected event images, found another series")
         images = np.zeros((len(ends), *architecture.input_shape), np.float32)
         _images(*series, ends, GEL_PX[0], architecture.pool_px, images)
         return images
-    if isinstance(series, EventImages):
-        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found event images")
+    if isinstance(architecture, PluginImageArchitecture):
+        if not isinstance(series, GelEvents):
+            raise ValueError(f"{architecture.name}: expected the events of the gel, found another series")
+        stacks = np.empty((len(ends), *architecture.input_shape), np.float32)
+        for end, stack in zip(ends.tolist(), stacks, strict=True):
+            stack[:] = _stack(architecture, series.part(end + 1 - architecture.history, end + 1))
+        return stacks
+    if isinstance(series, OfEvents):
+        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found events")
     views, of_dots = view_table(architecture.views), dots_of(series)
     if of_dots.ndim != 3 or not views[:, 0].max() < of_dots.shape[2] <= len(CHANNELS):
         raise ValueError(f"{architecture.name}: expected (slices, n, channels), found {of_dots.shape}")
@@ -141,6 +154,14 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
             raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {told.shape}")
         extras.fill(told, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
     return dots
+
+
+def _stack(architecture: PluginImageArchitecture, events: GelEvents) -> NDArray[Any]:
+    """The images of one sample, the newest first, from the events of its history."""
+    t_us = np.repeat(np.arange(architecture.history) * SLICE_US, np.diff(events.start)) + events.t_us
+    ends = np.arange(architecture.of.window_ms, architecture.history + 1, architecture.every)
+    images = images_ending(architecture.of, Events(t_us, *events[2:]), ends)
+    return images[::-1].reshape(architecture.input_shape)
 
 
 def _unknown(slices: int) -> NDArray[np.float32]:
@@ -171,7 +192,7 @@ def turn(
     As `features.rotate` does, and the displacements that have a direction with it; extras are the same for each dot.
     Why so: after a quarter turn counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
     """
-    if isinstance(architecture, ImageArchitecture):
+    if isinstance(architecture, OverImages):
         images = batch * factors.reshape(-1, 1, 1, 1)
         for times in (1, 2, 3):
             chosen = turns == times

@@ -26,6 +26,9 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ImageArchitecture,
     PluginArchitecture,
+    PluginImageArchitecture,
+    PluginLayers,
+    channels,
 )
 
 
@@ -134,14 +137,14 @@ class ImageNet(nn.Module):
 
 
 class OtherNet(nn.Module):
-    """A network over dots of another package; normalised as `SlipNet`."""
+    """A network of another package, over dots or images; normalised as `SlipNet` or `ImageNet`."""
 
     input_offset: Tensor
     input_scale: Tensor
 
     def __init__(
         self,
-        architecture: PluginArchitecture,
+        architecture: PluginArchitecture | PluginImageArchitecture,
         rows: int = 7,
         columns: int = 8,
         input_scale: ArrayLike | None = None,
@@ -149,14 +152,15 @@ class OtherNet(nn.Module):
     ) -> None:
         super().__init__()
         self.architecture, self.rows, self.columns = architecture, rows, columns
-        wide = architecture.inputs_per_dot
+        wide = channels(architecture)
+        self._shape = (wide, 1, 1) if isinstance(architecture, PluginImageArchitecture) else (wide,)
         self.register_buffer("input_scale", _channels(1.0 if input_scale is None else input_scale, wide))
         self.register_buffer("input_offset", _channels(0.0 if input_offset is None else input_offset, wide))
         for name, module in architecture.modules(rows, columns).items():
             self.add_module(name, module)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Logits (batch,) of features (batch, dots row-major, inputs_per_dot)."""
+        """Logits (batch,) of features (batch, dots row-major, inputs_per_dot), or images (batch, channels, ...)."""
         logits: Tensor = self.outputs(self.last_hidden(features))
         return logits[:, 0]
 
@@ -170,7 +174,8 @@ class OtherNet(nn.Module):
     def last_hidden(self, features: Tensor) -> Tensor:
         """The layer before the logits."""
         named = dict(self.named_children())
-        hidden: Tensor = self.architecture.hidden(named, (features - self.input_offset) * self.input_scale)
+        offset, scale = self.input_offset.view(self._shape), self.input_scale.view(self._shape)
+        hidden: Tensor = self.architecture.hidden(named, (features - offset) * scale)
         return hidden
 
 
@@ -187,7 +192,7 @@ def build(
     """A network with first weights from torch's generator; rows and columns of dots mean nothing to an `ImageNet`."""
     if isinstance(architecture, ImageArchitecture):
         return ImageNet(architecture, input_scale, input_offset)
-    if isinstance(architecture, PluginArchitecture):
+    if isinstance(architecture, PluginLayers):
         return OtherNet(architecture, rows, columns, input_scale, input_offset)
     return SlipNet(architecture, rows, columns, input_scale, input_offset)
 

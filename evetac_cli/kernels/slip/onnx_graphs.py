@@ -26,7 +26,7 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
-    PluginArchitecture,
+    PluginLayers,
     prefixes,
     weight_shapes,
 )
@@ -127,13 +127,15 @@ def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]
         if isinstance(architecture, DotArchitecture):
             shape = [rows * columns, architecture.inputs_per_dot]
             value = graph.normalised("features", [-1])
-            if isinstance(architecture, PluginArchitecture):
-                logits.append(architecture.add_layers(graph, value, rows, columns))
-            else:
-                logits.append(_dot_layers(graph, architecture, rows, columns, value))
         else:
             shape = list(architecture.input_shape)
-            logits.append(_image_layers(graph, architecture, graph.normalised("features", [-1, 1, 1])))
+            value = graph.normalised("features", [-1, 1, 1])
+        if isinstance(architecture, PluginLayers):
+            logits.append(architecture.add_layers(graph, value, rows, columns))
+        elif isinstance(architecture, DotArchitecture):
+            logits.append(_dot_layers(graph, architecture, rows, columns, value))
+        else:
+            logits.append(_image_layers(graph, architecture, value))
     value = graph.add("Sigmoid", logits[0] if len(logits) == 1 else graph.add("Mean", *logits))
     graph.add("Reshape", value, graph.constant("per_batch", [-1]), output="probability")
     content = helper.make_graph(

@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import inputs
-from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture
-from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.inputs import DotsAndExtras, Trajectory
+from evetac_cli.kernels.slip.architectures import Architecture, OverImages
+from evetac_cli.kernels.slip.inputs import DotsAndExtras, OfEvents, Trajectory
 from evetac_cli.kernels.slip.labels import BUSY_EVENTS, check_labels, shift_labels
 
 SLIP_SHARE = 32  # samples of each pool in a batch
@@ -231,7 +230,7 @@ def augment(
 
 def channel_stats(samples: SlipSamples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
-    images = isinstance(samples.architecture, ImageArchitecture)
+    images = isinstance(samples.architecture, OverImages)
     axes = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
     at_once = max(1, NORMALISE_VALUES // samples.inputs(samples.slip[:1]).size)
@@ -288,7 +287,7 @@ def _check(trajectory: Trajectory, dots: int) -> None:
         raise ValueError(
             f"events_outside: expected whole numbers of at least 0, found {outside.dtype} from {outside.min(initial=0)}"
         )
-    if isinstance(trajectory.series, EventImages):
+    if isinstance(trajectory.series, OfEvents):
         return
     of_dots = inputs.dots_of(trajectory.series)
     if of_dots.ndim != 3 or of_dots.shape[1] != dots:

@@ -30,7 +30,7 @@ from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
     DotArchitecture,
-    PluginArchitecture,
+    PluginLayers,
     joined,
     last_layer,
     parted,
@@ -259,7 +259,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         if getattr(params, name) is not None:
             parameters[name] = getattr(params, name)
     parameters |= group_parameters(memory_bytes[:learn])
-    if isinstance(architecture, PluginArchitecture):
+    if isinstance(architecture, PluginLayers):
         parameters["model_method"] = architecture.method
     parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)

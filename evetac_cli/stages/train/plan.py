@@ -3,7 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from evetac_cli.kernels.slip.architectures import CHANNELS, EXTRAS, Architecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import (
+    CHANNELS,
+    EXTRAS,
+    Architecture,
+    ImageArchitecture,
+    PluginImageArchitecture,
+)
 from evetac_cli.store.files import StageFile
 
 # Features that are in memory together: 6.7 million slices of 56 dots, without directions, or half as many with them.
@@ -14,6 +20,9 @@ def series_bytes(file: StageFile, architecture: Architecture) -> int:
     """What the features that an architecture needs take in memory, for all slices of a features file."""
     if isinstance(architecture, ImageArchitecture):
         return 8 * file.length("image/start") + 5 * file.length("image/pixel") if file.has("image") else 0
+    if isinstance(architecture, PluginImageArchitecture):
+        held = file.has("gel_events")
+        return 8 * file.length("gel_events/start") + 7 * file.length("gel_events/x") if held else 0
     slices, dots = file.contents()["displacement_px"][1]
     values = dots * (len(CHANNELS) if architecture.sees_direction else 2)
     return 4 * slices * (values + (len(EXTRAS) if architecture.extras else 0))

@@ -6,7 +6,7 @@ Each rule yields what does not fit: the dataset, what was expected, what was fou
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from evetac_cli.kernels.slip.architectures import (
     LEAST_ROWS,
     Architecture,
     DotArchitecture,
-    PluginArchitecture,
+    PluginLayers,
+    PluginNetwork,
     prefixes,
     weight_shapes,
 )
@@ -225,7 +226,8 @@ RULES: dict[str, tuple[tuple[Rule, str], ...]] = {
 
 def named_architecture(name: str) -> Architecture:
     """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
-    architecture = ARCHITECTURES.get(name) or plugins.find(plugins.NETWORKS, name, PluginArchitecture)
+    of_plugin = cast(PluginNetwork | None, plugins.find(plugins.NETWORKS, name, PluginLayers))
+    architecture = ARCHITECTURES.get(name) or of_plugin
     if architecture is None:
         others = plugins.usable(plugins.NETWORKS)
         raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")

@@ -12,7 +12,8 @@ from evetac_cli.events import SLICE_US, Events, SliceBlock, empty
 from evetac_cli.store.files import StageFile
 
 if TYPE_CHECKING:
-    from evetac_cli.kernels.representations import ImageBlock, Kind, Polarity, Representation
+    from evetac_cli.kernels.event_representation import Kind, Polarity, Representation
+    from evetac_cli.kernels.representations import ImageBlock
 
 BLOCK_SLICES = 1000
 RATE_HZ = 200.0  # of images of events, unless asked for another
@@ -190,7 +191,7 @@ class Recording(StageFile):
         **more: Any,
     ) -> "Representation":
         """What images of this recording show, from the parameters of `frames` and its like; InputError as there."""
-        from evetac_cli.kernels.representations import representation
+        from evetac_cli.kernels.event_representation import representation
 
         try:
             return representation(kind, self.frame_px, size_px, rate_hz, window_ms, **more)

@@ -131,7 +131,7 @@ class OnlineSlipDetector:
 
     def step(self, events: Events) -> float:
         """Slip probability after one more slice; NaN until the history is full."""
-        self.probability = self.live.step(events.x, events.y, events.p)
+        self.probability = self.live.step(events.x, events.y, events.p, events.t)
         alarms.step(self.alarm, self.probability)
         if self.sticking is not None:
             self.sticking.step(self.tracking.dot_xy_px, self.tracking.lost)
@@ -186,4 +186,12 @@ def open_view_detector(
     """
     with StageFile(resources.model_file(path), "model") as model:
         own = chosen_threshold(model, threshold)
-        return open_detector(model, sensor, presets.PRESETS[preset], own)
+        detector = open_detector(model, sensor, presets.PRESETS[preset], own)
+    if detector.live.needs_times:
+        raise InputError(
+            "the live view does not know the times of events, which this network sees",
+            where=str(model.path),
+            expected="a network over dots",
+            found=detector.live.detector.architecture.name,
+        )
+    return detector

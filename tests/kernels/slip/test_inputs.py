@@ -136,7 +136,7 @@ def test_what_does_not_fit_is_refused() -> None:
         with pytest.raises(ValueError, match="whole numbers"):
             inputs.at(row, series_for(row, 12), np.array([9.0]))
         assert len(inputs.at(row, series_for(row, 12), np.empty(0, np.int64))) == 0
-    with pytest.raises(ValueError, match="found event images"):
+    with pytest.raises(ValueError, match="found events"):
         inputs.at(hist10, images(12), np.array([9]))
     with pytest.raises(ValueError, match="expected event images"):
         inputs.at(image, dots(12), np.array([9]))

@@ -44,8 +44,9 @@ def test_controller() -> None:
 
 
 def test_network() -> None:
-    """Assert that the network computes the same in torch and as a graph."""
+    """Assert that the networks compute the same in torch and as a graph."""
     testing.check_network("mean-of-dots")
+    testing.check_network("mean-of-picture")
 
 
 def test_files() -> None:

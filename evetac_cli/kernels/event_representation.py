@@ -1,0 +1,100 @@
+"""What images of events show: their kind, size, rate and window; without compiled code, which tables do without.
+
+How they are drawn: representations.py.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from evetac_cli.checks import check_range
+from evetac_cli.events import SLICES_PER_S
+
+Kind = Literal["frames", "histogram", "voxels", "surface"]
+Polarity = Literal["split", "signed", "sum"]
+KINDS: tuple[Kind, ...] = ("frames", "histogram", "voxels", "surface")
+POLARITIES: tuple[Polarity, ...] = ("split", "signed", "sum")
+MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0
+
+
+@dataclass(frozen=True)
+class Representation:
+    """What images show of events. ValueError for numbers that cannot be.
+
+    kind: `frames`, counts of the window (channels, height, width), int16; `histogram`, counts of each of its `bins`
+    (channels, bins, height, width), int16; `voxels`, ON as 1 and OFF as -1, shared between the two nearest bins by how
+    near they are, (bins, height, width), float32; `surface`, exp(-(age of the last event) / decay_ms), 0 where there
+    was none, (channels, height, width), float32.
+    frame_px: width and height of the sensor's frame; size_px: of the images, whose pixels add up the sensor's.
+    rate_hz: image k ends with slice floor((k + 1) * 1000 / rate_hz); window_ms: what it looks back on (not `surface`);
+    one that ends earlier looks back on less. polarity: `split` has two channels, OFF and ON; `signed` has one, ON less
+    OFF; `sum` has one of both. Voxels are always signed, surfaces never.
+    """
+
+    kind: Kind
+    frame_px: tuple[int, int]
+    size_px: tuple[int, int]
+    rate_hz: float
+    window_ms: int
+    bins: int = 5
+    polarity: Polarity = "split"
+    decay_ms: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (("kind", self.kind, KINDS), ("polarity", self.polarity, POLARITIES)):
+            if value not in allowed:
+                raise ValueError(f"{name}: expected {', '.join(allowed)}, found {value!r}")
+        if self.kind == "surface" and self.polarity == "signed":
+            raise ValueError("polarity: expected split or sum for surface, found 'signed'")
+        for place, name in enumerate(("width", "height")):
+            check_range(f"{name} of size_px", self.size_px[place], 1, self.frame_px[place], "px")
+        check_range("rate_hz", self.rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
+        check_range("window_ms", self.window_ms, 1, MOST_WINDOW_MS, "ms")
+        check_range("bins", self.bins, 1, MOST_BINS)
+        check_range("decay_ms", self.decay_ms, 0.0, MOST_DECAY_MS, "ms", above=True)
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """The fields that matter for its kind."""
+        of_kind = {
+            "frames": ("window_ms", "polarity"),
+            "histogram": ("window_ms", "bins", "polarity"),
+            "voxels": ("window_ms", "bins"),
+            "surface": ("decay_ms", "polarity"),
+        }
+        return ("kind", "frame_px", "size_px", "rate_hz", *of_kind[self.kind])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one image."""
+        width, height = self.size_px
+        channels = 2 if self.polarity == "split" else 1
+        if self.kind == "voxels":
+            return self.bins, height, width
+        return (channels, self.bins, height, width) if self.kind == "histogram" else (channels, height, width)
+
+    @property
+    def dtype(self) -> type[Any]:
+        """Of its values."""
+        return np.int16 if self.kind in ("frames", "histogram") else np.float32
+
+    def end(self, image: int) -> int:
+        """The slice that the image, counted from 0, ends before."""
+        return math.floor((image + 1) * SLICES_PER_S / self.rate_hz + 1e-9)
+
+    def images(self, slices: int) -> int:
+        """How many images end within so many slices."""
+        images = math.floor(slices * self.rate_hz / SLICES_PER_S)
+        return images + (self.end(images) <= slices)
+
+
+def representation(
+    kind: Kind, frame_px: tuple[int, int], size_px: tuple[int, int] | None, rate_hz: float, window_ms: int | None,
+    **more: Any,
+) -> Representation:  # fmt: skip
+    """A Representation of the size of the frame, and of a window from one image to the next, unless they are given."""
+    check_range("rate_hz", rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
+    window_ms = math.ceil(SLICES_PER_S / rate_hz - 1e-9) if window_ms is None else window_ms
+    return Representation(kind, frame_px, frame_px if size_px is None else size_px, rate_hz, window_ms, **more)
