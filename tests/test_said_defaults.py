@@ -95,7 +95,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ),
     ("trim", "support_ms"): lambda: f"{trim.DV_SUPPORT_MS:g}",
     ("export", "fps"): lambda: f"{RATE_HZ:g} of images of events, {_of_lerobot('fps')} for LeRobot",
-    ("export", "polarity"): lambda: f"{Representation.polarity}, the default",
+    ("export", "polarity"): lambda: Representation.polarity,
     ("export", "bins"): lambda: str(Representation.bins),
     ("export", "decay_ms"): lambda: f"{Representation.decay_ms:g}",
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",

@@ -57,7 +57,7 @@ class Export:
     )
     polarity: str | None = parameter(
         None,
-        "Channels: OFF and ON (split, the default), ON less OFF (signed), or both together (sum).",
+        "Channels: split: OFF and ON; signed: ON less OFF; sum: both together; default: split.",
         choices=("split", "signed", "sum"),
         recipe=False,
         panel=IMAGES,
