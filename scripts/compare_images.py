@@ -38,18 +38,16 @@ from evetac_cli.store.recordings.read import open_recording
 
 Images = NDArray[Any]
 BLOCK_SLICES = 1000
+NAME = "event-images"
 DECAY_MS = 10.0
 ROUNDING = 1e-6  # ours are in single precision
 COLUMNS = {
-    "events of": "{file}",
     "images": "{representation}",
-    "of": "{peer}",
-    "compared": "{images}",
+    "compared with": "{peer}",
+    "images compared": "{images}",
     "values that differ": "{differ}",
     "largest difference": "{largest_difference:.1g}",
-    "ours [ms]": "{ours_ms:.1f}",
-    "theirs [ms]": "{theirs_ms:.1f}",
-    "times as fast": "{times_as_fast:.1f}",
+    "their time over ours, least and most of the files": "{least_times_as_fast:.2f} to {most_times_as_fast:.2f}",
 }
 
 
@@ -91,10 +89,33 @@ def main() -> None:
     if chosen.out is not None:
         names = " ".join(file.name for file in chosen.files)
         command = f"python scripts/compare_images.py {names} --seconds {chosen.seconds:g} --rounds {chosen.rounds}"
-        sizes = {"seconds": chosen.seconds, "rounds": chosen.rounds}
-        title = "Images of events: equal to tonic's and dv-processing's, and how fast"
-        write(chosen.out, table_of("event-images", title, COLUMNS, rows, command, sizes))
+        sizes = {"seconds": chosen.seconds, "rounds": chosen.rounds, "files": len(chosen.files)}
+        table = table_of(
+            NAME, "Images of events beside tonic's and dv-processing's", COLUMNS, summed(rows), command, sizes
+        )
+        write(chosen.out, table)
+        lines = "".join(json.dumps(row) + "\n" for row in rows)
+        (chosen.out / "rows" / f"{NAME}.jsonl").write_text(lines)
     sys.exit(any(row["differ"] for row in rows))
+
+
+def summed(rows: list[Row]) -> list[Row]:
+    """A row for each representation and peer, over all files."""
+    by_pair: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        by_pair.setdefault((row["representation"], row["peer"]), []).append(row)
+    return [
+        {
+            "representation": representation,
+            "peer": peer,
+            "images": sum(row["images"] for row in of_pair),
+            "differ": sum(row["differ"] for row in of_pair),
+            "largest_difference": max(row["largest_difference"] for row in of_pair),
+            "least_times_as_fast": min(row["times_as_fast"] for row in of_pair),
+            "most_times_as_fast": max(row["times_as_fast"] for row in of_pair),
+        }
+        for (representation, peer), of_pair in by_pair.items()
+    ]
 
 
 def load(file: Path, seconds: float) -> Input:
