@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from evetac_cli.jobs import Progress
 from evetac_cli.text_files import as_utf8
 
 TAGS = ("tactile", "event-camera", "robotics", "evetac")
@@ -26,6 +27,7 @@ class Card:
     links: dict[str, Path]  # name in the folder -> file that lies elsewhere
     written: dict[str, bytes]  # name in the folder -> content
     note: str = ""  # what whoever shares it has to know, in words
+    more: Callable[[Path, Progress], object] | None = None  # writes further files into the folder
 
     def text(self) -> str:
         """README.md."""

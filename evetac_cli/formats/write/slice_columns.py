@@ -98,7 +98,8 @@ class WrittenFolder(NamedTuple):
 class SliceColumns(NamedTuple):
     """The columns of one dataset; read(start, stop) gives the slices [start, stop), (rows, columns).
 
-    Masked is what is not known: NaN, before the first row of a clock, after the end of a file.
+    Masked is what is not known: NaN, before the first row of a clock, after the end of a file. of_dots: whether there
+    is a column for each dot.
     """
 
     names: tuple[str, ...]
@@ -106,6 +107,7 @@ class SliceColumns(NamedTuple):
     unit: str
     dtype: np.dtype[Any]
     read: Callable[[int, int], Masked]
+    of_dots: bool = False
 
 
 def columns_of(files: TrialFiles) -> list[SliceColumns]:
@@ -204,7 +206,7 @@ def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[SliceColumn
         unit = row.unit or _unit_of_column(file, group, path.rpartition("/")[2])
         named = _named(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
         names, meanings = tuple(name for name, _ in named), tuple(words for _, words in named)
-        yield SliceColumns(names, meanings, unit, np.dtype(row.dtype), read)
+        yield SliceColumns(names, meanings, unit, np.dtype(row.dtype), read, "dots" in across)
 
 
 def _unit_of_column(file: StageFile, group: str, column: str) -> str:

@@ -11,6 +11,7 @@ grouped and joined on `t_ms` by pandas, polars and duckdb alike. Whoever wants a
 
 import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.formats.arrow_columns import repeated, to_arrow
 from evetac_cli.formats.write.slice_columns import TrialFiles
-from evetac_cli.formats.write.write_table import COMPRESSION, load_pyarrow, provenance, typed
+from evetac_cli.formats.write.write_table import COMPRESSION, field_of, load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout import schema
@@ -68,11 +69,7 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
         found = "no touch file beside it" if touch is None else f"{touch.path.name} without maps"
         where = str(files.recording.path)
         raise InputError("there are no touch maps", where=where, found=found, hint=made_by("touch"))
-    facts, columns = files.facts(), cell_columns()
-
-    def field(name: str, type_: Any, unit: str, meaning: str) -> Any:
-        return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
-
+    facts, columns, field = files.facts(), cell_columns(), partial(field_of, arrow)
     fields = [field("t_ms", arrow.int64(), "ms", "start of the map's slice, which lasts 1 ms")]
     fields += [
         field(name, arrow.type_for_alias(type_), "", f"{name} of the trial") for name, type_ in typed([facts]).items()

@@ -58,7 +58,7 @@ def write_parquet(files: TrialFiles, path: Path, progress: Progress) -> list[str
     """One trial as a Parquet file; returns what could not be shown."""
     arrow = load_pyarrow(str(path.parent))
     columns, facts = columns_of(files), files.facts()
-    _write_parquet(arrow, _schema(arrow, columns, typed([facts])), files, columns, facts, path, progress)
+    write_rows(arrow, table_schema(arrow, columns, typed([facts])), files, columns, facts, path, progress)
     return [*files.notes, *not_in_tables(files.recording)]
 
 
@@ -67,7 +67,7 @@ def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
     arrow = load_pyarrow(str(path.parent))
     columns = columns_of(files)
     facts = {name: csv_text(value) if isinstance(value, str) else value for name, value in files.facts().items()}
-    table = _schema(arrow, columns, typed([facts]))
+    table = table_schema(arrow, columns, typed([facts]))
     with arrow.csv.CSVWriter(path, table) as writer:
         for batch in _batches(arrow, table, files, columns, facts, progress):
             writer.write_batch(batch)
@@ -83,14 +83,29 @@ def is_simulated(path: Path) -> bool:
         with open_regular(path) as file:
             lines = [file.readline(MOST_LINE_BYTES).decode(errors="replace") for _ in range(2)]
         return next(csv.DictReader(lines), {}).get("simulated") == "true"
+    try:
+        said = parse_json((_schema_of(path).metadata or {}).get(b"evetac", b"{}").decode())
+    except ValueError as error:
+        raise _unreadable(path, error) from None
+    return isinstance(said, dict) and said.get("simulated") is True
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """The columns of a Parquet file with their types, `name: type`; InputError where it cannot be read."""
+    return tuple(f"{field.name}: {field.type}" for field in _schema_of(path))
+
+
+def _schema_of(path: Path) -> Any:
     arrow = load_pyarrow(str(path))
     try:
         with utf8_path(path) as plain:
-            metadata = arrow.parquet.read_schema(plain).metadata or {}
-        said = parse_json(metadata.get(b"evetac", b"{}").decode())
+            return arrow.parquet.read_schema(plain)
     except (ValueError, OSError) as error:  # Arrow's errors are of both
-        raise InputError("no Parquet that can be read", where=str(path), found=str(error)[:200]) from None
-    return isinstance(said, dict) and said.get("simulated") is True
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    return InputError("no Parquet that can be read", where=str(path), found=str(error)[:200])
 
 
 def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:
@@ -103,11 +118,11 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
     for source in sources:
         with opened(source) as files:
             facts.append(files.facts())
-            schemas.append(_schema(arrow, columns_of(files), {}))
+            schemas.append(table_schema(arrow, columns_of(files), {}))
             slices.append(len(files.recording))
     partitions = [name for name in PARTITIONS if all(named[name] is not None for named in facts)]
     types = {name: type_ for name, type_ in typed(facts).items() if name not in partitions}
-    table = arrow.unify_schemas([_schema(arrow, [], types), *schemas])
+    table = arrow.unify_schemas([table_schema(arrow, [], types), *schemas])
     said, done = [], 0
     for source, named, rows in zip(sources, facts, slices, strict=True):
         path = folder.joinpath(*(_partition(name, named[name]) for name in partitions), f"{named['trial']}.parquet")
@@ -117,7 +132,7 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
 
         with opened(source) as files:
             shown = partial(_further, progress, done, sum(slices))
-            _write_parquet(arrow, table, files, columns_of(files), named, path, shown)
+            write_rows(arrow, table, files, columns_of(files), named, path, shown)
             said += [f"{named['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
         done += rows
     simulated = any(named["simulated"] for named in facts)
@@ -142,23 +157,25 @@ def _partition(name: str, value: Any) -> str:
     return f"{name}={quote(str(value), safe='')}"
 
 
-def _schema(arrow: Any, columns: Sequence[SliceColumns], types: Mapping[str, Any]) -> Any:
+def table_schema(arrow: Any, columns: Sequence[SliceColumns], types: Mapping[str, Any]) -> Any:
     """Arrow's schema: time, what names the trial, the columns; units and meanings as metadata of each."""
-
-    def field(name: str, type_: Any, unit: str, meaning: str) -> Any:
-        return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
-
-    fields = [field("t_ms", arrow.int64(), "ms", "start of the slice, which lasts 1 ms")]
-    fields += [field(name, arrow.type_for_alias(type_), "", f"{name} of the trial") for name, type_ in types.items()]
+    fields = [field_of(arrow, "t_ms", arrow.int64(), "ms", "start of the slice, which lasts 1 ms")]
+    fields += [
+        field_of(arrow, name, arrow.type_for_alias(type_), "", f"{name} of the trial") for name, type_ in types.items()
+    ]
     for group in columns:
         type_ = arrow.from_numpy_dtype(group.dtype)
-        fields += [
-            field(name, type_, group.unit, meaning) for name, meaning in zip(group.names, group.meanings, strict=True)
-        ]
+        named = zip(group.names, group.meanings, strict=True)
+        fields += [field_of(arrow, name, type_, group.unit, meaning) for name, meaning in named]
     return arrow.schema(fields)
 
 
-def _write_parquet(
+def field_of(arrow: Any, name: str, type_: Any, unit: str, meaning: str) -> Any:
+    """A column of Arrow's schema with its unit and meaning; `1` stands for no unit."""
+    return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
+
+
+def write_rows(
     arrow: Any,
     table: Any,
     files: TrialFiles,
@@ -167,6 +184,7 @@ def _write_parquet(
     path: Path,
     progress: Progress,
 ) -> None:
+    """Write the slices of a trial as a Parquet file with all columns of the schema; those that it lacks are null."""
     described = table.with_metadata({"evetac": json.dumps(provenance(files, facts))})
     with arrow.parquet.ParquetWriter(path, described, compression=COMPRESSION) as writer:
         for batch in _batches(arrow, described, files, columns, facts, progress):

@@ -14,6 +14,7 @@ from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card
 from evetac_cli.inspect.share import data_card, model_card
+from evetac_cli.inspect.share.citation import upload
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.store.files import stem
 from evetac_cli.store.made_folders import new_folder, require_replaceable
@@ -36,13 +37,14 @@ def run(
     name = first.resolve().name if first.is_dir() else stem(first)
     target = out if out is not None else first.resolve().with_name(f"{name}-hub")
     _check_free(target, first, force)
-    size = _lay_out(target, card, progress, force=force)
+    files_made, size = _lay_out(target, card, progress, force=force)
     row = {
         "output": str(target),
         "what": card.about["what"],
-        "files": len(card.links) + len(card.written) + 2,
+        "files": files_made,
         "size_bytes": size,
         "license": card.about["license"] or "none chosen",
+        "upload": upload(target, card.about["title"], card.about["what"]),
     }
     notes = "; ".join(filter(None, ("nothing was uploaded", card.note)))
     return Outcome([row], bool(card.about["simulated"]), {"notes": notes})
@@ -58,15 +60,13 @@ def _check_free(target: Path, source: Path, force: bool) -> None:
     require_replaceable(target, force=force)
 
 
-def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> int:
-    """Write or link all files of the folder; their bytes."""
+def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tuple[int, int]:
+    """Write or link all files of the folder; how many, and their bytes."""
     texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
-    size = 0
     with new_folder(target, force=force) as folder:
         for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
-            size += len(content)
         for number, (name, source) in enumerate(card.links.items()):
             progress(number, len(card.links))
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -74,5 +74,7 @@ def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> in
                 os.link(source.resolve(), folder / name)
             except OSError:  # another disk, or one that has no links
                 shutil.copyfile(source, folder / name)
-            size += (folder / name).stat().st_size
-    return size
+        if card.more is not None:
+            card.more(folder, progress)
+        sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    return len(sizes), sum(sizes)

@@ -1,23 +1,42 @@
-"""The card of a data set: its trials, objects, sensors and seeds, how large it is, and how to read it."""
+"""The card of a data set: its trials, objects, sensors and seeds, its limits, and how to read and to cite it."""
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import partial
+from glob import escape
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
-from evetac_cli.formats.write.write_table import is_simulated
+from evetac_cli.formats.write.hub_tables import EVENTS, SLICES, TRIALS, HubTables
+from evetac_cli.formats.write.write_table import column_names, is_simulated
 from evetac_cli.inspect.index import indexed
+from evetac_cli.inspect.share.citation import citation, made_with
+from evetac_cli.inspect.share.limitations import limitations, look
+from evetac_cli.inspect.share.splits import trials_of
 from evetac_cli.jobs import Progress
-from evetac_cli.store.index import foreign_note
+from evetac_cli.store.hdf5.disk import utf8_path
+from evetac_cli.store.index import IndexRow, foreign_note
 
-SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
-LARGER = "1M<n<10M"
-OTHERS = (".parquet", ".csv")  # what `export` writes for other programs: shared with the rest
+# The Hub's words for how many examples there are, here rows of the largest table.
+SIZES = (
+    *((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M")),
+    *((10_000_000, "1M<n<10M"), (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B")),
+)
+LARGER = "1B<n<10B"
+PARQUET = ".parquet"
+OTHERS = (PARQUET, ".csv")  # what `export` writes for other programs: shared with the rest
 MOST_LISTED = 20  # objects or sensors
+HELD = {
+    TRIALS: "a row a trial: object, sensor, seed, outcome, length, file",
+    SLICES: "a row a slice of 1 ms: gripper, forces, labels, touch",
+    "dots": "a row a slice of 1 ms: what is known of each dot",
+    EVENTS: "a row an event",
+}
 
 READ = """Each trial is a set of HDF5 files of one name. `evetac info DATA` lists them, `evetac view` shows one. Without
 evetac:
@@ -30,7 +49,18 @@ with h5py.File("data/NAME.recording.h5") as file:
 ```
 
 Every dataset has `units` and `long_name`, the attribute `header` of the root says how the file was made, and xarray
-opens it with `engine="h5netcdf"`."""
+opens it with `engine="h5netcdf"`. docs/read-without-evetac.md of evetac has a short reader of each kind of file."""
+READ_TABLES = """The tables are Parquet. The names of columns end in their units, what is not known is null, and
+each column says in its metadata what it is. `trial` and `t_ms` join them.
+
+```python
+import pandas
+
+trials = pandas.read_parquet("tables/trials/SPLIT.parquet")
+slices = pandas.read_parquet("tables/slices/SPLIT")
+```
+
+From the Hub, `datasets.load_dataset("NAME", "slices")` loads one, by the names above."""
 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
@@ -48,60 +78,151 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         raise InputError("nothing to share in this folder", where=str(folder), expected="stage files, or tables")
     links = {f"data/{path}": folder / path for path in (row.path for row in rows)}
     links |= {f"data/{path.relative_to(folder)}": path for path in others}
-    trials = {row.recording or row.path: row for row in rows if row.kind != "recording" and row.recording}
-    trials |= {row.recording or row.path: row for row in rows if row.kind == "recording"}
+    contents, tables, note = look(folder, rows, progress), None, ""
+    recordings = [row for row in rows if row.kind == "recording"]
+    if params.tables != "none" and recordings:
+        tables, note = _tables(folder, recordings, params, progress)
     simulated = any(row.simulated for row in rows) or any(is_simulated(path) for path in others)
     title = params.title or folder.resolve().name
-    seconds = sum(row.slices or 0 for row in trials.values()) / SLICES_PER_S
-    figures: dict[str, Any] = {
-        "trials": len(trials),
-        "duration_s": seconds,
-        "scenes": _listed(trials.values(), "scene"),
-        "objects": _listed(trials.values(), "object"),
-        "sensors": _listed(trials.values(), "sensor"),
-        "seeds": _listed(trials.values(), "seed"),
-        "outcomes": _listed(trials.values(), "outcome"),
-    }
-    kinds = [
-        {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
-        for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
-    ]
-    kinds += [
-        {"kind": suffix[1:], "files": len(alike), "size_bytes": sum(path.stat().st_size for path in alike)}
-        for suffix in OTHERS
-        if (alike := [path for path in others if path.suffix == suffix])
-    ]
+    trials = {row.recording or row.path: row for row in rows if row.kind != "recording" and row.recording}
+    trials |= {row.recording or row.path: row for row in recordings}
+    figures = _figures(list(trials.values()))
     about = {
         "what": "data set",
         "title": title,
         "simulated": simulated,
         "license": params.license,
+        "author": params.author,
         "figures": figures,
-        "files": kinds,
-        "recipe_ids": sorted({row.recipe_id for row in rows if row.kind == "recording" and row.recipe_id}),
+        "files": _kinds(rows, others),
+        "tables": _listed_tables(tables),
+        "formats": {kind: sorted(numbers) for kind, numbers in contents.formats.items()},
+        "recipe_ids": sorted({row.recipe_id for row in recordings if row.recipe_id}),
     }
+    configs = [
+        *(tables.configs() if tables else []),
+        *_found_configs(others, folder, "exported" if tables else "default"),
+    ]
+    examples = max([*(tables.rows.values() if tables else ()), len(trials)])
     fields = {
         **card_fields(simulated, params.license),
         "pretty_name": title,
         "task_categories": ["robotics"],
-        "size_categories": [next((name for most, name in SIZES if len(trials) < most), LARGER)],
+        "size_categories": [next((name for most, name in SIZES if examples < most), LARGER)],
+        # What the Hub would else guess from files of HDF5 is an error on its page.
+        **({"configs": configs} if configs else {"viewer": False}),
     }
-    tables = [path for path in others if path.suffix == ".parquet"]
-    if tables:
-        fields["configs"] = [{"config_name": "default", "data_files": "data/**/*.parquet"}]
+    page = _page(title, about, figures, tables, rows, params)
+    split = list(zip((trial.split for trial in trials_of(folder, recordings)), recordings, strict=True))
+    page += limitations(contents, list(trials.values()), split) if trials else []
+    page += citation(params, title, "data set", contents.year) + made_with(
+        title, "data set", contents.versions, contents.formats
+    )
+    notes = "; ".join(filter(None, (passed_over, note, tables.note if tables else "", *_left_out(tables))))
+    return Card(fields, page, about, links, {}, notes, partial(_write, tables) if tables else None)
+
+
+def _tables(
+    folder: Path, recordings: Sequence[IndexRow], params: Share, progress: Progress
+) -> tuple[HubTables | None, str]:
+    """The tables of all recordings; none where pyarrow is missing, with why in words, unless events are asked for.
+
+    Why no error: all that was measured lies in the HDF5 files, and the card then tells the Hub to show no viewer.
+    """
+    from evetac_cli.inspect.export import trial_files  # here: it loads all formats
+
+    try:
+        trials = trials_of(folder, recordings)
+        return HubTables(trials, trial_files, events=params.tables == EVENTS, progress=progress), ""
+    except MissingLibrary as error:
+        if params.tables == EVENTS:
+            raise
+        return None, f"no tables, so the Hub's viewer shows nothing: {error.message}; {error.hint} installs it"
+
+
+def _write(tables: HubTables, folder: Path, progress: Progress) -> None:
+    with utf8_path(folder) as plain:
+        tables.write(plain, progress)
+
+
+def _left_out(tables: HubTables | None) -> list[str]:
+    if tables is None or not tables.left_out:
+        return []
+    more = len(tables.left_out) - 1
+    return [f"not in the tables: {tables.left_out[0]}" + (f", and so of {more} more" if more else "")]
+
+
+def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
+    return {
+        "trials": len(trials),
+        "duration_s": sum(row.slices or 0 for row in trials) / SLICES_PER_S,
+        **{f"{name}s": _listed(trials, name) for name in ("scene", "object", "sensor", "seed", "outcome")},
+    }
+
+
+def _kinds(rows: Sequence[IndexRow], others: Sequence[Path]) -> list[dict[str, Any]]:
+    """Files and bytes of each kind."""
+    kinds = [
+        {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
+        for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
+    ]
+    return kinds + [
+        {"kind": suffix[1:], "files": len(alike), "size_bytes": sum(path.stat().st_size for path in alike)}
+        for suffix in OTHERS
+        if (alike := [path for path in others if path.suffix == suffix])
+    ]
+
+
+def _listed_tables(tables: HubTables | None) -> list[dict[str, Any]]:
+    if tables is None:
+        return []
+    columns = tables.columns()
+    return [
+        {"table": name, "holds": HELD[name], "rows": rows, "columns": columns[name], "splits": ", ".join(tables.splits)}
+        for name, rows in tables.rows.items()
+    ]
+
+
+def _found_configs(others: Sequence[Path], folder: Path, name: str) -> list[dict[str, Any]]:
+    """Tables that lay in the folder: a configuration for those that have the same columns."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for path in others:
+        if path.suffix == PARQUET:
+            groups.setdefault(column_names(path), []).append(f"data/{path.relative_to(folder)}")
+    if len(groups) == 1:
+        return [{"config_name": name, "data_files": f"data/**/*{PARQUET}"}]
+    return [
+        {"config_name": f"{name}-{number}", "data_files": [escape(file) for file in files]}
+        for number, files in enumerate(groups.values(), 1)
+    ]
+
+
+def _page(
+    title: str,
+    about: Mapping[str, Any],
+    figures: Mapping[str, Any],
+    tables: HubTables | None,
+    rows: Sequence[IndexRow],
+    params: Share,
+) -> list[str]:
     page = [
-        *opening(title, simulated=simulated, license_=params.license),
+        *opening(title, simulated=about["simulated"], license_=params.license),
         "Touch seen by an event camera behind a dotted gel (Evetac), made with evetac.",
         "## What is in it",
         table([{"": name, "value": value} for name, value in figures.items() if value not in ("", 0)], format_value),
-        table(kinds, format_value),
-        "## How to read it",
-        READ.replace("NAME", inline(Path(rows[0].path).name.split(".")[0])) if rows else "Tables, a row a slice.",
+        table(about["files"], format_value),
     ]
-    return Card(fields, page, about, links, {}, passed_over)
+    if tables is not None:
+        page.append(table(about["tables"], format_value))
+    page.append("## How to read it")
+    page.append(READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))) if rows else ALONE)
+    return page if tables is None else [*page, READ_TABLES.replace("SPLIT", tables.splits[0])]
 
 
-def _listed(trials: Any, name: str) -> str:
+ALONE = "Tables, a row a slice."
+
+
+def _listed(trials: Sequence[IndexRow], name: str) -> str:
     """The values of a column, each with how many trials have it; numbers as a range where they are many."""
     counts = Counter(value for trial in trials if (value := getattr(trial, name)) is not None)
     if len(counts) > MOST_LISTED and all(isinstance(value, int) for value in counts):

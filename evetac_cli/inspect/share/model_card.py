@@ -9,6 +9,8 @@ from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.inspect import info, validate
+from evetac_cli.inspect.share.citation import citation, made_with
+from evetac_cli.inspect.share.limitations import UNLIKE
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
@@ -45,7 +47,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             else None
         )
         why = why_useless(file) if file.kind == "model" else ""
-    note = f"{path} is no slip detector: {why}" if why else ""
+    note, made = f"{path} is no slip detector: {why}" if why else "", header.get("made", {})
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -58,13 +60,14 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "title": title,
         "simulated": simulated,
         "license": params.license,
+        "author": params.author,
         "recipe_id": header["id"],
         "seed": header["seed"],
         "training": header["parameters"],
         "figures": figures,
         "data": data,
         "evaluations": judged,
-        "made": header.get("made", {}),
+        "made": made,
     }
     fields = card_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
     if judged:
@@ -83,10 +86,14 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "## How well it does",
         *([table([_shown(one) for one in judged], format_value)] if judged else [NOT_EVALUATED]),
         *([ON_VALIDATION] if score is not None else []),
-        "## Limits",
+        "## Limitations",
         LIMITS if any(row.get("simulated") == "no" for row in data) else LIMITS_SIMULATED,
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
+        *citation(params, title, what, year if (year := str(made.get("at", ""))[:4]).isdigit() else None),
+        *made_with(
+            title, what, [str(made["evetac"])[:20]] if "evetac" in made else [], {row["kind"]: [str(header["version"])]}
+        ),
     ]
     written[path.name] = path.read_bytes()  # no link: a copy of a model costs little, and may be changed
     return Card(fields, [part for part in page if part], about, {}, written, note)
@@ -97,7 +104,7 @@ ON_VALIDATION = (
     "`validation_score` is the mean of the share of slips with correct timing and F1, on the trajectories on which"
     " checkpoint and threshold were chosen: data that the model never saw gives less."
 )
-LIMITS_SIMULATED = "It has never seen a real sensor. How well it does on one has not been measured."
+LIMITS_SIMULATED = f"It has never seen a real sensor. How well it does on one has not been measured. {UNLIKE}"
 LIMITS = "Figures hold for the sensor, the objects and the motions of the data above."
 FILES = (
     "- `{name}`: the model; `evetac info` shows it, `evetac grasp --model` and `evetac evaluate slip --model` use it"

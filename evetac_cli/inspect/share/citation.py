@@ -1,0 +1,105 @@
+"""What cards say of where a thing comes from: how it is cited, and which evetac and formats of files made it.
+
+Nobody is invented: the authors of the paper are those of CITATION.cff, those of a data set or model are named by
+whoever shares it, or nobody is.
+"""
+
+import re
+import shlex
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from evetac_cli import __version__
+from evetac_cli.commands.share import Share
+from evetac_cli.resources import PACKAGE
+
+# As CITATION.cff has it, which does not come along with an installation.
+PAPER = """@article{funk2024evetac,
+  title = {{Evetac: An Event-based Optical Tactile Sensor for Robotic Manipulation}},
+  author = {Funk, Niklas and Helmut, Erik and Chalvatzaki, Georgia and Calandra, Roberto and Peters, Jan},
+  journal = {IEEE Transactions on Robotics},
+  year = {2024}
+}"""
+MOST_LETTERS = 300  # of a name or title
+SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+REFERENCE = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
+
+
+def citation(params: Share, title: str, what: str, year: str | None) -> list[str]:
+    """The section Citation of a card: the paper of sensor and method, and the thing itself, where authors are named.
+
+    year: in which the newest of its files was made, where that is known.
+    """
+    page = ["## Citation", "The paper on the sensor and the methods:", _block(PAPER)]
+    if params.author is None:
+        return [*page, f"Who made this {what} is not named: `evetac share --author` adds how it is cited."]
+    lines = [
+        f"@misc{{{slug(title)}{year or ''},",
+        f"  title = {{{{{_bibtex(title)}}}}},",
+        f"  author = {{{_bibtex(params.author)}}},",
+        *([f"  year = {{{year}}},"] if year else []),
+        f"  note = {{{what.capitalize()}, made with evetac {__version__}}}",
+        "}",
+    ]
+    return [*page, f"This {what}:", _block("\n".join(lines))]
+
+
+def made_with(title: str, what: str, versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
+    """The section Version of a card: which evetac made card and files, the numbers of formats, and how to upload."""
+    at = commit()
+    said = f"This card was written by evetac {__version__}" + (f", commit {at}" if at else "")
+    made = f", the files by evetac {', '.join(sorted(versions))}" if versions else ""
+    kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
+    listed = f" Numbers of the formats (`schemas/` in evetac): {kinds}." if kinds else ""
+    how = f"To upload it from its folder: `{upload(Path('.'), title, what)}`, where NAME is your account."
+    return ["## Version", f"{said}{made}.{listed}", how]
+
+
+def upload(target: Path, title: str, what: str) -> str:
+    """The command of the Hub's own tool that uploads a folder; NAME is the account."""
+    kind = " --repo-type dataset" if what == "data set" else ""
+    return f"hf upload NAME/{slug(title)} {shlex.quote(str(target))}{kind}"
+
+
+def slug(title: str) -> str:
+    """A title as a name of small letters, digits and dashes."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "evetac"
+
+
+def commit() -> str | None:
+    """The commit of the clone that this program runs from, as git's own files say; None of any other installation.
+
+    No program is run for it: a folder is no reason to run the git that the path happens to name.
+    """
+    root = PACKAGE.parent
+    if not (root / "pyproject.toml").is_file():
+        return None
+    try:
+        git = root / ".git"
+        if git.is_file():  # a work tree
+            git = root / git.read_text().removeprefix("gitdir:").strip()
+        head = (git / "HEAD").read_text().strip()
+        if not head.startswith("ref:"):
+            return _reference(head)
+        name = head.removeprefix("ref:").strip()
+        common = git / (git / "commondir").read_text().strip() if (git / "commondir").is_file() else git
+        if (common / name).is_file():
+            return _reference((common / name).read_text().strip())
+        packed = (line.split() for line in (common / "packed-refs").read_text().splitlines())
+        return next((_reference(line[0]) for line in packed if line[1:] == [name]), None)
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _reference(text: str) -> str | None:
+    return text if REFERENCE.fullmatch(text) else None
+
+
+def _bibtex(text: str) -> str:
+    """A text from the command line as BibTeX takes it, in one line."""
+    line = "".join(letter if letter.isprintable() else " " for letter in " ".join(text.split())[:MOST_LETTERS])
+    return "".join(SPECIAL.get(letter, f"\\{letter}" if letter in "{}$&#%_" else letter) for letter in line)
+
+
+def _block(text: str) -> str:
+    return f"```bibtex\n{text}\n```"

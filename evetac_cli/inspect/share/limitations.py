@@ -1,0 +1,114 @@
+"""What the files of a data set say of its limits: how far it is simulated, what it covers, and what is estimated."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from evetac_cli.inspect.share.splits import held_out
+from evetac_cli.jobs import Progress
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.index import IndexRow
+
+# Off, of the facts in docs/likeness.md that are counted: a test compares.
+NOT_LIKE = ("official-2024", "official-2026", "paper-on-slip", "lost-regularised")
+UNLIKE = (
+    "The simulated sensor is known not to match the real one in all: rubbing takes dots along that the published"
+    " trackers keep, and no radius of dots suits the paper's equations and the published code alike (facts"
+    f" {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac, which lists every public fact and"
+    " how far it holds). `evetac evaluate likeness` measures recordings by the same facts."
+)
+# What a kind of file estimates: its columns in the tables, and by what.
+ESTIMATED = {
+    "tracks": "`dot_*_px`, `lost_*` and `events_per_dot_*` by a tracker of dots ({how})",
+    "labels": "`label`, and with it the onset of slip, by a method of labels ({how})",
+    "features": "`displacement_*_px` from these tracks",
+    "touch": "`touch_*` by a model of the gel, each with its deviation `_sd`",
+}
+HOW = {"tracks": "preset", "labels": "method"}  # the parameter that says by what
+
+
+@dataclass
+class Contents:
+    """What the headers and a few datasets of all files of a folder say."""
+
+    formats: dict[str, set[str]] = field(default_factory=dict)  # kind -> numbers of its format
+    versions: set[str] = field(default_factory=set)  # of evetac
+    year: str | None = None  # in which the newest file was made
+    how: dict[str, Counter[str]] = field(default_factory=dict)  # kind -> what estimated it -> files
+    abstained: int = 0  # labels that cannot tell an onset
+    with_losses: int = 0  # recordings of which slices were lost
+
+    def add(self, file: StageFile) -> None:
+        """Take in a file."""
+        header, made = file.header, file.header.get("made", {})
+        self.formats.setdefault(file.kind, set()).add(str(header["version"]))
+        if isinstance(made.get("evetac"), str):
+            self.versions.add(made["evetac"][:20])
+        year = str(made.get("at", ""))[:4]
+        if year.isdigit():
+            self.year = max(self.year or year, year)
+        if file.kind in ESTIMATED:
+            how = str(header["parameters"].get(HOW.get(file.kind, ""), "unknown"))[:40]
+            self.how.setdefault(file.kind, Counter())[how] += 1
+        self.abstained += file.kind == "labels" and file.has("abstained") and int(file.read("abstained"))
+        self.with_losses += file.has("capture/lost_slices") and file.length("capture/lost_slices") > 0
+
+
+def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> Contents:
+    """What all files of a folder say, each of which is opened."""
+    contents = Contents()
+    for number, row in enumerate(rows):
+        progress(number, len(rows), "files")
+        with StageFile(folder / row.path) as file:
+            contents.add(file)
+    return contents
+
+
+def limitations(contents: Contents, trials: Sequence[IndexRow], split: Sequence[tuple[str, IndexRow]]) -> list[str]:
+    """The section Limitations of a card.
+
+    trials: a row for each trial; split: each recording with its part of the data set.
+    """
+    simulated = sum(bool(row.simulated) for row in trials)
+    covered = {what: {value for row in trials if (value := getattr(row, what)) is not None} for what in COVERED}
+    lines = [_simulated(simulated, len(trials)), _covered(covered, len(trials))]
+    if split:
+        lines.append(held_out(split))
+    estimated = [
+        words.format(how=", ".join(f"{how}: {count}" for how, count in sorted(contents.how[kind].items())))
+        for kind, words in ESTIMATED.items()
+        if kind in contents.how
+    ]
+    if estimated:
+        lines.append(f"Estimated, and not measured: {'; '.join(estimated)}.")
+    if contents.abstained:
+        lines.append(f"Of {contents.abstained} trials the labels cannot tell the onset: there `label` is -1 about it.")
+    if contents.with_losses:
+        lines.append(f"Of {contents.with_losses} recordings slices were lost; they are empty, and listed in `capture`.")
+    if simulated:
+        lines.append(UNLIKE)
+    return ["## Limitations", "\n".join(f"- {line}" for line in lines)]
+
+
+COVERED: Mapping[str, str] = {"sensor": "sensor", "object": "object", "scene": "scene"}
+
+
+def _simulated(simulated: int, trials: int) -> str:
+    truth = "`truth_*` and `truth/` are what only a simulator knows: no input for what shall work on a sensor."
+    if not simulated:
+        return "No trial is simulated, as far as the files say."
+    if simulated < trials:
+        return f"{simulated} of {trials} trials are simulated (column `simulated`), the others are not. {truth}"
+    return f"All trials are simulated: no real sensor, object or gripper was there. {truth}"
+
+
+def _covered(covered: Mapping[str, set[Any]], trials: int) -> str:
+    parts = [
+        f"{len(values)} {COVERED[what]}{'' if len(values) == 1 else 's'}" if values else f"no known {COVERED[what]}"
+        for what, values in covered.items()
+    ]
+    one = [COVERED[what] for what, values in covered.items() if len(values) == 1]
+    alone = f" Nothing here tells how what is learned carries over to another {' or '.join(one)}." if one else ""
+    return f"{trials} trial{'' if trials == 1 else 's'} of {', '.join(parts)}.{alone}"

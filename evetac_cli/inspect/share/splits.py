@@ -1,0 +1,75 @@
+"""Which trial of a folder is for training, choosing or testing, by the name of the folder that it lies in."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from evetac_cli.formats.write.hub_tables import SharedTrial
+from evetac_cli.store.files import stem
+from evetac_cli.store.index import IndexRow
+from evetac_cli.text_files import as_utf8
+
+# The Hub's names of splits, and those of folders: what the Hub takes for one, and what our pages call them.
+SPLITS = {
+    "train": ("train", "training", "learn"),
+    "validation": ("validation", "valid", "val", "dev", "choose"),
+    "test": ("test", "testing", "eval", "evaluation", "unseen"),
+}
+OTHER = "other"
+
+
+def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]:
+    """The recordings of a folder with their splits; all are `train`, the Hub's word for all, where no folder says so.
+
+    Where some lie in such folders, those that do not are `other`.
+    """
+    found = [split_of(row.path) for row in recordings]
+    rest = OTHER if any(found) else "train"
+    return [
+        SharedTrial(
+            as_utf8((Path(row.path).parent / stem(Path(row.path))).as_posix()),
+            as_utf8(row.path),
+            folder / row.path,
+            split or rest,
+        )
+        for row, split in zip(recordings, found, strict=True)
+    ]
+
+
+def split_of(path: str) -> str | None:
+    """The split that a folder of this path names; None where none does."""
+    named = {name: split for split, names in SPLITS.items() for name in names}
+    return next((named[part.lower()] for part in Path(path).parts[:-1] if part.lower() in named), None)
+
+
+def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
+    """What the splits of (split, recording) are worth, in words: which objects and sensors only a test has."""
+    splits = list(dict.fromkeys(split for split, _ in rows))
+    if len(splits) < 2:
+        return (
+            "There is no split into training and test data: the one split `train` is all of it. To judge a method,"
+            " keep whole objects aside, for trials of one object are alike."
+        )
+    told = []
+    for name in ("validation", "test"):
+        if name not in splits or "train" not in splits:
+            continue
+        parts = []
+        for what in ("object", "sensor"):
+            mine, learned = (_known(rows, split, what) for split in (name, "train"))
+            only = sorted(mine - learned, key=lambda value: (isinstance(value, str), value))
+            if not mine:
+                parts.append(f"its {what}s are not known")
+            elif only:
+                parts.append(f"{what}s that `train` lacks: {', '.join(map(str, only))}")
+            else:
+                parts.append(f"no {what} that `train` lacks")
+        told.append(f"`{name}` has {' and '.join(parts)}.")
+    ids = [{row.recipe_id for split, row in rows if split == one} for one in splits]
+    twice = len(set().union(*(a & b for at, a in enumerate(ids) for b in ids[at + 1 :])))
+    if twice:
+        told.append(f"**{twice} recording{' lies' if twice == 1 else 's lie'} in two splits.**")
+    return " ".join(told) or f"The splits are {', '.join(splits)}."
+
+
+def _known(rows: Sequence[tuple[str, IndexRow]], split: str, what: str) -> set[int | str]:
+    return {value for one, row in rows if one == split and (value := getattr(row, what)) is not None}
