@@ -1,5 +1,6 @@
 """Reads scenes: those that come with evetac (data/scenes/), and one's own TOML files, checked in words."""
 
+import shlex
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -49,13 +50,13 @@ def load_of_kind(name_or_path: str, kinds: tuple[str, ...]) -> Scene:
     """A scene of one of these kinds, as `load`; SceneError if it is of another."""
     scene = load(name_or_path)
     if scene.kind not in kinds:
-        raise SceneError(
-            "this scene is for another command",
-            where=name_or_path,
-            expected=f"kind {' or '.join(kinds)}",
-            found=f"kind {scene.kind}",
-            hint="lift scenes are grasped, all others are recorded",
-        )
+        expected, found = f"kind {' or '.join(kinds)}", f"kind {scene.kind}"
+        if "lift" in (scene.kind, *kinds):
+            message, hint = "this scene is for another command", "lift scenes are grasped, all others are recorded"
+        else:
+            message = "virtual devices do not show this scene, in which no gripper holds an object"
+            hint = f"leave out --camera virtual: evetac record --scene {shlex.quote(name_or_path)} simulates it"
+        raise SceneError(message, where=name_or_path, expected=expected, found=found, hint=hint)
     return scene
 
 

@@ -51,7 +51,10 @@ def unresolved(nodes: float | None, node_pitch_mm: float | None) -> str | None:
         return words + "record it with a finer --node-pitch-mm"
     finer_mm = resolving_mm(nodes, node_pitch_mm)
     if finer_mm < FINEST_MM:
-        return words + f"no --node-pitch-mm down to {FINEST_MM:g} resolves it: leave this object out"
+        return (
+            words
+            + f"no --node-pitch-mm down to {FINEST_MM:g} resolves it: leave this recording out where its onset matters"
+        )
     return words + f"record it with --node-pitch-mm {finer_mm:.2f} or finer"
 
 

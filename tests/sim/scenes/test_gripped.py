@@ -119,9 +119,13 @@ def test_window_dots_do_not_exist() -> None:
 
 
 def test_scene_of_the_wrong_kind_is_refused() -> None:
-    """Assert that a lift scene cannot be recorded as a ramp."""
+    """Assert that a lift scene cannot be recorded as a ramp, nor a press with virtual devices, which say what can."""
     with pytest.raises(SceneError, match="another command"):
         first_plan("lift", kinds=("ramp",))
+    with pytest.raises(
+        SceneError, match=r"virtual devices do not show this scene(.|\n)*record --scene press simulates"
+    ):
+        first_plan("press", kinds=("ramp", "hold"))
 
 
 @pytest.mark.parametrize("creep", [None, GelCreep(share=(0.05, 0.1), time_s=(0.003, 5.0))])

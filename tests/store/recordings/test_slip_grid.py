@@ -40,7 +40,7 @@ def test_the_pitch_that_is_named_resolves_it(nodes: float, side_mm: float) -> No
 
 def test_what_no_pitch_resolves() -> None:
     """Assert that an object is to be left out where no pitch that is allowed will do, and words without a pitch."""
-    assert "leave this object out" in (unresolved(0.1, 0.833) or "")
+    assert "leave this recording out" in (unresolved(0.1, 0.833) or "")
     assert (unresolved(2.0, None) or "").endswith("record it with a finer --node-pitch-mm")
 
 
