@@ -30,7 +30,7 @@ HOW = {"tracks": "preset", "labels": "method"}  # the parameter that says by wha
 
 
 @dataclass
-class Contents:
+class DataSetFacts:
     """What the headers and a few datasets of all files of a folder say."""
 
     formats: dict[str, set[str]] = field(default_factory=dict)  # kind -> numbers of its format
@@ -56,9 +56,9 @@ class Contents:
         self.with_losses += file.has("capture/lost_slices") and file.length("capture/lost_slices") > 0
 
 
-def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> Contents:
+def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> DataSetFacts:
     """What all files of a folder say, each of which is opened."""
-    contents = Contents()
+    contents = DataSetFacts()
     for number, row in enumerate(rows):
         progress(number, len(rows), "files")
         with StageFile(folder / row.path) as file:
@@ -66,7 +66,7 @@ def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> Contents
     return contents
 
 
-def limitations(contents: Contents, trials: Sequence[IndexRow], split: Sequence[tuple[str, IndexRow]]) -> list[str]:
+def limitations(contents: DataSetFacts, trials: Sequence[IndexRow], split: Sequence[tuple[str, IndexRow]]) -> list[str]:
     """The section Limitations of a card.
 
     trials: a row for each trial; split: each recording with its part of the data set.
