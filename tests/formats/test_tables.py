@@ -307,7 +307,8 @@ def test_a_folder_becomes_one_data_set(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_unknown_objects_and_odd_names_are_read(tmp_path: Path) -> None:
     """Assert that an object that is unknown is null in each reader, and a sensor keeps any name that it has."""
-    polars = pytest.importorskip("polars")
+    import polars  # of the extra `dev`
+
     odd = "a b/ü=1"
     sources = [
         write_grasp(tmp_path / "in", "a", 8, 1, kinds="tracks"),

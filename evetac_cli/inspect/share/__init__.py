@@ -33,6 +33,8 @@ def run(
             raise InputError("one data set at a time", where=str(files[1]), expected="one folder")
         card = data_card.describe(first, params, progress)
     else:
+        if params.tables != Share.tables:
+            raise InputError("has no effect", where="--tables", expected="a folder of recordings", found=str(first))
         card = model_card.describe(first, files[1:], params)
     name = first.resolve().name if first.is_dir() else stem(first)
     target = out if out is not None else first.resolve().with_name(f"{name}-hub")

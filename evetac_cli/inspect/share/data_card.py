@@ -80,6 +80,8 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
     links |= {f"data/{path.relative_to(folder)}": path for path in others}
     contents, tables, note = look(folder, rows, progress), None, ""
     recordings = [row for row in rows if row.kind == "recording"]
+    if params.tables == EVENTS and not recordings:
+        raise InputError("has no effect", where="--tables events", expected="recordings", found=str(folder))
     if params.tables != "none" and recordings:
         tables, note = _tables(folder, recordings, params, progress)
     simulated = any(row.simulated for row in rows) or any(is_simulated(path) for path in others)
