@@ -31,7 +31,7 @@ def test_the_paper_is_that_of_citation_cff() -> None:
 def test_nobody_is_invented() -> None:
     """Assert that without an author there is no entry of the thing itself, and that it is said."""
     page = "\n".join(citation.citation(Share(), "Slips", "data set", "2026"))
-    assert page.count("@") == 1 and "not named: `evetac share --author`" in page
+    assert page.count("@") == 1 and "not named; `evetac share --author` adds" in page
 
 
 def test_odd_names_stay_one_entry() -> None:
@@ -52,8 +52,8 @@ def test_a_card_says_what_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(citation, "commit", lambda: HEAD)
     row = shared(folder, out=tmp_path / "hub", tables="none")
     page = (tmp_path / "hub" / "README.md").read_text()
-    assert f"written by evetac {__version__}, commit {HEAD}, the files by evetac {__version__}." in page
-    assert re.search(r"formats \(`schemas/` in evetac\): recording \d\.\d+\.", page)
+    assert f"written by evetac {__version__} (commit {HEAD}), files by evetac {__version__}." in page
+    assert re.search(r"files \(`schemas/` in evetac\): recording \d\.\d+\.", page)
     assert "`hf upload NAME/a-trial . --repo-type dataset`" in page
     assert row["upload"] == f"hf upload NAME/a-trial {tmp_path / 'hub'} --repo-type dataset"
 

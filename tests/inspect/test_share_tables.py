@@ -210,10 +210,10 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
     """Assert that a card says what is simulated, covered, held out, estimated and lost, and warns of a shared trial."""
     page = (hub / "README.md").read_text()
     assert "All trials are simulated" in page
-    assert "2 trials of 1 sensor, 2 objects, 1 scene. Nothing here tells" in page
-    assert "`test` has objects that `train` lacks: 3 and no sensor that `train` lacks." in page
-    assert "Estimated, and not measured: `dot_*_px`" in page and "(truth: 2)" in page
-    assert "Of 2 recordings slices were lost" in page
+    assert "2 trials: 1 sensor, 2 objects, 1 scene. The data cannot show" in page
+    assert "`test` has objects that `train` lacks (3) and no sensor that `train` lacks." in page
+    assert "Estimated, not measured: `dot_*_px`" in page and "by method: truth 2)" in page
+    assert "2 recordings lost slices" in page
     assert all(f"`{name}`" in page for name in NOT_LIKE)
     copied = tmp_path / "data"
     shutil.copytree(folder, copied)
@@ -226,7 +226,7 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
     small_files.recording_of(real / "a.recording.h5", [1, 2, 3])
     shared(real, out=tmp_path / "real-hub")
     page = (tmp_path / "real-hub" / "README.md").read_text()
-    assert "No trial is simulated" in page and "known not to match" not in page and "truth_" not in page
+    assert "No trial is simulated" in page and "known to differ" not in page and "truth_" not in page
     assert "dots" not in [one["config_name"] for one in fields(tmp_path / "real-hub")["configs"]]
 
 

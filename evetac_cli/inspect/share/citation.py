@@ -32,7 +32,7 @@ def citation(params: Share, title: str, what: str, year: str | None) -> list[str
     """
     page = ["## Citation", "The paper on the sensor and the methods:", _block(PAPER)]
     if params.author is None:
-        return [*page, f"Who made this {what} is not named: `evetac share --author` adds how it is cited."]
+        return [*page, f"The authors of this {what} are not named; `evetac share --author` adds an entry."]
     lines = [
         f"@misc{{{slug(title)}{year or ''},",
         f"  title = {{{{{_bibtex(title)}}}}},",
@@ -47,11 +47,11 @@ def citation(params: Share, title: str, what: str, year: str | None) -> list[str
 def made_with(title: str, what: str, versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
     """The section Version of a card: which evetac made card and files, the numbers of formats, and how to upload."""
     at = commit()
-    said = f"This card was written by evetac {__version__}" + (f", commit {at}" if at else "")
-    made = f", the files by evetac {', '.join(sorted(versions))}" if versions else ""
+    said = f"Card written by evetac {__version__}" + (f" (commit {at})" if at else "")
+    made = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
     kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
-    listed = f" Numbers of the formats (`schemas/` in evetac): {kinds}." if kinds else ""
-    how = f"To upload it from its folder: `{upload(Path('.'), title, what)}`, where NAME is your account."
+    listed = f" Format numbers of the files (`schemas/` in evetac): {kinds}." if kinds else ""
+    how = f"To upload this folder, run `{upload(Path('.'), title, what)}` in it, with your account for NAME."
     return ["## Version", f"{said}{made}.{listed}", how]
 
 

@@ -14,17 +14,17 @@ from evetac_cli.store.index import IndexRow
 # Off, of the facts in docs/likeness.md that are counted: a test compares.
 NOT_LIKE = ("official-2024", "official-2026", "paper-on-slip", "lost-regularised")
 UNLIKE = (
-    "The simulated sensor is known not to match the real one in all: rubbing takes dots along that the published"
-    " trackers keep, and no radius of dots suits the paper's equations and the published code alike (facts"
+    "The simulated sensor is known to differ from the real one: an object that rubs over the gel takes dots along that"
+    " the published trackers keep, and no dot radius suits both the paper's equations and the published code (facts"
     f" {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac, which lists every public fact and"
-    " how far it holds). `evetac evaluate likeness` measures recordings by the same facts."
+    " how well it holds). `evetac evaluate likeness` compares recordings with the same facts."
 )
 # What a kind of file estimates: its columns in the tables, and by what.
 ESTIMATED = {
-    "tracks": "`dot_*_px`, `lost_*` and `events_per_dot_*` by a tracker of dots ({how})",
-    "labels": "`label`, and with it the onset of slip, by a method of labels ({how})",
-    "features": "`displacement_*_px` from these tracks",
-    "touch": "`touch_*` by a model of the gel, each with its deviation `_sd`",
+    "tracks": "`dot_*_px`, `lost_*` and `events_per_dot_*`, by a dot tracker (files by preset: {how})",
+    "labels": "`label` and with it the onset of slip (files by method: {how})",
+    "features": "`displacement_*_px`, from such tracks",
+    "touch": "`touch_*`, by a model of the gel, with standard deviations `_sd`",
 }
 HOW = {"tracks": "preset", "labels": "method"}  # the parameter that says by what
 
@@ -77,16 +77,18 @@ def limitations(contents: DataSetFacts, trials: Sequence[IndexRow], split: Seque
     if split:
         lines.append(held_out(split))
     estimated = [
-        words.format(how=", ".join(f"{how}: {count}" for how, count in sorted(contents.how[kind].items())))
+        words.format(how=", ".join(f"{how} {count}" for how, count in sorted(contents.how[kind].items())))
         for kind, words in ESTIMATED.items()
         if kind in contents.how
     ]
     if estimated:
-        lines.append(f"Estimated, and not measured: {'; '.join(estimated)}.")
+        lines.append(f"Estimated, not measured: {'; '.join(estimated)}.")
     if contents.abstained:
-        lines.append(f"Of {contents.abstained} trials the labels cannot tell the onset: there `label` is -1 about it.")
+        lines.append(f"In {contents.abstained} trials the labels cannot tell the onset; `label` is -1 around it.")
     if contents.with_losses:
-        lines.append(f"Of {contents.with_losses} recordings slices were lost; they are empty, and listed in `capture`.")
+        lines.append(
+            f"{contents.with_losses} recordings lost slices: these are empty, and listed in `capture/lost_slices`."
+        )
     if simulated:
         lines.append(UNLIKE)
     return ["## Limitations", "\n".join(f"- {line}" for line in lines)]
@@ -96,12 +98,15 @@ COVERED: Mapping[str, str] = {"sensor": "sensor", "object": "object", "scene": "
 
 
 def _simulated(simulated: int, trials: int) -> str:
-    truth = "`truth_*` and `truth/` are what only a simulator knows: no input for what shall work on a sensor."
+    truth = (
+        "`truth_*` and `truth/` hold what only a simulator knows: do not use them as inputs of anything that has to"
+        " work on a real sensor."
+    )
     if not simulated:
         return "No trial is simulated, as far as the files say."
     if simulated < trials:
         return f"{simulated} of {trials} trials are simulated (column `simulated`), the others are not. {truth}"
-    return f"All trials are simulated: no real sensor, object or gripper was there. {truth}"
+    return f"All trials are simulated: no real sensor, object or gripper was involved. {truth}"
 
 
 def _covered(covered: Mapping[str, set[Any]], trials: int) -> str:
@@ -110,5 +115,5 @@ def _covered(covered: Mapping[str, set[Any]], trials: int) -> str:
         for what, values in covered.items()
     ]
     one = [COVERED[what] for what, values in covered.items() if len(values) == 1]
-    alone = f" Nothing here tells how what is learned carries over to another {' or '.join(one)}." if one else ""
-    return f"{trials} trial{'' if trials == 1 else 's'} of {', '.join(parts)}.{alone}"
+    alone = f" The data cannot show how well anything carries over to another {' or '.join(one)}." if one else ""
+    return f"{trials} trial{'' if trials == 1 else 's'}: {', '.join(parts)}.{alone}"

@@ -46,8 +46,8 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
     splits = list(dict.fromkeys(split for split, _ in rows))
     if len(splits) < 2:
         return (
-            "There is no split into training and test data: the one split `train` is all of it. To judge a method,"
-            " keep whole objects aside, for trials of one object are alike."
+            "There is no split into training and test data: all of it is `train`. To judge a method, hold out whole"
+            " objects, because trials of one object are alike."
         )
     told = []
     for name in ("validation", "test"):
@@ -60,7 +60,7 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
             if not mine:
                 parts.append(f"its {what}s are not known")
             elif only:
-                parts.append(f"{what}s that `train` lacks: {', '.join(map(str, only))}")
+                parts.append(f"{what}s that `train` lacks ({', '.join(map(str, only))})")
             else:
                 parts.append(f"no {what} that `train` lacks")
         told.append(f"`{name}` has {' and '.join(parts)}.")
