@@ -34,7 +34,7 @@ def test_it_stays_a_page() -> None:
     assert "Nobody has followed this page with a real sensor yet" in PAGE.partition("## 1.")[0]
     real = shown_with_real_devices()
     moving = [words for words in real if "/dev/ttyUSB0" in words]
-    assert len(real) == 9 and len(moving) == 4
+    assert len(real) == 8 and len(moving) == 4
     assert all("--arm" in words or "--dry-run" in words for words in moving)
 
 
