@@ -114,6 +114,7 @@ class Capability(StrEnum):
     MOVED = "a gripper that is moved (--gripper virtual or PORT)"
     PREVIEW = "--preview"
     SHOWN = "what is shown (--live or --preview)"
+    LISTENING = "what a robot's program starts (--listen)"
     SIMULATED = "a camera that sees a simulation"
     REPLAY = "a recording that is played (--camera replay:FILE)"
     HARDWARE = "a real device, before which a person puts the object"

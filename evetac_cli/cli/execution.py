@@ -183,7 +183,7 @@ def run_jobs(
 ) -> None:
     """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
     shown = getattr(chosen, "shown_in", None) is not None  # by a view, with its own lines
-    quiet, force = running.quiet or shown, running.force
+    quiet, force = running.quiet or shown or getattr(chosen, "listen", False), running.force
     engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:

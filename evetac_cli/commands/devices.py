@@ -52,6 +52,24 @@ class Devices:
         needs=(Capability.MOVED, Capability.GRASPED),
     )
 
+    listen: bool = parameter(
+        False,
+        "A robot's program starts, marks and stops each trial, by the address in evetac.listen of the folder -o"
+        " (docs/hardware.md).",
+        recipe=False,
+        panel=DEVICES,
+        needs=(Capability.RECORDED, Capability.GRASPED),
+    )
+    listen_port: int = parameter(
+        0,
+        "Port of 127.0.0.1 at which it listens; 0: one that the system chooses.",
+        low=0,
+        high=65535,
+        recipe=False,
+        panel=DEVICES,
+        needs=(Capability.LISTENING,),
+    )
+
     def gripper_flag(self) -> str:
         """`, --gripper NAME` where one is named, for errors."""
         return f", --gripper {self.gripper}" if self.gripper is not None else ""

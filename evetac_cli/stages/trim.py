@@ -1,7 +1,7 @@
 """trim: a range of slices out of a recording, or its noise, as a recording of its own.
 
-Every group is cut: rows of slices by their index, rows of gripper, controller and other streams by their time. Times
-begin anew at 0, and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost
+Every group is cut: rows of slices by their index, rows of gripper, controller, marks and other streams by their time.
+Times begin anew at 0, and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost
 slices and why it ended, because its counts are those of the whole recording.
 
 Tracks and features of a piece from slice 0 on are the first rows of those of the whole, bit for bit, because a slice's
@@ -37,7 +37,7 @@ DENOISED_SLICES = 200  # at a time
 PIECE_ROWS = 1 << 18  # events that are in memory together
 MANY_VALUES = 1 << 12  # of a row: of images fewer rows are in memory together
 # Dims whose rows have times of their own, and where these are; in the stream itself for `samples`.
-CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "samples": "t_us"}
+CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "marks": "marks/t_us", "samples": "t_us"}
 
 
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:

@@ -26,6 +26,8 @@ from evetac_cli.trials.trial import OUTPUT, DeviceTrial, Trial
 INTERRUPTED = "interrupted"
 OPENED = "opened by the emergency key"
 LET_GO = "let go by the button of the live view"
+STOPPED = "stopped by the robot's program"
+ABORTED = "aborted by the robot's program"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
 PRIORITY = 10  # of `record` while a gripper moves
 SPEED = "`evetac doctor --speed` says what is too slow"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import SLICE_US, Events, SliceBlock, empty
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.marks import Mark, marks_of
 
 if TYPE_CHECKING:
     from evetac_cli.kernels.event_representation import Kind, Polarity, Representation
@@ -81,6 +82,17 @@ class Recording(StageFile):
             x, y = self.read(HOT_PIXELS).T
             hot[y, x] = True
         return hot
+
+    @property
+    def marks(self) -> list[Mark]:
+        """What a robot's program marked while it was recorded (`record --listen`): slice, t_us and text of each.
+
+        >>> with evetac.open_recording("a.recording.h5") as recording:
+        ...     lifted = [mark.slice for mark in recording.marks if mark.text == "lifted"]
+        >>> lifted
+        []
+        """
+        return marks_of(self)
 
     def sensor_datasets(self) -> dict[str, Any]:
         """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""

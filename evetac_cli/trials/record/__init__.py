@@ -2,7 +2,7 @@
 
 Each of the three is a type of job with a module of its own: SimulatedTrial (simulated.py), DeviceRecording (capture.py)
 and ImportJob (imported.py). With --preview, a Preview (preview.py) shows what the camera of a trial sees, and nothing
-is written.
+is written. With --listen, a robot's program starts trials of the second type, as often as it likes (trials/listen).
 """
 
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.kept_camera import KeptCamera
 from evetac_cli.devices.opening import require_arm
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
@@ -23,6 +24,7 @@ from evetac_cli.names import Capability
 from evetac_cli.store.files import output_path, up_to_date
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials import part_costs
+from evetac_cli.trials.listen import Listening, listen, listening
 from evetac_cli.trials.record import capture, capture_plan, imported, preview, simulated
 from evetac_cli.trials.record.capture_plan import DeviceRecording
 from evetac_cli.trials.record.imported import ImportJob
@@ -32,6 +34,7 @@ from evetac_cli.trials.trial import SimulatedTrial, device_trials, for_people, s
 
 METHOD = simulated.METHOD
 WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
+LONGEST_S = 3600.0  # after which a trial ends that a robot's program started and does not stop; --seconds names another
 SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are grasped
 
 
@@ -49,7 +52,22 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
         return [Preview.of(trial, cameras[0], params) for trial in scenes] if shows else scenes
     require_arm(gripper, armed=params.arm or params.dry_run or params.preview)  # which moves nothing
     trials = device_trials(("ramp", "hold"), cameras, gripper, params, out)
+    if params.listen:
+        return [_listening([DeviceRecording.of(each, params) for each in trials], params, out)]
     return [Preview.of(each, cameras[0], params) if shows else DeviceRecording.of(each, params) for each in trials]
+
+
+def _listening(trials: list[DeviceRecording], params: Record, out: Path | None) -> Listening:
+    """Trials that a robot's program starts; cameras that see no scene of their own stay open between them."""
+    if params.resume:
+        raise InputError("has no effect with --listen: each start names its file", where="--resume")
+    job = listening(trials, out, params.listen_port, None if params.seconds is not None else LONGEST_S)
+    (first,) = trials
+    cameras = tuple(
+        each if each.has(Capability.SCENE) or each.has(Capability.REPLAY) else KeptCamera(each, first.settings)
+        for each in first.cameras
+    )
+    return replace(job, first=replace(first, cameras=cameras))
 
 
 def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
@@ -62,6 +80,8 @@ def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: Name
         has.add(Capability.PREVIEW)
     elif Capability.DEVICE in has:
         has |= {Capability.RECORDED} | gripper.capabilities
+        if params.listen:
+            has.add(Capability.LISTENING)
     if params.shown_in is not None:
         has.add(Capability.SHOWN)
     shown = ", --preview" * params.preview or ", --live" * params.live
@@ -100,7 +120,8 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
 
 def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """What would be built or done, and what that costs; refused what a run refuses."""
-    trials = [job for job in jobs if isinstance(job, DeviceRecording)]
+    each = [job.first if isinstance(job, Listening) else job for job in jobs]
+    trials = [job for job in each if isinstance(job, DeviceRecording)]
     if trials:
         return capture_plan.dry_run(trials, force=force, writes=not params.preview)
     scenes = [job for job in jobs if isinstance(job, SimulatedTrial)]
@@ -121,6 +142,8 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
             return simulated.run(job, force=force, progress=progress)
         case DeviceRecording():
             return capture.run(job, force=force, progress=progress)
+        case Listening():
+            return listen(job, lambda trial, desk: capture.run(trial, force=force, progress=silent, desk=desk))
         case ImportJob():
             return imported.run(job, params, force=force, progress=progress)
     raise TypeError(f"record has no {type(job).__name__}")

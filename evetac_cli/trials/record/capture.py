@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
@@ -39,8 +39,11 @@ from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.record.camera_recording import CameraRecording, SliceThread
 from evetac_cli.trials.record.capture_plan import DeviceRecording, check, is_done
 from evetac_cli.trials.record.current_ramp import GripperLoop, Hold, start, step
-from evetac_cli.trials.session import INTERRUPTED, LET_GO
+from evetac_cli.trials.session import ABORTED, INTERRUPTED, LET_GO
 from evetac_cli.trials.trial import OUTPUT
+
+if TYPE_CHECKING:
+    from evetac_cli.trials.listen.desk import Desk
 
 NEWS_SLICES = 100  # after so many slices it is asked what was lost, and said
 METHOD = 1  # of recordings from devices
@@ -51,14 +54,14 @@ OWN_PARAMETERS = (  # of each trial
 )
 
 
-def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> Outcome:
-    """Record one trial from devices."""
+def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk: "Desk | None" = None) -> Outcome:
+    """Record one trial from devices. desk: a robot's program began it, and may mark and end it."""
     if is_done(trial, force=force):
         return _earlier(trial)
     check(trial, force=force)
     seeds = trial.seeds()
     rng = np.random.default_rng(seeds.spawn(1)[0])
-    if trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE):
+    if desk is None and (trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE)):
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
         came = opened.enter_context(interrupts.signals_interrupt())
@@ -81,16 +84,27 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress) -> O
             recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
         with interrupts.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
-            _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view)
+            _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view, desk)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with interrupts.signals_held():
                 _release(recordings)
             if view is not None:
                 view.end(recordings[0].ended)
             priority.close()
+            if recordings[0].ended == ABORTED:
+                return _aborted(recordings)
             signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
             _finish(recordings, datasets)
     return _result(trial, recordings, datasets)
+
+
+def _aborted(recordings: Sequence[CameraRecording]) -> Outcome:
+    """Throw away what was recorded; an error in letting go of the devices goes on from here."""
+    for recording in recordings:
+        recording.writer.discard()
+    if recordings[0].error is not None:
+        raise recordings[0].error
+    return Outcome([], any(recording.recipe.simulated for recording in recordings), made=False)
 
 
 def _earlier(trial: DeviceRecording) -> Outcome:
@@ -113,7 +127,7 @@ def _begin(
 ) -> CameraRecording:
     """Begin the file of the camera at this place among those of a trial."""
     output = trial.outputs[place]
-    sensor = {**rig.known_sensor(), "t_offset": np.int64(0)}
+    sensor = {"t_offset": np.int64(0), **rig.known_sensor()}
     if trial.calibration is not None:
         trial.calibration.require_frame(sensor["sensor/frame_px"], str(trial.cameras[place]))
         sensor |= trial.calibration.recorded()
@@ -215,6 +229,7 @@ def _write(
     key: EmergencyKey,
     progress: Progress,
     view: LiveView | None,
+    desk: "Desk | None",
 ) -> None:
     """Follow the cameras until something ends the recording; a device that failed is in the result."""
     first = recordings[0]
@@ -233,7 +248,7 @@ def _write(
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     try:
-        _follow(recordings, most, signals, progress, view)
+        _follow(recordings, most, signals, progress, view, desk)
     except DeviceError as error:
         first.error = error
         first.ended = str(error).splitlines()[0]
@@ -253,6 +268,8 @@ def _write(
             if recording.thread is not None:
                 recording.thread.stop()
     _fetch(recordings, view)
+    if desk is not None:
+        _mark(first, desk, last=True)
     for recording in recordings[1:]:
         recording.ended = first.ended
 
@@ -263,6 +280,7 @@ def _follow(
     signals: list[int],
     progress: Progress,
     view: LiveView | None,
+    desk: "Desk | None",
 ) -> None:
     """Read and write slice by slice until something ends the recording, and say what; a failure is raised."""
     first = recordings[0]
@@ -285,6 +303,12 @@ def _follow(
         failed = [part.error for part in (loop, *(each.thread for each in recordings)) if part and part.error]
         if failed:
             raise failed[0]
+        if desk is not None:
+            _mark(first, desk)
+            camera = first.rig.camera
+            first.ended = desk.recorded(first.slices, camera.time.now_s, camera.host_us(0.0))
+            if first.ended:
+                return
         if loop is not None and loop.ended:
             first.ended = loop.ended
             return
@@ -298,6 +322,12 @@ def _follow(
             progress(first.slices, most or 0)
             _tell(recordings, news, view)
     first.ended = "after the seconds asked for"
+
+
+def _mark(first: CameraRecording, desk: "Desk", *, last: bool = False) -> None:
+    """Write the marks that came; last: there will be no more."""
+    for row in desk.marked(last=last):
+        first.writer.append_rows(row)
 
 
 def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews], view: LiveView | None) -> None:

@@ -1,0 +1,167 @@
+"""A camera that stays open between the recordings of a series: each has a part of its slices, with a clock of its own.
+
+Why so: opening a camera takes a second or more, and a robot that starts a recording waits for it. Between recordings
+its slices are read and thrown away, so that the next begins with the slice of that moment, and not with what waited.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.devices import EventCamera
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera, OpenedCamera
+from evetac_cli.errors import DeviceError
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.names import Capability
+from evetac_cli.realtime.shared_time import TimeSource
+
+
+class CameraPart:
+    """The slices of a camera from one of them on, as a camera of its own, whose time begins with it."""
+
+    def __init__(self, camera: EventCamera, first: int) -> None:
+        """first: how many slices were read before."""
+        self._camera = camera
+        self._shift_us = first * SLICE_US
+        self._lost_before = dict(camera.counted)
+        self._open = True
+        self.slices = 0  # that were read
+        self.sensor: Mapping[str, Any] = {**camera.sensor, "t_offset": np.int64(self._shift_us)}  # since it was opened
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """What was lost since this part began."""
+        return {why: count - self._lost_before.get(why, 0) for why, count in self._camera.counted.items()}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Those of the camera, for whoever has its first part."""
+        return () if self._shift_us else self._camera.notes
+
+    @property
+    def time(self) -> TimeSource:
+        """That of the camera."""
+        return self._camera.time
+
+    def now_us(self) -> int:
+        """Device time in us since this part began."""
+        return max(0, self._camera.now_us() - self._shift_us)
+
+    def host_us(self, device_us: float) -> float:
+        """The time of `time`, in us, at this time of the part."""
+        return self._camera.host_us(device_us + self._shift_us)
+
+    def read(self) -> Events | None:
+        """The next slice, its times since this part began; None once the part was closed or the stream has ended."""
+        if not self._open or (events := self._camera.read()) is None:
+            return None
+        self.slices += 1
+        return events._replace(t=events.t - self._shift_us)
+
+    def close(self) -> None:
+        """End this part; the camera goes on."""
+        self._open = False
+
+
+@dataclass
+class _Held:
+    """What is open of a camera, and how many of its slices were read."""
+
+    opened: OpenedCamera | None = None
+    part: CameraPart | None = None
+    read: int = 0
+
+    def leave_part(self) -> None:
+        """Count the slices of the last part."""
+        if self.part is not None:
+            self.part.close()
+            self.read += self.part.slices
+            self.part = None
+
+    def skip(self) -> bool:
+        """Read a slice and throw it away; whether there was one."""
+        assert self.opened is not None
+        if self.opened.camera.read() is None:
+            return False
+        self.read += 1
+        return True
+
+
+@dataclass(frozen=True)
+class KeptCamera(NamedCamera):
+    """A named camera that is opened once: each `open` gives the part of its slices from that moment on.
+
+    settings: with which it is opened.
+    """
+
+    named: NamedCamera
+    settings: CameraSettings
+    _held: "_Held" = field(default_factory=_Held, compare=False)
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        """Those of the camera."""
+        return self.named.capabilities
+
+    @property
+    def file_stem(self) -> str:
+        """That of the camera."""
+        return self.named.file_stem
+
+    def __str__(self) -> str:
+        return str(self.named)
+
+    def frame_px(self) -> tuple[int, int]:
+        """That of the camera."""
+        return self.named.frame_px()
+
+    def known_sensor(self) -> dict[str, Any]:
+        """That of the camera."""
+        return self.named.known_sensor()
+
+    def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:
+        """The part of its slices that begins now; the camera is opened where it is not. DeviceError if it cannot be."""
+        held = self._held
+        if held.opened is None:
+            held.opened, held.read = self.named.open(settings, world, seeds), 0
+        camera = held.opened.camera
+        held.leave_part()
+        now_us = camera.time.now_s() * 1e6
+        while camera.host_us((held.read + 1) * SLICE_US) < now_us:  # what waited while nobody read
+            if not held.skip():
+                break
+        held.part = CameraPart(camera, held.read)
+        return OpenedCamera(held.part, held.opened.setup, held.opened.parents)
+
+    def skip(self) -> None:
+        """Read a slice and throw it away, which takes a millisecond; a camera that fails is closed, until it is opened.
+
+        DeviceError if it failed.
+        """
+        if self._held.opened is None:
+            return
+        self._held.leave_part()
+        try:
+            over = not self._held.skip()
+        except DeviceError:
+            self.close()
+            raise
+        if over:
+            self.close()
+            raise DeviceError("the camera's stream ended", where=str(self.named))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it runs."""
+        return self._held.opened is not None
+
+    def close(self) -> None:
+        """Stop the camera, whether or not it still answers; a second call does nothing."""
+        opened, self._held.opened = self._held.opened, None
+        self._held.part = None
+        if opened is not None:
+            with suppress(DeviceError):
+                opened.camera.close()

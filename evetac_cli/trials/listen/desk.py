@@ -1,0 +1,205 @@
+"""What a robot's program asks of a recording, and what whoever records knows: the desk between the two.
+
+Requests come through a thread of their own (door.py) and are answered from what the thread that records last said. That
+one looks here once a slice, which takes some us, and never waits for a request.
+"""
+
+import math
+import re
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from enum import StrEnum
+from typing import Any
+
+from evetac_cli.events import SLICE_US, SLICES_PER_S
+from evetac_cli.store.recordings import marks
+from evetac_cli.trials.session import ABORTED, STOPPED
+
+NAME = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+COMMANDS = {"start": ("name",), "mark": ("text", "at_s"), "stop": (), "abort": (), "status": ()}  # and their fields
+PATIENCE_S = 1.0  # for the slice in which a trial was stopped, of a camera that is late
+EARLY_S = 1e-3  # clocks are read one after the other
+NOTHING = "nothing is being recorded"
+
+Answer = dict[str, Any]
+
+
+class State(StrEnum):
+    """What whoever records does now."""
+
+    IDLE = "idle"
+    STARTING = "starting"
+    RECORDING = "recording"
+    SAVING = "saving"
+
+
+class Refusal(ValueError):
+    """A request that cannot be granted, in words."""
+
+
+class Desk:
+    """Takes requests (`ask`), and tells whoever records what is wanted; each method may be called from any thread."""
+
+    def __init__(self, longest_s: float | None = None) -> None:
+        """longest_s: after which a trial ends that nobody stops; None: no limit."""
+        self._longest_s = longest_s
+        self._lock = threading.Condition()
+        self._state = State.IDLE
+        self._name = ""
+        self._slices = self._trials = 0
+        self._last: Answer | None = None  # what became of the latest start
+        self._last_file: str | None = None
+        self._starting: list[Future[Answer]] = []  # who waits for the first slice
+        self._ending: list[Future[Answer]] = []  # who waits for the file
+        self._why = ""  # a trial is to end
+        self._end_slices = 0
+        self._give_up_s = math.inf
+        self._marks: list[tuple[int, str]] = []  # that were not fetched yet
+        self._latest_us = 0  # time of the last mark
+        self._now_s: Callable[[], float] = time.monotonic
+        self._zero_us = math.nan  # when the recording began, by the same clock
+
+    # For the door.
+
+    def ask(self, request: Mapping[str, Any]) -> "Future[Answer]":
+        """The answer to a request: at once, or when a trial has begun or its file is complete."""
+        came_s = time.monotonic()
+        answered: Future[Answer] = Future()
+        answered.set_running_or_notify_cancel()  # from now on nobody can cancel it
+        try:
+            command = request.get("command")
+            if command not in COMMANDS:
+                raise Refusal(f"no such command: expected {', '.join(COMMANDS)}")
+            fields = COMMANDS[str(command)]
+            strange = request.keys() - {"token", "command", *fields}
+            if strange:
+                raise Refusal(f"{command} has no {min(strange)!r}: expected {' and '.join(fields) or 'nothing more'}")
+            with self._lock:
+                getattr(self, f"_{command}")(request, came_s, answered)
+        except Refusal as refusal:
+            with self._lock:
+                answered.set_result(self._answer(ok=False, error=str(refusal)))
+        return answered
+
+    def _start(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+        name = request.get("name")
+        if not isinstance(name, str) or not NAME.fullmatch(name) or name.endswith(".h5"):
+            expected = "1 to 100 letters, digits, dots, _ and -, the first a letter or digit; no folder, no .h5"
+            raise Refusal(f"not the name of a trial: expected {expected}")
+        if self._state is not State.IDLE:
+            raise Refusal(f"{self._name} is being recorded")
+        self._state, self._name, self._slices, self._why = State.STARTING, name, 0, ""
+        self._marks, self._latest_us = [], 0
+        self._zero_us = math.nan
+        self._starting.append(answered)
+        self._lock.notify_all()
+
+    def _mark(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+        text, at_s = request.get("text"), request.get("at_s", came_s)
+        if not isinstance(text, str) or not text.isprintable() or not 0 < len(text.encode()) <= marks.MOST_BYTES:
+            raise Refusal(f"not a mark: expected a text of 1 to {marks.MOST_BYTES} bytes without line ends")
+        if isinstance(at_s, bool) or not isinstance(at_s, int | float):
+            raise Refusal("not a time: expected at_s in s, by the monotonic clock of this computer")
+        if self._state is not State.RECORDING or self._why:
+            raise Refusal(NOTHING)
+        t_us = self._time_us(came_s, at_s)
+        if at_s > came_s + EARLY_S or t_us < 0:
+            raise Refusal("the time of the mark is outside of this trial: expected at_s by the monotonic clock")
+        if t_us < self._latest_us - 1e6 * EARLY_S:
+            raise Refusal(f"the mark before it is at {self._latest_us * 1e-6:.3f} s, this one at {t_us * 1e-6:.3f} s")
+        self._latest_us = max(self._latest_us, int(t_us))
+        self._marks.append((self._latest_us, text))
+        answered.set_result(self._answer(slice=self._latest_us // SLICE_US, t_us=self._latest_us))
+
+    def _stop(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+        if self._state is State.IDLE:
+            if self._last is None:
+                raise Refusal(NOTHING)
+            answered.set_result(self._answer(**self._last))
+            return
+        self._end(STOPPED, came_s)
+        self._ending.append(answered)
+
+    def _abort(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+        if self._state is State.IDLE:
+            raise Refusal(NOTHING)
+        if self._state is State.SAVING:
+            raise Refusal(f"too late: {self._name} is being saved")
+        self._end(ABORTED, came_s)
+        self._ending.append(answered)
+
+    def _status(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+        answered.set_result(self._answer())
+
+    def _end(self, why: str, came_s: float) -> None:
+        """The trial is to end, once the slice of this moment is recorded."""
+        if self._why and why != ABORTED:
+            return
+        self._why = why
+        t_us = self._time_us(came_s, came_s)
+        self._end_slices = 0 if why == ABORTED or math.isnan(self._zero_us) else int(t_us) // SLICE_US + 1
+        self._give_up_s = came_s + PATIENCE_S
+
+    def _time_us(self, came_s: float, at_s: float) -> float:
+        """The time in the recording of a moment, by the monotonic clock; came_s: now, or a moment ago."""
+        age_s = time.monotonic() - min(at_s, came_s)
+        t_us = 1e6 * (self._now_s() - age_s) - self._zero_us
+        return float(SLICE_US * self._slices) if math.isnan(t_us) else t_us
+
+    def _answer(self, *, ok: bool = True, **more: Any) -> Answer:
+        known = {"state": self._state, "name": self._name, "slices": self._slices, "trials": self._trials}
+        return {"ok": ok, **more, **known, "last": self._last_file}
+
+    # For whoever records.
+
+    def wanted(self, wait_s: float = 0.0) -> str:
+        """The name of the trial that is to be recorded; "" if none was asked for within so many seconds."""
+        with self._lock:
+            if self._state is State.IDLE and wait_s:
+                self._lock.wait(wait_s)
+            return self._name if self._state is State.STARTING else ""
+
+    def recorded(self, slices: int, now_s: Callable[[], float], zero_us: float) -> str:
+        """So many slices were recorded; why the trial is to end, "" if it is not.
+
+        now_s: a clock; zero_us: its time at the beginning of the recording, NaN where that is not known.
+        """
+        with self._lock:
+            self._slices, self._now_s, self._zero_us = slices, now_s, zero_us
+            if self._state is State.STARTING:
+                self._state = State.RECORDING
+                _set(self._starting, self._answer())
+            if self._longest_s is not None and slices >= SLICES_PER_S * self._longest_s and not self._why:
+                return f"after {self._longest_s:g} s, as nobody stopped it"
+            if not self._why or (slices < self._end_slices and time.monotonic() < self._give_up_s):
+                return ""
+            return self._why
+
+    def marked(self, *, last: bool = False) -> list[Mapping[str, Any]]:
+        """Rows of the marks that came since the last call. last: the trial is over, and there will be no more."""
+        with self._lock:
+            if last:
+                self._state = State.SAVING
+            taken, self._marks = self._marks, []
+        return [marks.mark_row(t_us, text) for t_us, text in taken]
+
+    def ended(self, file: str | None, ended: str, slices: int = 0, error: str = "") -> None:
+        """What became of the trial; whoever waits for it is told. file: that it is in, None: it is in none."""
+        with self._lock:
+            self._state = State.IDLE
+            self._slices = slices
+            self._trials += file is not None and not error
+            self._last_file = file or self._last_file
+            self._last = {"ok": not error, "file": file, "ended": ended, **({"error": error} if error else {})}
+            answer = self._answer(**self._last)
+            _set(self._starting, answer if error else self._answer(ok=False, error=ended, file=file))
+            _set(self._ending, answer)
+
+
+def _set(waiting: "list[Future[Answer]]", answer: Answer) -> None:
+    """Give all of them this answer."""
+    for one in waiting:
+        one.set_result(answer)
+    waiting.clear()
