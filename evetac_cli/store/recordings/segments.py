@@ -126,7 +126,7 @@ class RecordingWriter:
 
     def close_segment(self) -> None:
         """Write everything that waits as the next segment."""
-        if self._counts:
+        if self._counts or (self._slices and self._waiting.rows):  # rows may come after the last slice
             counts = np.array(self._counts, np.int64)
             arrays = {COUNTS: counts, **self._waiting.columns()}
             self._write(self.folder / f"{self._segments:06d}.h5", arrays, {FIRST_SLICE: self._slices})

@@ -24,6 +24,7 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials import part_costs
 from evetac_cli.trials.grasp import simulated
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
+from evetac_cli.trials.listen import Listening, listen, listening
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
 from evetac_cli.trials.trial import for_people, simulated_trials
 
@@ -45,7 +46,10 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
     if not camera.has(Capability.STEPPED):
         from evetac_cli.trials.grasp import real_time  # with all that belongs to devices
 
-        return real_time.jobs(camera, gripper, params, settings, out)
+        grasps = real_time.jobs(camera, gripper, params, settings, out)
+        if params.listen:  # of devices alone, as _refuse_unused sees to
+            return [listening([each for each in grasps if isinstance(each, DeviceGrasp)], out, params.listen_port)]
+        return grasps
     return [
         SimulatedGrasp(
             **vars(trial) | {"view": settings.view(params)},
@@ -60,6 +64,8 @@ def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
     has = set(camera.capabilities)
     if not has & {Capability.STEPPED, Capability.REPLAY}:
         has.add(Capability.GRASPED)
+        if params.listen:
+            has.add(Capability.LISTENING)
     if params.live:
         has.add(Capability.SHOWN)
     flags = f"--camera {params.camera}{params.gripper_flag()}{', --live' * params.live}"
@@ -97,7 +103,8 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
     if not trials:
         from evetac_cli.trials.grasp import real_time
 
-        others = [job for job in jobs if isinstance(job, DeviceGrasp | ReplayGrasp)]
+        each = [job.first if isinstance(job, Listening) else job for job in jobs]
+        others = [job for job in each if isinstance(job, DeviceGrasp | ReplayGrasp)]
         return real_time.dry_run(others, force=force)
     for trial in trials:
         up_to_date(trial.output, simulated.make_recipe(trial), force=force)
@@ -117,6 +124,10 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
             from evetac_cli.trials.grasp import real_time
 
             return real_time.run(job, force=force, progress=progress)
+        case Listening():
+            from evetac_cli.trials.grasp import real_time
+
+            return listen(job, lambda trial, desk: real_time.run(trial, force=force, progress=silent, desk=desk))
     raise TypeError(f"grasp has no {type(job).__name__}")
 
 

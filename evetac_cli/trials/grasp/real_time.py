@@ -46,6 +46,7 @@ from evetac_cli.trials.trial import ReplayTrial, device_trials
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
+    from evetac_cli.trials.listen.desk import Desk
 
 METHOD = 4  # of grasps in real time
 KINDS = ("lift",)  # of scenes that are grasped
@@ -169,13 +170,23 @@ def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False)
     return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
 
 
-def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[str], None] = console.say) -> Outcome:
-    """Grasp once, in real time, and record everything. say: takes a line where the computer was too slow."""
+def run(
+    trial: DeviceGrasp,
+    *,
+    force: bool,
+    progress: Progress,
+    say: Callable[[str], None] = console.say,
+    desk: "Desk | None" = None,
+) -> Outcome:
+    """Grasp once, in real time, and record everything. say: takes a line where the computer was too slow.
+
+    desk: a robot's program began it, and may mark and end it.
+    """
     check(trial, force=force)
     (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
     settings, timing = trial.settings, trial.timing
     is_hardware = gripper.has(Capability.HARDWARE)
-    if is_hardware:
+    if is_hardware and desk is None:
         session.wait_for_object(trial)
     with ExitStack() as opened:
         came = opened.enter_context(interrupts.signals_interrupt())
@@ -226,6 +237,7 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[s
                 lambda done: progress(done, timing.end_ms),
                 view,
                 WRITING_NICE if is_hardware else BESIDE_VIRTUAL,
+                desk,
             )
         except BaseException as error:
             writer.leave()
@@ -235,6 +247,9 @@ def run(trial: DeviceGrasp, *, force: bool, progress: Progress, say: Callable[[s
         processes.close()
         if view is not None:
             view.end(recorded.ended)
+        if recorded.ended == session.ABORTED:
+            writer.discard()
+            return Outcome([], recipe.simulated, made=False)
         datasets = {
             **recorded.datasets(),
             "capture/scheduling": f"detector {camera_ready.scheduling}, controller {gripper_ready.scheduling}",

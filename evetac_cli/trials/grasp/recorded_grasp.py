@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.store.recordings.segments import RecordingWriter
@@ -22,7 +23,17 @@ from evetac_cli.trials.grasp.controller_process import DETECTOR, OVER, Controlle
 from evetac_cli.trials.grasp.detector_process import DetectorEnded, SliceBatch
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.live_view import LiveView
-from evetac_cli.trials.session import INTERRUPTED, LET_GO, OPENED, OVERLOADED, LateSlices, lost_datasets, spread
+from evetac_cli.trials.session import (
+    ABORTED,
+    INTERRUPTED,
+    LET_GO,
+    OPENED,
+    OVERLOADED,
+    STOPPED,
+    LateSlices,
+    lost_datasets,
+    spread,
+)
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
@@ -45,6 +56,7 @@ class RecordedGrasp:
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
     late_slices: LateSlices = field(default_factory=LateSlices)
+    zero_us: float = math.nan  # when the recording began, by the time of the grasp
     behind_s: float = 0.0  # that slices waited for the recorder, at most
     steps: TrialBuffer = field(default_factory=TrialBuffer)  # of the controller, as far as the outcome needs them
     truth: TrialBuffer = field(default_factory=TrialBuffer)  # of a virtual world
@@ -121,6 +133,8 @@ class RecordedGrasp:
             self.last_us = batch.at_us[wanted - 1]
             self.slice_late_us.extend(batch.late_us[:wanted])
             self.slices += wanted
+            zero_us = self.last_us - batch.late_us[wanted - 1] - self.slices * SLICE_US
+            self.zero_us = self.zero_us if math.isnan(zero_us) else zero_us
             self.events += events.size
         if view is not None and batch.counted is not None:
             view.lost({f"camera.{why}": count for why, count in batch.counted.items()})
@@ -172,7 +186,7 @@ class RecordedGrasp:
             if isinstance(self.error, EvetacError) and self.error.hint == OVERLOADED:
                 self.error.found = "; ".join(words for words in (self.error.found, self.cores_at_end) if words)
         opened = controller is not None and self.ended == OPENED == controller.ended
-        if opened or (controller is not None and self.ended in (INTERRUPTED, LET_GO, FELL)):
+        if opened or (controller is not None and self.ended in (INTERRUPTED, LET_GO, STOPPED, ABORTED, FELL)):
             self.error = None
         else:
             self.ended = str(self.error).splitlines()[0] if self.error or controller is None else controller.ended

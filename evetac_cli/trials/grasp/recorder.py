@@ -28,6 +28,7 @@ from evetac_cli.trials.session import INTERRUPTED, LET_GO, OPENED
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
+    from evetac_cli.trials.listen.desk import Desk
 
 PRIORITY = 20  # of the loop that watches, behind servo and controller: it takes some hundredths of a core
 LAST_S = 0.5  # for the one to end by itself, once the other has ended
@@ -45,17 +46,24 @@ def record(
     progress: Callable[[int], None],
     view: LiveView | None = None,
     niceness: int = 0,
+    desk: "Desk | None" = None,
 ) -> RecordedGrasp:
     """Write until both have ended; what failed is in the result.
 
     signals: grows when Ctrl-C is pressed; key: opens the gripper; view: shows the grasp, and its button lets go;
-    niceness: of the thread that writes. What fails in writing is raised.
+    niceness: of the thread that writes; desk: of a robot's program, which may mark and end it. What fails in writing is
+    raised.
     """
     recorded = RecordedGrasp(end_ms)
+
+    def write_marks(*, last: bool = False) -> None:
+        for row in () if desk is None else desk.marked(last=last):
+            writer.append_rows(row)
 
     def write(message: Any) -> None:
         if isinstance(message, SliceBatch):
             recorded.take_slices(message, writer, processes.now_s(), view)
+            write_marks()
         else:
             recorded.take_steps(message, writer, view)
 
@@ -63,10 +71,11 @@ def record(
     sys.setswitchinterval(SWITCH_S)
     try:
         with WritingThread(write, niceness) as writing, raised_priority(PRIORITY):
-            _watch(processes, world, recorded, writing, signals, key, progress, view)
+            _watch(processes, world, recorded, writing, signals, key, progress, view, desk)
             recorded.cores_used = processes.cores_used(whole=True)
     finally:
         sys.setswitchinterval(interval_s)
+    write_marks(last=True)
     _take_last_truths(recorded, world)
     recorded.conclude(processes, world)
     return recorded
@@ -81,6 +90,7 @@ def _watch(
     key: EmergencyKey,
     progress: Callable[[int], None],
     view: LiveView | None,
+    desk: "Desk | None",
 ) -> None:
     """Take what comes, and end what must end, until both have ended."""
     truths = None if world is None else world.truths
@@ -115,6 +125,8 @@ def _watch(
         if processes.slices.ended or processes.steps.ended:
             first_end_s = min(first_end_s, now_s)
         recorded.detector_died = processes.slices.ended and recorded.detector is None
+        if desk is not None and recorded.slices and not recorded.ended:
+            recorded.ended = desk.recorded(recorded.slices, processes.now_s, recorded.zero_us)
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
         if view is not None and view.is_asked_to_let_go and not recorded.ended:

@@ -44,7 +44,7 @@ class Listening(Job):
         return self.output.parent
 
 
-def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longest_s: float | None) -> Listening:
+def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longest_s: float | None = None) -> Listening:
     """The job of trials like the one that the flags describe; InputError where they describe several, or name a file.
 
     Each start names a trial, so that --count and several objects have no meaning.
