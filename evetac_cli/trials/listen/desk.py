@@ -20,6 +20,7 @@ from evetac_cli.trials.session import ABORTED, STOPPED
 NAME = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 COMMANDS = {"start": ("name",), "mark": ("text", "at_s"), "stop": (), "abort": (), "status": ()}  # and their fields
 PATIENCE_S = 1.0  # for the slice in which a trial was stopped, of a camera that is late
+READINGS = 3  # of two clocks: a thread may be kept from running in between
 EARLY_S = 1e-3  # clocks are read one after the other
 NOTHING = "nothing is being recorded"
 
@@ -143,10 +144,15 @@ class Desk:
         self._give_up_s = came_s + PATIENCE_S
 
     def _time_us(self, came_s: float, at_s: float) -> float:
-        """The time in the recording of a moment, by the monotonic clock; came_s: now, or a moment ago."""
-        age_s = time.monotonic() - min(at_s, came_s)
-        t_us = 1e6 * (self._now_s() - age_s) - self._zero_us
+        """The time in the recording of a moment, by the monotonic clock; came_s: when it was heard of."""
+        t_us = 1e6 * (min(at_s, came_s) + self._ahead_s()) - self._zero_us
         return float(SLICE_US * self._slices) if math.isnan(t_us) else t_us
+
+    def _ahead_s(self) -> float:
+        """How far the clock of the recording is ahead of the monotonic one, by the quickest of a few readings."""
+        readings = [(time.monotonic(), self._now_s(), time.monotonic()) for _ in range(READINGS)]
+        before_s, now_s, after_s = min(readings, key=lambda each: each[2] - each[0])
+        return now_s - 0.5 * (before_s + after_s)
 
     def _answer(self, *, ok: bool = True, **more: Any) -> Answer:
         known = {"state": self._state, "name": self._name, "slices": self._slices, "trials": self._trials}

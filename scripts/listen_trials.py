@@ -1,0 +1,293 @@
+"""Trials that a virtual arm's program records through `evetac record --listen`, while client and server are killed.
+
+    python scripts/listen_trials.py -o rows.jsonl                      # 200 trials, 50 kills: four to five minutes
+    python scripts/listen_trials.py -o rows.jsonl --trials 12 --connections 2 --clients 1 --servers 1
+
+The camera is the real driver before a virtual DVXplorer that shows the time: each event lies at a pixel that says when
+it was made, by the computer's clock. So a recording tells, of itself, when each of its slices was, and a mark is held
+against the time at which the client sent it: one mark of each trial says nothing of its time, another has `at_s`.
+
+Kills: of the connection in the middle of a trial (the client connects again), of the client's process (SIGKILL; another
+client comes), of the server (SIGKILL; a new one starts in the same folder, and `evetac repair` joins what was left). A
+trial is kept if its file is valid, has a slice for each ms from the answer to `start` until `stop` was sent, and every
+event in them; after a kill of the server, all but the last LOST_MS. After the trials, what has no token tries the door:
+lines without it, HTTP, an endless line, many silent connections, and, where this script is root, another user the file.
+
+A row for each trial and try is written to -o, one line of JSON each. All of it simulated; by the computer's own clock.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from clock_camera import BEGAN, EVENT_US, PIXELS, Clock
+
+from evetac_cli.console import print_table
+from evetac_cli.events import FRAME_PX
+from evetac_cli.inspect import repair, validate
+from evetac_cli.store.recordings.read import open_recording
+
+ROOT = Path(__file__).resolve().parents[1]
+Recorder = runpy.run_path(str(ROOT / "examples" / "robot_trials.py"))["Recorder"]  # the client of the documentation
+LOST_MS = 400.0  # that a kill of the server may cost: the segment that was open, 250 ms, and a busy disk
+OTHER_USER = 65534
+PATIENCE_S = 120.0
+Row = dict[str, Any]
+
+
+class Server:
+    """`evetac record --listen` with the clock, in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.began_file = folder.parent / "began"
+        self.starts = 0
+        self.start()
+
+    def start(self) -> None:
+        """Start it, and wait until it listens."""
+        flags = ("--camera", Clock.name, "--gripper", "none", "--listen", "-o", str(self.folder))
+        command = [sys.executable, str(Path(__file__).with_name("clock_camera.py")), "record", *flags]
+        environment = {**os.environ, BEGAN: str(self.began_file)}
+        self.process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
+        until_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until_s:
+            with contextlib.suppress(OSError, ValueError, RuntimeError):
+                Recorder(str(self.folder)).ask("status")  # a file that a killed one left leads nowhere
+                break
+            time.sleep(0.05)
+        self.began_s = float(self.began_file.read_text())
+        self.starts += 1
+
+    def kill(self) -> None:
+        """End it without a word."""
+        self.process.kill()
+        self.process.wait()
+
+    def end(self) -> None:
+        """End it by Ctrl-C."""
+        self.process.send_signal(signal.SIGINT)
+        self.process.wait(PATIENCE_S)
+
+
+CLIENT = """
+import sys, time
+sys.path.insert(0, {examples!r})
+from robot_trials import Recorder
+Recorder(sys.argv[1]).ask("start", name=sys.argv[2])
+print(time.monotonic(), flush=True)
+time.sleep(600)
+"""
+
+
+def trial(server: Server, name: str, kill: str, rng: np.random.Generator) -> Row:
+    """Record one trial, with a kill in its middle or none, and hold its file against what the arm did."""
+    row: Row = {"trial": name, "kill": kill, "simulated": True}
+    folder = str(server.folder)
+    asked_s = time.monotonic()
+    if kill == "client":
+        source = CLIENT.format(examples=str(ROOT / "examples"))
+        with subprocess.Popen(
+            [sys.executable, "-c", source, folder, name], stdout=subprocess.PIPE, text=True
+        ) as client:
+            assert client.stdout is not None
+            began_s = float(client.stdout.readline())
+            time.sleep(rng.uniform(0.1, 0.3))
+            client.kill()
+        arm = Recorder(folder)
+    else:
+        arm = Recorder(folder)
+        arm.ask("start", name=name)
+        began_s = time.monotonic()
+        row["start_ms"] = 1e3 * (began_s - asked_s)
+        time.sleep(rng.uniform(0.1, 0.3))
+        if kill == "connection":
+            arm._lines.close()
+            time.sleep(rng.uniform(0.0, 0.1))
+            arm = Recorder(folder)
+    status = arm.ask("status")
+    row["goes_on"] = (status["state"], status["name"]) == ("recording", name)
+    sent = {}
+    for text, at in (("arrived", False), ("told", True)):
+        sent[text] = time.monotonic()
+        answer = arm.ask("mark", text=text, **({"at_s": sent[text]} if at else {}))
+        row[f"{text}_answered_ms"] = 1e3 * (time.monotonic() - sent[text])
+        row[f"{text}_slice"] = answer["slice"]
+        time.sleep(rng.uniform(0.02, 0.1))
+    if kill == "server":
+        time.sleep(0.5)
+        stopped_s = time.monotonic()
+        server.kill()
+        path = server.folder / f"{name}.recording.h5"
+        began_of_camera_s = server.began_s
+        repair.run([path.with_name(f"{name}.recording.part")])
+        server.start()
+    else:
+        stopped_s = time.monotonic()
+        path = Path(arm.ask("stop")["file"])
+        row["stop_ms"] = 1e3 * (time.monotonic() - stopped_s)
+        began_of_camera_s = server.began_s
+    return row | judged(path, began_of_camera_s, began_s, stopped_s, sent)
+
+
+def judged(path: Path, camera_s: float, began_s: float, stopped_s: float, sent: dict[str, float]) -> Row:
+    """What a file has of a trial; camera_s: host time at which the camera's time began."""
+    with open_recording(path) as recording:
+        t_us = recording.read("events/t")
+        shown = recording.read("events/x").astype(np.int64) + FRAME_PX[0] * recording.read("events/y").astype(np.int64)
+        seen = np.concatenate([[0], np.cumsum(np.diff(shown) % PIXELS)])  # events that were made since the first
+        first_s = camera_s + EVENT_US * 1e-6 * shown[0]
+        first_s += round((began_s - first_s) / (EVENT_US * 1e-6 * PIXELS)) * EVENT_US * 1e-6 * PIXELS
+        host_s = first_s + EVENT_US * 1e-6 * seen  # when each event was made
+        end_s = host_s[-1] + EVENT_US * 1e-6
+        row: Row = {
+            "slices": len(recording),
+            "events_missing": int(seen[-1] + 1 - len(seen)),
+            "starts_late_ms": 1e3 * (host_s[0] - began_s),
+            "ends_early_ms": 1e3 * (stopped_s - end_s),
+            "marks": len(recording.marks),
+        }
+        for mark in recording.marks:
+            nearest = int(np.argmin(np.abs(t_us - mark.t_us)))
+            marked_s = host_s[nearest] + 1e-6 * (mark.t_us - t_us[nearest])
+            row[f"{mark.text}_off_ms"] = 1e3 * (marked_s - sent[mark.text])
+            row[f"{mark.text}_same_slice"] = mark.slice == row.get(f"{mark.text}_slice", mark.slice)
+    row["faults"] = validate.run([path]).rows[0]["faults"]
+    return row
+
+
+def is_kept(row: Row) -> bool:
+    """Whether all of a trial is in its file."""
+    ends_early_ms = LOST_MS if row["kill"] == "server" else 0.0
+    whole = row["starts_late_ms"] <= 0.0 and row["ends_early_ms"] <= ends_early_ms
+    return bool(row["faults"] is None and whole and row["events_missing"] == 0 and row["goes_on"] and row["marks"] == 2)
+
+
+def heard(address: tuple[str, int], said: bytes, wait_s: float = 10.0) -> tuple[bytes, float]:
+    """What comes back on a connection until it is closed, and after how many s that is."""
+    began_s = time.monotonic()
+    answer = b""
+    with socket.create_connection(address) as line, contextlib.suppress(OSError):
+        line.settimeout(wait_s)
+        line.sendall(said)
+        while part := line.recv(4096):
+            answer += part
+    return answer, time.monotonic() - began_s
+
+
+def strangers(folder: Path) -> list[Row]:
+    """What whoever has no token gets at the door; the answers of one who has it meanwhile."""
+    file = folder / "evetac.listen"
+    host, port, token = file.read_text().split()
+    address = (host, int(port))
+    ask = json.dumps({"token": token, "command": "status"}).encode()
+    wrong = json.dumps({"token": token[:-1] + ("a" if token[-1] != "a" else "b"), "command": "status"}).encode()
+    page = (
+        f"POST / HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://site\r\nContent-Length: {len(ask)}\r\n\r\n".encode()
+    )
+    tries: dict[str, Callable[[], tuple[bytes, float]]] = {
+        "no token": lambda: heard(address, b'{"command": "status"}\n'),
+        "another token": lambda: heard(address, wrong + b"\n"),
+        "token behind a line without": lambda: heard(address, b"{}\n" + ask + b"\n"),
+        "a page: GET": lambda: heard(address, f"GET /{token} HTTP/1.1\r\nHost: {host}\r\n\r\n".encode()),
+        "a page: POST with the token": lambda: heard(address, page + ask + b"\n"),
+        "a line without an end": lambda: heard(address, b"x" * 1_000_000),
+        "deep JSON": lambda: heard(address, b"[" * 4000 + b"\n"),
+        "no line at all": lambda: heard(address, b""),
+    }
+    rows = []
+    for name, attempt in tries.items():
+        answer, took_s = attempt()
+        nothing = answer in (b"", b'{"ok": false, "error": "refused"}\n')
+        rows.append({"stranger": name, "got_nothing": nothing, "closed_after_s": took_s})
+    held = [socket.create_connection(address) for _ in range(100)]
+    began_s = time.monotonic()
+    known = Recorder(str(folder)).ask("status")["ok"]
+    rows.append(
+        {"stranger": "100 silent connections", "got_nothing": known, "answer_ms": 1e3 * (time.monotonic() - began_s)}
+    )
+    for line in held:
+        line.close()
+    mode = file.stat().st_mode & 0o777
+    rows.append({"stranger": f"mode of the file {mode:o}", "got_nothing": mode == 0o600})
+    if os.geteuid() == 0:
+        code = f"import os; os.setgid({OTHER_USER}); os.setuid({OTHER_USER}); open({str(file)!r}).read()"
+        folder.chmod(0o755)
+        done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=False)
+        rows.append({"stranger": "another user reads the file", "got_nothing": "PermissionError" in done.stderr})
+    return rows
+
+
+def summary(rows: list[Row]) -> list[Row]:
+    """What came of it, by kind of kill; a last row for strangers."""
+    shown = []
+    for kill in ("", "connection", "client", "server"):
+        some = [row for row in rows if row.get("kill") == kill]
+        if not some:
+            continue
+        off = {text: [abs(row[f"{text}_off_ms"]) for row in some] for text in ("arrived", "told")}
+        starts = [row["start_ms"] for row in some if "start_ms" in row]
+        shown.append(
+            {
+                "kill": kill or "none",
+                "trials": len(some),
+                "kept": sum(map(is_kept, some)),
+                "marks": sum(row["marks"] for row in some),
+                "arrived_off_ms_median": float(np.median(off["arrived"])),
+                "arrived_off_ms_most": max(off["arrived"]),
+                "told_off_ms_median": float(np.median(off["told"])),
+                "told_off_ms_most": max(off["told"]),
+                "start_ms_median": float(np.median(starts)) if starts else None,
+                "lost_ms_most": max(0.0, *(row["ends_early_ms"] for row in some)),
+            }
+        )
+    return shown
+
+
+def main() -> None:
+    """Run the trials that the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", type=Path, required=True, metavar="FILE", help="rows, a line of JSON each")
+    parser.add_argument("--trials", type=int, default=200)
+    parser.add_argument("--connections", type=int, default=30, help="kills of a connection")
+    parser.add_argument("--clients", type=int, default=10, help="kills of a client's process")
+    parser.add_argument("--servers", type=int, default=10, help="kills of the server")
+    parser.add_argument("--seed", type=int, default=0, help="of when what happens")
+    chosen = parser.parse_args()
+    rng = np.random.default_rng(chosen.seed)
+    kills = [*["connection"] * chosen.connections, *["client"] * chosen.clients, *["server"] * chosen.servers]
+    kills += [""] * (chosen.trials - len(kills))
+    rng.shuffle(kills)
+    with tempfile.TemporaryDirectory(prefix="evetac-listen-trials-") as base, open(chosen.o, "w") as out:
+        rows: list[Row] = []
+        Path(base).chmod(0o755)  # so that nothing but its mode keeps others from the file
+        server = Server(Path(base) / "data")
+        try:
+            for number, kill in enumerate(kills):
+                rows.append(trial(server, f"trial-{number:03d}", str(kill), rng))
+                rows[-1]["kept"] = is_kept(rows[-1])
+                print(json.dumps(rows[-1]), file=out, flush=True)
+            for row in strangers(server.folder):
+                rows.append(row)
+                print(json.dumps(row), file=out, flush=True)
+        finally:
+            server.end()
+        left = [path.name for path in server.folder.iterdir() if not path.name.endswith(".recording.h5")]
+    print_table("listen", summary(rows), {"servers": server.starts, "left_behind": len(left)}, simulated=True)
+    print_table("strangers", [row for row in rows if "stranger" in row], {}, simulated=True)
+
+
+if __name__ == "__main__":
+    main()
