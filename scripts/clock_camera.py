@@ -3,8 +3,8 @@
     python scripts/clock_camera.py record --camera clock --gripper none --listen -o data
 
 Each event lies at a pixel that says which one it is, and so when it was made, by the computer's clock: a recording
-tells of itself when its slices were. The variable EVETAC_CLOCK_BEGAN names a file, into which the camera writes when its
-time began (s, by time.monotonic). listen_trials.py starts it. Simulated.
+tells of itself when its slices were. The variable EVETAC_CLOCK_BEGAN names a file, into which the camera writes when
+its time began (s, by time.monotonic). listen_trials.py starts it. Simulated.
 """
 
 import os

@@ -28,6 +28,7 @@ class CameraPart:
         self._shift_us = first * SLICE_US
         self._lost_before = dict(camera.counted)
         self._open = True
+        self.is_over = False  # the camera failed, or its stream ended
         self.slices = 0  # that were read
         self.sensor: Mapping[str, Any] = {**camera.sensor, "t_offset": np.int64(self._shift_us)}  # since it was opened
 
@@ -56,7 +57,15 @@ class CameraPart:
 
     def read(self) -> Events | None:
         """The next slice, its times since this part began; None once the part was closed or the stream has ended."""
-        if not self._open or (events := self._camera.read()) is None:
+        if not self._open:
+            return None
+        try:
+            events = self._camera.read()
+        except DeviceError:
+            self.is_over = True
+            raise
+        if events is None:
+            self.is_over = True
             return None
         self.slices += 1
         return events._replace(t=events.t - self._shift_us)
@@ -74,12 +83,14 @@ class _Held:
     part: CameraPart | None = None
     read: int = 0
 
-    def leave_part(self) -> None:
-        """Count the slices of the last part."""
-        if self.part is not None:
-            self.part.close()
-            self.read += self.part.slices
-            self.part = None
+    def leave_part(self) -> bool:
+        """Count the slices of the last part; whether the camera gives more."""
+        part, self.part = self.part, None
+        if part is None:
+            return True
+        part.close()
+        self.read += part.slices
+        return not part.is_over
 
     def skip(self) -> bool:
         """Read a slice and throw it away; whether there was one."""
@@ -125,33 +136,42 @@ class KeptCamera(NamedCamera):
     def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:
         """The part of its slices that begins now; the camera is opened where it is not. DeviceError if it cannot be."""
         held = self._held
-        if held.opened is None:
+        if not self._is_current():
+            self.close()
             held.opened, held.read = self.named.open(settings, world, seeds), 0
-        camera = held.opened.camera
-        held.leave_part()
-        now_us = camera.time.now_s() * 1e6
-        while camera.host_us((held.read + 1) * SLICE_US) < now_us:  # what waited while nobody read
-            if not held.skip():
-                break
-        held.part = CameraPart(camera, held.read)
+        assert held.opened is not None
+        held.part = CameraPart(held.opened.camera, held.read)
         return OpenedCamera(held.part, held.opened.setup, held.opened.parents)
+
+    def _is_current(self) -> bool:
+        """Whether it is open, and gives slices; those that waited while nobody read are thrown away."""
+        held = self._held
+        if held.opened is None or not held.leave_part():
+            return False
+        camera = held.opened.camera
+        now_us = camera.time.now_s() * 1e6
+        try:
+            while camera.host_us((held.read + 1) * SLICE_US) < now_us:
+                if not held.skip():
+                    return False
+        except DeviceError:
+            return False
+        return True
 
     def skip(self) -> None:
         """Read a slice and throw it away, which takes a millisecond; a camera that fails is closed, until it is opened.
 
-        DeviceError if it failed.
+        DeviceError if it failed now.
         """
         if self._held.opened is None:
             return
-        self._held.leave_part()
         try:
-            over = not self._held.skip()
+            over = not self._held.leave_part() or not self._held.skip()
         except DeviceError:
             self.close()
             raise
         if over:
             self.close()
-            raise DeviceError("the camera's stream ended", where=str(self.named))
 
     @property
     def is_open(self) -> bool:

@@ -71,9 +71,9 @@ class Desk:
         answered.set_running_or_notify_cancel()  # from now on nobody can cancel it
         try:
             command = request.get("command")
-            if command not in COMMANDS:
+            if not isinstance(command, str) or command not in COMMANDS:
                 raise Refusal(f"no such command: expected {', '.join(COMMANDS)}")
-            fields = COMMANDS[str(command)]
+            fields = COMMANDS[command]
             strange = request.keys() - {"token", "command", *fields}
             if strange:
                 raise Refusal(f"{command} has no {min(strange)!r}: expected {' and '.join(fields) or 'nothing more'}")

@@ -24,6 +24,7 @@ ADDRESS = "127.0.0.1"
 MOST_BYTES = 4096  # of a line
 STRANGER_S = 5.0  # in which a connection has to show the token
 MOST_STRANGERS, MOST_KNOWN = 16, 16  # connections; the oldest makes room for another
+BACKLOG = 128  # connections that the system holds until they are taken on
 PAUSE_S = 2e-3  # between two that are taken on
 SEND_S = 5.0  # for an answer that nobody reads
 END_S = 1.0  # for the last answers
@@ -38,7 +39,7 @@ class Door:
         self.token = secrets.token_urlsafe(24)
         self._ask = ask
         try:
-            self._socket = socket.create_server((ADDRESS, port), backlog=MOST_STRANGERS)
+            self._socket = socket.create_server((ADDRESS, port), backlog=BACKLOG)
         except OSError as error:
             raise InputError(f"cannot listen: {error.strerror}", where=f"--listen-port {port}") from None
         self._socket.setblocking(False)
@@ -93,7 +94,7 @@ class Door:
         task = asyncio.current_task()
         assert task is not None
         try:
-            while True:
+            while not self._over.is_set():
                 self._answering.discard(task)
                 line = await asyncio.wait_for(reader.readline(), STRANGER_S if writer in self._strangers else None)
                 request = self._read(line)

@@ -37,7 +37,7 @@ from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials import live_view, session
 from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.record.camera_recording import CameraRecording, SliceThread
-from evetac_cli.trials.record.capture_plan import DeviceRecording, check, is_done
+from evetac_cli.trials.record.capture_plan import NAME_TAKEN, TAKEN, DeviceRecording, check, is_done
 from evetac_cli.trials.record.current_ramp import GripperLoop, Hold, start, step
 from evetac_cli.trials.session import ABORTED, INTERRUPTED, LET_GO
 from evetac_cli.trials.trial import OUTPUT
@@ -58,7 +58,7 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
     """Record one trial from devices. desk: a robot's program began it, and may mark and end it."""
     if is_done(trial, force=force):
         return _earlier(trial)
-    check(trial, force=force)
+    check(trial, force=force, taken=TAKEN if desk is None else NAME_TAKEN)
     seeds = trial.seeds()
     rng = np.random.default_rng(seeds.spawn(1)[0])
     if desk is None and (trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE)):

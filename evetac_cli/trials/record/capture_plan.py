@@ -21,6 +21,7 @@ HOLDING_MA = 50.0  # where no current is asked for
 SECONDS = 60.0  # room on the disk for so long, where nothing says how long it will take
 INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # what a current to follow stands in place of
 TAKEN = "--resume goes on with a series, --force replaces it, -o NAME writes elsewhere"
+NAME_TAKEN = "start another name; record --listen --force replaces it"
 
 
 @dataclass(frozen=True)
@@ -139,11 +140,14 @@ def _course(params: Record, plan: Plan | None) -> GripperCurrent | None:
     return course
 
 
-def check(trial: DeviceRecording, *, force: bool) -> None:
-    """InputError for whatever can be known to be wrong with the outputs of a trial before a device is touched."""
+def check(trial: DeviceRecording, *, force: bool, taken: str = TAKEN) -> None:
+    """InputError for whatever can be known to be wrong with the outputs of a trial before a device is touched.
+
+    taken: what to do where one exists.
+    """
     for camera in trial.cameras:
         camera.frame_px()  # of a recording that is played: that it can be read
-    session.refuse_taken(trial, again="a recording from a device", hint=TAKEN, force=force, resume=trial.resume)
+    session.refuse_taken(trial, again="a recording from a device", hint=taken, force=force, resume=trial.resume)
     hint = "--expected-event-rate and --seconds say what is needed"
     session.check_room(trial, trial.events_per_s, trial.expected_s, hint)
 

@@ -1,0 +1,328 @@
+"""record --listen from the first start to Ctrl-C: what a robot's program asks for lies in files, of one open camera."""
+
+import json
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.record import Record
+from evetac_cli.devices import cameras
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera, OpenedCamera
+from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.events import SLICE_US, Events
+from evetac_cli.inspect import info, repair, validate
+from evetac_cli.names import Capability
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.recordings.marks import Mark, mark_row
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.segments import RecordingWriter
+from evetac_cli.trials import grasp, record
+from evetac_cli.trials.listen import Listening
+from tests.devices.stand_ins import StillCamera
+from tests.make import run_stage
+from tests.patience import PATIENCE_S, until
+from tests.store.recordings.test_recovery import STATIC, events_of
+
+
+class HostCamera(StillCamera):
+    """One event a slice, at the column of its number, by the clock of this computer."""
+
+    def __init__(self) -> None:
+        self.sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "host"}
+        self.began_s = time.monotonic()
+        self.fails = False
+
+    def read(self) -> Events | None:
+        if self.fails:
+            raise DeviceError("is no longer on the bus")
+        time.sleep(max(0.0, self.began_s + (self.slices + 1) * 1e-3 - time.monotonic()))
+        self.slices += 1
+        number = np.array([self.slices - 1])
+        x, y = (number % 640).astype(np.uint16), (number // 640).astype(np.uint16)
+        return Events(number * SLICE_US, x, y, np.ones(1, np.uint8))
+
+    def host_us(self, device_us: float) -> float:
+        return self.began_s * 1e6 + device_us
+
+
+opened: list[HostCamera] = []
+
+
+@dataclass(frozen=True)
+class Host(NamedCamera):
+    """`host`, of which each that is opened is in `opened`."""
+
+    name = "host"
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        return frozenset({Capability.DEVICE, Capability.HARDWARE})
+
+    def open(self, settings: CameraSettings, world: Any, seeds: Any) -> OpenedCamera:
+        opened.append(HostCamera())
+        return OpenedCamera(opened[-1], {"name": self.name})
+
+
+arms: list["Arm"] = []  # that have to hang up
+
+
+class Arm:
+    """A robot's program, on one connection."""
+
+    def __init__(self, folder: Path) -> None:
+        host, port, self.token = (folder / "evetac.listen").read_text().split()
+        self.socket = socket.create_connection((host, int(port)), timeout=PATIENCE_S)
+        self._lines = self.socket.makefile("rw")
+        arms.append(self)
+
+    def ask(self, command: str, **fields: Any) -> dict[str, Any]:
+        """The answer to a request."""
+        print(json.dumps({"token": self.token, "command": command, **fields}), file=self._lines, flush=True)
+        answer: dict[str, Any] = json.loads(self._lines.readline())
+        return answer
+
+    def drop(self) -> None:
+        """Break off, as a program that dies does."""
+        self._lines.close()
+        self.socket.close()
+
+
+@pytest.fixture
+def listened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., KeyboardInterrupt]:
+    """Let a robot's program run beside `record --listen`, which Ctrl-C ends once it has come to its end."""
+    monkeypatch.setitem(cameras.KINDS, Host.name, Host)
+    opened.clear()
+
+    def run(program: Callable[[Path], None], **flags: Any) -> KeyboardInterrupt:
+        params = Record(camera=Host.name, listen=True, expected_event_rate=1e4, **flags)
+        (job,) = record.jobs([], params, tmp_path)
+        failed: list[BaseException] = []
+
+        def robot() -> None:
+            try:
+                assert until((tmp_path / "evetac.listen").exists)
+                program(tmp_path)
+            except BaseException as error:
+                failed.append(error)
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+        thread = threading.Thread(target=robot)
+        thread.start()
+        with pytest.raises(KeyboardInterrupt) as ended:
+            record.run(job, params)
+        thread.join()
+        for arm in arms:
+            arm.drop()
+        arms.clear()
+        if failed:
+            raise failed[0]
+        assert not (tmp_path / "evetac.listen").exists()
+        return ended.value
+
+    return run
+
+
+def numbers(path: Path) -> list[int]:
+    """Which slices of its camera a recording holds, by their events."""
+    assert validate.run([path]).rows[0]["faults"] is None
+    with open_recording(path) as recording:
+        assert [events.size for events in recording] == [1] * len(recording)
+        return [int(events.x[0]) + 640 * int(events.y[0]) for events in recording]
+
+
+def test_trials_of_one_camera(listened: Callable[..., KeyboardInterrupt], tmp_path: Path) -> None:
+    """Assert names, marks to the ms, whole trials through a lost connection, an abort without a trace, and Ctrl-C.
+
+    A mark that says its time lies there within 1 ms; one that does not, between its sending and its answer.
+    """
+    times: dict[str, float] = {}
+
+    def program(folder: Path) -> None:
+        arm = Arm(folder)
+        assert arm.ask("status")["state"] == "idle"
+        started = arm.ask("start", name="cup-01")
+        times["started"] = time.monotonic()
+        assert (started["ok"], started["state"], started["name"]) == (True, "recording", "cup-01")
+        assert not arm.ask("start", name="cup-02")["ok"]
+        arm.drop()
+        time.sleep(0.05)
+        arm = Arm(folder)
+        status = arm.ask("status")
+        assert (status["state"], status["name"]) == ("recording", "cup-01")
+        times["told"] = time.monotonic()
+        assert arm.ask("mark", text="told", at_s=times["told"])["ok"]
+        times["sent"] = time.monotonic()
+        assert arm.ask("mark", text="sent")["ok"]
+        times["answered"] = time.monotonic()
+        times["stopped"] = time.monotonic()
+        answer = arm.ask("stop")
+        assert answer["file"] == str(folder / "cup-01.recording.h5")
+        assert answer["trials"] == 1
+        assert arm.ask("start", name="cup-02")["ok"]
+        assert arm.ask("abort")["file"] is None
+        assert sorted(path.name for path in folder.iterdir()) == ["cup-01.recording.h5", "evetac.listen"]
+        refused = arm.ask("start", name="cup-01")
+        assert not refused["ok"]
+        assert "exists" in refused["error"]
+        assert arm.ask("start", name="cup-03")["ok"]
+        times["last"] = arm.ask("status")["slices"]
+
+    ended = listened(program)
+    assert "2 recordings" in str(ended)
+    (camera,) = opened
+    first = numbers(tmp_path / "cup-01.recording.h5")
+    assert first == list(range(first[0], first[0] + len(first)))
+    assert camera.began_s + 1e-3 * first[0] < times["started"]
+    assert camera.began_s + 1e-3 * (first[-1] + 1) > times["stopped"]
+    with open_recording(tmp_path / "cup-01.recording.h5") as recording:
+        assert recording.read("capture/ended") == "stopped by the robot's program"
+        assert int(recording.read("t_offset")) == first[0] * SLICE_US
+        told, sent = recording.marks
+    began_s = camera.began_s + 1e-3 * first[0]
+    assert (told.text, sent.text) == ("told", "sent")
+    assert abs(began_s + 1e-6 * told.t_us - times["told"]) < 1e-3
+    assert times["sent"] - 1e-3 < began_s + 1e-6 * sent.t_us < times["answered"] + 1e-3
+    assert told.slice == told.t_us // SLICE_US
+    assert (info.run([tmp_path / "cup-01.recording.h5"]).rows[0]["marks"]).startswith("told at 0.")
+    last = numbers(tmp_path / "cup-03.recording.h5")
+    assert len(last) >= times["last"]
+    assert last[0] > first[-1]
+    with open_recording(tmp_path / "cup-03.recording.h5") as recording:
+        assert recording.read("capture/ended") == "interrupted"
+        assert recording.marks == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cup-01.recording.h5", "cup-03.recording.h5"]
+
+
+def test_a_camera_that_fails_ends_no_series(listened: Callable[..., KeyboardInterrupt], tmp_path: Path) -> None:
+    """Assert that what was recorded is kept, that `stop` says what failed, and that the next start opens a camera."""
+
+    def program(folder: Path) -> None:
+        arm = Arm(folder)
+        arm.ask("start", name="a")
+        opened[0].fails = True
+        answer = arm.ask("stop")
+        assert not answer["ok"]
+        assert "no longer on the bus" in answer["error"]
+        assert answer["file"] == str(folder / "a.recording.h5")
+        assert arm.ask("start", name="b")["ok"]
+        assert arm.ask("stop")["ok"]
+
+    listened(program)
+    assert len(opened) == 2
+    assert numbers(tmp_path / "a.recording.h5")
+    assert numbers(tmp_path / "b.recording.h5")
+
+
+def test_a_trial_that_nobody_stops_ends_after_its_seconds(listened: Callable[..., KeyboardInterrupt]) -> None:
+    """Assert that `--seconds` ends a trial, and that `stop` afterwards still answers with the file."""
+
+    def program(folder: Path) -> None:
+        arm = Arm(folder)
+        arm.ask("start", name="a")
+        arm.drop()
+        arm = Arm(folder)
+        assert until(lambda: arm.ask("status")["state"] == "idle")
+        answer = arm.ask("stop")
+        assert (answer["ok"], answer["ended"], answer["slices"]) == (True, "after the seconds asked for", 50)
+
+    listened(program, seconds=0.05)
+
+
+def test_marks_survive_a_kill_of_the_recorder(tmp_path: Path) -> None:
+    """Assert that marks of closed segments are in the repaired file, also those that came after the last slice."""
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC, recipe=Recipe("recording", 1, {}))
+    writer.append(events_of(0, 2))
+    writer.append_rows(mark_row(400, "first"))
+    writer.close_segment()
+    writer.append_rows(mark_row(1200, "late"))
+    writer.close_segment()
+    writer.leave()
+    repair.run([writer.folder])
+    assert validate.run([path]).rows[0]["faults"] is None
+    with open_recording(path) as recording:
+        assert recording.marks == [Mark(0, 400, "first"), Mark(1, 1200, "late")]
+        assert len(recording) == 1
+
+
+def test_rows_after_the_last_slice_are_in_the_file(tmp_path: Path) -> None:
+    """Assert that a row that comes when all slices are in segments is not lost."""
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC)
+    writer.append(events_of(0, 2))
+    writer.close_segment()
+    writer.append_rows(mark_row(900, "at the end"))
+    writer.finish(Recipe("recording", 1, {}), {"capture/ended": "x"})
+    with open_recording(path) as recording:
+        assert [mark.text for mark in recording.marks] == ["at the end"]
+
+
+def test_marks_are_cut_with_their_slices(tmp_path: Path) -> None:
+    """Assert that a piece has the marks of its slices, in its own time, and a copy with a stream has all of them."""
+    from evetac_cli.commands.attach import Attach
+    from evetac_cli.commands.trim import Trim
+    from evetac_cli.stages import attach, trim
+
+    path = tmp_path / "a.recording.h5"
+    writer = RecordingWriter(path, STATIC)
+    for k in range(10):
+        writer.append(events_of(k, 2))
+    for t_us, text in ((500, "before"), (3200, "within"), (9000, "after")):
+        writer.append_rows(mark_row(t_us, text))
+    writer.finish(Recipe("recording", 1, {}), {"capture/ended": "x"})
+    (tmp_path / "arm.csv").write_text("t_s,x_m\n0.001,1\n0.002,2\n")
+    piece, _ = run_stage(trim, [path], Trim(from_ms=3, to_ms=6), tmp_path)
+    copy, _ = run_stage(attach, [path], Attach(stream=[f"arm={tmp_path / 'arm.csv'}"]), tmp_path)
+    with open_recording(piece) as part, open_recording(copy) as whole:
+        assert part.marks == [Mark(0, 200, "within")]
+        assert [mark.text for mark in whole.marks] == ["before", "within", "after"]
+    assert validate.run([piece]).rows[0]["faults"] is None
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ({"camera": "sim"}, "--listen: has no effect in this run"),
+        ({"camera": "dvxplorer", "preview": True}, "--listen: has no effect in this run"),
+        ({"camera": "dvxplorer", "resume": True}, "--resume: has no effect with --listen"),
+        ({"camera": "dvxplorer", "count": 2}, "each start is a trial"),
+        ({"camera": "virtual", "objects": "1-3"}, "each start is a trial"),
+        ({"camera": "virtual", "sensor": "randomized"}, "each trial would have the same sensor"),
+        ({"camera": "dvxplorer", "gripper": "/dev/ttyUSB0"}, "--arm"),
+    ],
+)
+def test_what_cannot_be_listened_for_is_refused(flags: dict[str, Any], words: str, tmp_path: Path) -> None:
+    """Assert that a flag without meaning is an error in words, before anything is opened."""
+    with pytest.raises(InputError) as refused:
+        record.jobs([], Record(**flags, listen=True), tmp_path)
+    assert words in str(refused.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_port_without_listening_and_a_file_are_refused(tmp_path: Path) -> None:
+    """Assert that --listen-port alone, and -o NAME.h5, are errors in words."""
+    with pytest.raises(InputError, match="--listen-port: has no effect in this run"):
+        record.jobs([], Record(camera="dvxplorer", listen_port=5000), tmp_path)
+    with pytest.raises(InputError, match="each start names its file"):
+        record.jobs([], Record(camera="dvxplorer", listen=True), tmp_path / "a.h5")
+
+
+def test_a_grasp_listens_with_devices_alone(tmp_path: Path) -> None:
+    """Assert that `grasp --listen` is refused in simulation and on a recording, and else is one job of one grasp."""
+    with pytest.raises(InputError, match="--listen: has no effect in this run"):
+        grasp.jobs([], Grasp(listen=True), tmp_path)
+    with pytest.raises(InputError, match="--listen: has no effect in this run"):
+        grasp.jobs([], Grasp(camera="replay:a.recording.h5", listen=True), tmp_path)
+    (job,) = grasp.jobs([], Grasp(camera="virtual", listen=True), tmp_path)
+    assert isinstance(job, Listening)
+    assert grasp.dry_run([job], Grasp(camera="virtual", listen=True)).rows
+    assert list(tmp_path.iterdir()) == []
