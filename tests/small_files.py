@@ -17,6 +17,7 @@ from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.new_contents import NewContents
 from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.recordings.marks import mark_row
 from tests.make import event_arrays, truth_arrays, write_recording
 
 SLICES = 24
@@ -100,6 +101,7 @@ def recording(path: Path, *, lost_slices: bool = True) -> Header:
         "control/slices_processed": np.arange(steps, dtype=np.int64),
         "control/outcome": "{}",
         "control/probability": np.full(SLICES, np.nan, np.float32),
+        **{name: np.array([value]) for name, value in mark_row(4200, "lifted").items()},
         "streams/arm/t_us": np.arange(5, dtype=np.int64) * 5000,
         "streams/arm/about": '{"what": "pose of the arm", "units": {"x_m": "m"}}',
         "streams/arm/x_m": np.linspace(0.0, 1.0, 5),

@@ -86,7 +86,7 @@ FORMATS = {
     ),
 }
 # Groups and datasets of a recording that a file of events cannot hold.
-LEFT_OUT = ("gripper", "truth", "control", "capture", "streams", "sensor/dot_xy_px", "sensor/window_px")
+LEFT_OUT = ("gripper", "truth", "control", "capture", "marks", "streams", "sensor/dot_xy_px", "sensor/window_px")
 
 
 def named_format(name: str) -> ExportFormat:

@@ -18,7 +18,7 @@ from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.pages import touch_words
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings import slip_grid, streams
+from evetac_cli.store.recordings import marks, slip_grid, streams
 from evetac_cli.store.recordings.onset import abstains, labelled_onset
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
@@ -30,7 +30,6 @@ HIDDEN = ("history", "parameters", "parents", "made", "file")  # of --json, left
 NUMBERS = {"version": "schema version", "method": "method number"}  # how the text calls what is a bare number
 VALIDATED = ("validation/detected_share", "validation/slip_share")  # of a model
 MOST_PARENTS = 10  # lines; a model may have hundreds of parents
-MOST_MARKS = 20
 OPTIONAL_GROUPS = ("gripper", "truth", "control", "capture", "marks", "streams")  # of a recording
 
 
@@ -140,11 +139,10 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "sensor": recording.read("sensor/name"),
             "dots": "none" if grid is None else in_words(*grid.shape[:2]),
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
-            "groups": " ".join(filter(recording.has, ("gripper", "truth", "control", "capture", "marks", "streams")))
-            or "none",
+            "groups": " ".join(filter(recording.has, OPTIONAL_GROUPS)) or "none",
             **info_slip.figures(recording),
             **_slip_grid(recording),
-            **_marks(recording),
+            **({"marks": marks.in_words(recording.marks)} if recording.has("marks") else {}),
             **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),
@@ -164,13 +162,6 @@ def _slip_grid(recording: Recording) -> dict[str, Any]:
     with suppress(InputError):
         pitch_mm = read_plan(recording.header["parameters"], str(recording.path)).scene.solver.node_pitch_mm
     return {slip_grid.COLUMN: nodes, "warning": slip_grid.unresolved(nodes, pitch_mm)}
-
-
-def _marks(recording: Recording) -> dict[str, str]:
-    """What a robot's program marked, and when: the first MOST_MARKS."""
-    marks = [f"{mark.text} at {mark.t_us * 1e-6:.3f} s" for mark in recording.marks]
-    more = [f"{len(marks) - MOST_MARKS} more"] if len(marks) > MOST_MARKS else []
-    return {"marks": "; ".join(marks[:MOST_MARKS] + more)} if marks else {}
 
 
 def _streams(recording: Recording) -> dict[str, str]:

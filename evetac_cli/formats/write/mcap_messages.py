@@ -87,7 +87,7 @@ class TopicMessages:
                 progress(done, recording.event_count)
 
     def of_recording(self, recording: Recording) -> Iterator[tuple[str, str, Messages]]:
-        """Topics of gripper, control and truth, as far as there are any."""
+        """Topics of gripper, control, marks and truth, as far as there are any."""
         joint = "sensor_msgs/msg/JointState"
         if recording.has("gripper"):
             rows = _timed(recording, "gripper", "position_ticks", "current_ma")
@@ -95,6 +95,9 @@ class TopicMessages:
         if recording.has("control"):
             rows = _timed(recording, "control", "goal_ticks")
             yield "/evetac/gripper/goal", joint, ((t_us, self._joint(t_us, *row)) for t_us, *row in rows)
+        if recording.has("marks"):
+            texts = ((mark.t_us, self("std_msgs/msg/String", data=mark.text)) for mark in recording.marks)
+            yield "/evetac/marks", "std_msgs/msg/String", texts
         for path, kind in NUMBERS.items():
             if recording.has(path):
                 yield f"/evetac/{path}", f"std_msgs/msg/{kind}", self._numbers(recording, path, kind)

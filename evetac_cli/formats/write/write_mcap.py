@@ -12,6 +12,7 @@
     /evetac/label             std_msgs/Int8 of the labels: 1 slip, 0 none, -1 not examined
     /evetac/gripper           sensor_msgs/JointState: position in rad; effort is the measured current in mA
     /evetac/gripper/goal      sensor_msgs/JointState: the goal position of a grasp, in rad
+    /evetac/marks             std_msgs/String: what a robot's program marked while it was recorded
     /evetac/streams/NAME      std_msgs/Float64MultiArray of another stream: its columns, named with their units in the
                               layout; NAME/about std_msgs/String, NAME/image sensor_msgs/Image
     /evetac/gripper/*, control/*, truth/*      numbers of std_msgs; truth, which only a simulation knows, has dots and
@@ -56,6 +57,7 @@ MOST_S = 2**31  # the seconds of a time of ROS are an int32
 MOST_ROWS_PX = 2**15  # `mono` has 15 bits for y
 # What of a recording is in the file, beside its events.
 HOLDS = (
+    "marks",
     "sensor/dot_xy_px",
     "gripper/t_us",
     "gripper/current_ma",

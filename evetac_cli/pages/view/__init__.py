@@ -26,6 +26,7 @@ from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.recordings import marks
 from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 
 
@@ -86,7 +87,7 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
     probability = model_output(trial, span)
     of_touch = [] if empty or trial.touch is None else touch.touch_panels(trial.touch, span)
     panels = [] if empty else series_panels(trial, span, probability, of_touch)
-    notes = _label_notes(trial) + trial.notes
+    notes = _label_notes(trial) + _mark_notes(trial) + trial.notes
     others = [] if empty else streams.stream_panels(trial, span, notes)
     view = ViewData(
         slices=trial.slices,
@@ -133,6 +134,12 @@ def _label_notes(trial: OpenTrial) -> list[str]:
     if made.get("method") == PERSON:
         notes.append(f"The labels are those of a person: {made.get('by')}.")
     return [*notes, *filter(None, [labelled_onset(trial.labels).in_words()])]
+
+
+def _mark_notes(trial: OpenTrial) -> list[str]:
+    """A note of what a robot's program marked while the trial was recorded."""
+    marked = "" if trial.recording is None else marks.in_words(trial.recording.marks)
+    return [f"Marked by the robot's program: {marked}."] if marked else []
 
 
 def _film(trial: OpenTrial, view: ViewData) -> bytes:

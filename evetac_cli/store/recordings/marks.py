@@ -4,7 +4,7 @@ Texts lie as rows of bytes: rows of plain numbers are what segments take one by 
 knows, so that a mark survives a kill of the recorder as events do.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from evetac_cli.events import SLICE_US
 
 TIME, TEXT = "marks/t_us", "marks/text"
+SHOWN = 20  # in words
 MOST_BYTES = 120  # of a text, in UTF-8
 
 
@@ -37,6 +38,12 @@ def mark_row(t_us: int, text: str) -> Mapping[str, Any]:
     if len(content) > MOST_BYTES:
         raise ValueError(f"a text of {len(content)} bytes, more than {MOST_BYTES}")
     return {TIME: t_us, TEXT: np.frombuffer(content.ljust(MOST_BYTES, b"\0"), np.uint8)}
+
+
+def in_words(marks: Sequence[Mark]) -> str:
+    """What was marked and when, the first SHOWN of them; empty without any."""
+    said = [f"{mark.text} at {mark.t_us * 1e-6:.3f} s" for mark in marks[:SHOWN]]
+    return "; ".join([*said, *([f"{len(marks) - SHOWN} more"] if len(marks) > SHOWN else [])])
 
 
 def marks_of(recording: _File) -> list[Mark]:
