@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 from clock_camera import BEGAN, EVENT_US, PIXELS, Clock
+from script_tables import RESULTS, table_of, write
 
 from evetac_cli.console import print_table
 from evetac_cli.events import FRAME_PX
@@ -44,6 +45,23 @@ Recorder = runpy.run_path(str(ROOT / "examples" / "robot_trials.py"))["Recorder"
 LOST_MS = 400.0  # that a kill of the server may cost: the segment that was open, 250 ms, and a busy disk
 OTHER_USER = 65534
 PATIENCE_S = 120.0
+TITLE = "Trials that a virtual arm's program records through `record --listen`, with kills"
+COLUMNS = {
+    "killed in the middle of a trial": "{kill}",
+    "trials": "{trials}",
+    "kept": "{kept}",
+    "lost at the end, most [ms]": "{lost_ms_most:.0f}",
+    "`start` answered after, median [ms]": "{start_ms_median:.1f}",
+    "marks with `at_s` off, most [ms]": "{told_off_ms_most:.2f}",
+    "marks without it off, median [ms]": "{arrived_off_ms_median:.2f}",
+    "within 1 ms": "{arrived_within_1_ms} of {trials}",
+    "most [ms]": "{arrived_off_ms_most:.1f}",
+}
+NOTES = (
+    "Kept: a valid file with every slice and event from the answer to `start` until `stop`, and both marks; where the"
+    " server was killed, all but the end, repaired. Each trial has one mark of either kind. How far it is off, the events"
+    " of the recording tell, which show the time, against the clock of the client. All rows: rows/listen.jsonl.",
+)
 Row = dict[str, Any]
 
 
@@ -241,7 +259,7 @@ def summary(rows: list[Row]) -> list[Row]:
         starts = [row["start_ms"] for row in some if "start_ms" in row]
         shown.append(
             {
-                "kill": kill or "none",
+                "kill": {"": "nothing", "client": "process of the client"}.get(kill, kill),
                 "trials": len(some),
                 "kept": sum(map(is_kept, some)),
                 "marks": sum(row["marks"] for row in some),
@@ -266,6 +284,7 @@ def main() -> None:
     parser.add_argument("--connections", type=int, default=30, help="kills of a connection")
     parser.add_argument("--clients", type=int, default=10, help="kills of a client's process")
     parser.add_argument("--servers", type=int, default=10, help="kills of the server")
+    parser.add_argument("--table", action="store_true", help="write docs/results/listen-trials.json too")
     parser.add_argument("--seed", type=int, default=0, help="of when what happens")
     chosen = parser.parse_args()
     rng = np.random.default_rng(chosen.seed)
@@ -287,6 +306,11 @@ def main() -> None:
         finally:
             server.end()
         left = [path.name for path in server.folder.iterdir() if not path.name.endswith(".recording.h5")]
+    if chosen.table:
+        kills_said = f"--connections {chosen.connections} --clients {chosen.clients} --servers {chosen.servers}"
+        command = f"python scripts/listen_trials.py --trials {chosen.trials} {kills_said} --table -o FILE"
+        trials_said = {"trials": chosen.trials, "kills": sum(map(bool, kills)), "servers": server.starts}
+        write(RESULTS, table_of("listen-trials", TITLE, COLUMNS, summary(rows), command, trials_said, notes=NOTES))
     print_table("listen", summary(rows), {"servers": server.starts, "left_behind": len(left)}, simulated=True)
     print_table("strangers", [row for row in rows if "stranger" in row], {}, simulated=True)
 

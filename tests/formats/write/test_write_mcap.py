@@ -27,6 +27,7 @@ from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.write import write_mcap
 from evetac_cli.inspect.export import run as run_export
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.marks import mark_row
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.streams import Stream
 from tests import small_files
@@ -234,19 +235,21 @@ def test_touch_beside_it_is_taken_along(tmp_path: Path) -> None:
 
 
 def test_other_streams_of_the_trial(tmp_path: Path) -> None:
-    """Assert that columns, their units, images and what a stream is are there, without times that ROS does not have."""
+    """Assert that columns, units, images, what a stream is, and marks are there, without times that ROS has not."""
     from rosbags.highlevel import AnyReader
 
     images = np.arange(3 * 4 * 5 * 3, dtype=np.uint8).reshape(3, 4, 5, 3)
     t_us = np.array([-2_000_000, -500, 7000])
     columns = {"x": np.array([0.5, np.nan, 2.0]), "count": np.arange(3.0)}
     arm = Stream("arm-left", t_us, columns, images, {"x": "m"}, what="an arm")
-    source = write(tmp_path / "a.recording.h5", drawn(5), 9, 10**6, more=arm.datasets())
+    marked = {name: np.array([value]) for name, value in mark_row(3000, "lifted").items()}
+    source = write(tmp_path / "a.recording.h5", drawn(5), 9, 10**6, more=arm.datasets() | marked)
     assert exported(source)["left_out"] is None
     topics: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     with AnyReader([tmp_path / "a.mcap"]) as reader:
         for connection, time_ns, content in reader.messages():
             topics[connection.topic].append((time_ns // 1000, reader.deserialize(content, connection.msgtype)))
+    assert [(at, mark.data) for at, mark in topics["/evetac/marks"]] == [(10**6 + 3000, "lifted")]
     times = [10**6 - 500, 10**6 + 7000]
     rows = topics["/evetac/streams/arm_left"]
     assert [at for at, _ in rows] == times
