@@ -59,8 +59,8 @@ COLUMNS = {
 }
 NOTES = (
     "Kept: a valid file with every slice and event from the answer to `start` until `stop`, and both marks; where the"
-    " server was killed, all but the end, repaired. Each trial has one mark of either kind. How far it is off, the events"
-    " of the recording tell, which show the time, against the clock of the client. All rows: rows/listen.jsonl.",
+    " server was killed, all but the end, repaired. Each trial has one mark of either kind. How far it is off, the"
+    " events of the recording tell, which show the time, against the clock of the client. All rows: rows/listen.jsonl.",
 )
 Row = dict[str, Any]
 
