@@ -41,6 +41,8 @@ DOORS = {
     "realtime/shared_status.py": {"RawArray"},
     "trials/grasp/grasp_processes.py": {"Pipe"},
     "trials/live_view/__init__.py": {"Pipe"},
+    "trials/listen/address.py": {"flock"},
+    "trials/listen/door.py": {"create_server"},
     "page_address.py": {"TemporaryDirectory", "webbrowser.open"},
     "store/hdf5/disk.py": {"TemporaryFile", "gettempdir"},
     "store/recordings/recovery.py": {"flock", "open_lock"},

@@ -3,6 +3,8 @@
 import json
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -31,6 +33,8 @@ from tests.devices.stand_ins import StillCamera
 from tests.make import run_stage
 from tests.patience import PATIENCE_S, until
 from tests.store.recordings.test_recovery import STATIC, events_of
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 class HostCamera(StillCamera):
@@ -202,6 +206,32 @@ def test_trials_of_one_camera(listened: Callable[..., KeyboardInterrupt], tmp_pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cup-01.recording.h5", "cup-03.recording.h5"]
 
 
+def test_the_clients_of_the_documentation(listened: Callable[..., KeyboardInterrupt], tmp_path: Path) -> None:
+    """Assert that the Python and the bash of the page, and the example, record trials as they are written."""
+    page = (ROOT / "docs" / "hardware.md").read_text().partition("## 7. From a robot's program")[2]
+    python = page.partition("```python\n")[2].partition("```")[0]
+    bash = page.partition("In bash:\n\n")[2].partition("\n\n")[0]
+    example = [sys.executable, str(ROOT / "examples" / "robot_trials.py"), str(tmp_path), "1"]
+
+    def program(folder: Path) -> None:
+        exec(compile(python.replace("data/", f"{folder}/"), "docs/hardware.md", "exec"), found)
+        found["lines"].close()
+        found["server"].close()
+        named = bash.replace("data/", f"{folder}/").replace("cup-01", "cup-02")
+        answer = subprocess.run(["bash", "-c", named], capture_output=True, text=True, check=True).stdout
+        assert json.loads(answer)["state"] == "recording"
+        Arm(folder).ask("stop")
+        subprocess.run(example, capture_output=True, check=True)
+
+    found: dict[str, Any] = {}
+    listened(program)
+    first, second, third = sorted(tmp_path.iterdir())
+    assert (first.name, second.name) == ("cup-01.recording.h5", "cup-02.recording.h5")
+    for path, texts in ((first, ["lifted"]), (third, ["touched"])):
+        with open_recording(path) as recording:
+            assert [mark.text for mark in recording.marks] == texts
+
+
 def test_a_camera_that_fails_ends_no_series(listened: Callable[..., KeyboardInterrupt], tmp_path: Path) -> None:
     """Assert that what was recorded is kept, that `stop` says what failed, and that the next start opens a camera."""
 
@@ -326,3 +356,32 @@ def test_a_grasp_listens_with_devices_alone(tmp_path: Path) -> None:
     assert isinstance(job, Listening)
     assert grasp.dry_run([job], Grasp(camera="virtual", listen=True)).rows
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_grasps_by_name(tmp_path: Path) -> None:
+    """Assert that `grasp --listen` records a grasp with its mark, ended by `stop`, and leaves nothing of an aborted one.
+
+    Slow: a virtual world and the processes of two grasps.
+    """
+    command = [sys.executable, "-m", "evetac_cli", "grasp", "--camera", "virtual", "--listen", "-o", str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as running:
+        assert until((tmp_path / "evetac.listen").exists)
+        arm = Arm(tmp_path)
+        assert arm.ask("start", name="a")["ok"]
+        marked = arm.ask("mark", text="lifted")
+        stopped = arm.ask("stop")
+        assert arm.ask("start", name="b")["ok"]
+        assert arm.ask("abort")["file"] is None
+        arm.drop()
+        arms.clear()
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(PATIENCE_S) == 130
+    (path,) = tmp_path.iterdir()
+    assert stopped["file"] == str(path)
+    assert validate.run([path]).rows[0]["faults"] is None
+    with open_recording(path) as recording:
+        assert recording.read("capture/ended") == "stopped by the robot's program"
+        assert recording.marks == [Mark(marked["slice"], marked["t_us"], "lifted")]
+        assert marked["slice"] < len(recording)
+        assert recording.has("truth")
