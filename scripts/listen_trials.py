@@ -265,10 +265,10 @@ def summary(rows: list[Row]) -> list[Row]:
                 "marks": sum(row["marks"] for row in some),
                 "arrived_off_ms_median": float(np.median(off["arrived"])),
                 "arrived_off_ms_most": max(off["arrived"]),
-                "arrived_within_1_ms": sum(one <= 1.0 for one in off["arrived"]),
+                "arrived_within_1_ms": sum(bool(one <= 1.0) for one in off["arrived"]),
                 "told_off_ms_median": float(np.median(off["told"])),
                 "told_off_ms_most": max(off["told"]),
-                "told_within_1_ms": sum(one <= 1.0 for one in off["told"]),
+                "told_within_1_ms": sum(bool(one <= 1.0) for one in off["told"]),
                 "start_ms_median": float(np.median(starts)) if starts else None,
                 "lost_ms_most": max(0.0, *(row["ends_early_ms"] for row in some)),
             }

@@ -360,7 +360,7 @@ def test_a_grasp_listens_with_devices_alone(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_grasps_by_name(tmp_path: Path) -> None:
-    """Assert that `grasp --listen` records a grasp with its mark, ended by `stop`, and leaves nothing of an aborted one.
+    """Assert that `grasp --listen` records a grasp with its mark until `stop`, and leaves nothing of an aborted one.
 
     Slow: a virtual world and the processes of two grasps.
     """
