@@ -118,7 +118,7 @@ def trial(server: Server, name: str, kill: str, rng: np.random.Generator) -> Row
     if kill == "client":
         source = CLIENT.format(examples=str(ROOT / "examples"))
         with subprocess.Popen(
-            [sys.executable, "-c", source, folder, name], stdout=subprocess.PIPE, text=True
+            [sys.executable, "-P", "-c", source, folder, name], stdout=subprocess.PIPE, text=True
         ) as client:
             assert client.stdout is not None
             began_s = float(client.stdout.readline())
@@ -243,7 +243,7 @@ def strangers(folder: Path) -> list[Row]:
     if os.geteuid() == 0:
         code = f"import os; os.setgid({OTHER_USER}); os.setuid({OTHER_USER}); open({str(file)!r}).read()"
         folder.chmod(0o755)
-        done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=False)
+        done = subprocess.run([sys.executable, "-P", "-S", "-c", code], capture_output=True, text=True, check=False)
         rows.append({"stranger": "another user reads the file", "got_nothing": "PermissionError" in done.stderr})
     return rows
 

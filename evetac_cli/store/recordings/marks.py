@@ -24,7 +24,7 @@ class Mark(NamedTuple):
     text: str
 
 
-class _File(Protocol):
+class _Datasets(Protocol):
     def has(self, path: str) -> bool:
         """Whether there is such a dataset."""
 
@@ -46,7 +46,7 @@ def in_words(marks: Sequence[Mark]) -> str:
     return "; ".join([*said, *([f"{len(marks) - SHOWN} more"] if len(marks) > SHOWN else [])])
 
 
-def marks_of(recording: _File) -> list[Mark]:
+def marks_of(recording: _Datasets) -> list[Mark]:
     """The marks of a recording in the order in which they were put; none where it has no such group."""
     if not recording.has(TIME):
         return []

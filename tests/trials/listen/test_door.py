@@ -12,7 +12,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.trials.listen import door as doors
 from evetac_cli.trials.listen.door import REFUSED, Door
-from tests.patience import PATIENCE_S
+from tests.patience import PATIENCE_S, until
 
 
 class Asked:
@@ -148,8 +148,7 @@ def test_who_waits_is_answered_before_the_door_closes(asked: Asked) -> None:
     door = Door(asked, 0)
     with connected(door) as connection:
         connection.sendall(line(door, command="later"))
-        while not asked.later:
-            threading.Event().wait(0.01)
+        assert until(lambda: asked.later)
         asked.later[0].set_result({"ok": True})
         door.close()
         assert everything(connection) == b'{"ok": true}\n'
