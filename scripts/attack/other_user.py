@@ -346,6 +346,25 @@ def looked_at(stage: Stage, address: str, held: str) -> Row:
     return {"tried": tried, "came_of_it": came, "reached": seen.stdout.strip() != "200"}
 
 
+def robot(stage: Stage) -> Iterator[Row]:
+    """The door of a robot's program, and the file with its token."""
+    listens = "record --camera virtual:prepared=20000 --gripper none --listen -o"
+    file = stage.work / "robot" / "evetac.listen"
+    with stage.owners(f"{listens} {file.parent}") as program:
+        program.until(file.exists)
+        yield from stage.others("robot", owner=OWNER, file=str(file))
+        started = [path.name for path in file.parent.iterdir() if path != file]
+        ended = program.run.poll() is not None
+        yield {"tried": "robot: what the tries recorded", "came_of_it": f"{started}", "reached": bool(started) or ended}
+    for tried, target in (("another's address", ""), ("a link", str(stage.precious))):
+        stage.others("lay_address", folder=str(stage.shared), target=target)
+        with stage.owners(f"{listens} {stage.shared}") as program:
+            said = program.ended()
+        refused = "not a file that evetac made" in said and stage.precious.read_text() == PRECIOUS
+        came = said.strip().splitlines()[0] if said.strip() else "nothing was said"
+        yield {"tried": f"robot: {tried} in a folder of all", "came_of_it": came, "reached": not refused}
+
+
 def grasp(stage: Stage) -> Iterator[Row]:
     """Processes of a grasp, their memory and the virtual gripper's terminal."""
     command = "grasp --camera virtual --gripper virtual --lift-s 25 --balance-s 25 -o grasp.recording.h5 -q"
@@ -417,7 +436,7 @@ def devices(stage: Stage) -> Iterator[Row]:
         yield {"tried": f"devices: open the {kind} as anybody", "came_of_it": came, "reached": everybody}
 
 
-DOORS = {each.__name__: each for each in (devices, cache, folder, output, dask, page, grasp)}
+DOORS = {each.__name__: each for each in (devices, cache, folder, output, dask, page, robot, grasp)}
 
 
 def libraries(python: Path) -> list[str]:

@@ -206,6 +206,38 @@ def _press(address: str) -> Try:
     return row(address, "pressed", reached=True)
 
 
+def robot(owner: int, file: str) -> list[Try]:
+    """Read the file with the token of `--listen`, replace it, and ask to start a trial without."""
+    ask = json.dumps({"token": "A" * 32, "command": "start", "name": "taken"}).encode() + b"\n"
+    lines = (ask, b'{"command": "start", "name": "taken"}\n', b"POST / HTTP/1.1\r\n\r\n" + ask, b"x" * (1 << 20))
+    asked = [_ask(port, line) for port in listening(owner) for line in lines]
+    return [
+        refused("robot: read the file with the token", lambda: _read(file)),
+        refused("robot: write into it", lambda: Path(file).write_text(f"127.0.0.1 1 {'A' * 32}\n")),
+        summed("robot: start a trial without the token", asked),
+    ]
+
+
+def _ask(port: int, line: bytes) -> Try:
+    answer = b""
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), ANSWER_S) as connection:
+        connection.sendall(line)
+        while part := connection.recv(4096):
+            answer += part
+    return row(line[:30].decode(), answer.decode().strip() or "nothing", reached=b'"ok": true' in answer)
+
+
+def lay_address(folder: str, target: str) -> list[Try]:
+    """Lay a file with an address of one's own, or a link, where the owner's `--listen` will write."""
+    path = Path(folder) / "evetac.listen"
+    path.unlink(missing_ok=True)
+    if target:
+        path.symlink_to(target)
+    else:
+        path.write_text(f"127.0.0.1 1 {'A' * 32}\n")
+    return []
+
+
 def hold(port: int, count: int) -> None:
     """Hold so many connections that say nothing, new ones for those that are closed, until stdin ends."""
     held: list[socket.socket] = []
