@@ -105,7 +105,8 @@ class Record(Devices, Trials):
     )
     seconds: float | None = parameter(
         None,
-        "Record, or with --preview look, for so long; default: until the gripper has let go, or Ctrl-C.",
+        "Record, or with --preview look, for so long, with --listen no longer than that (an hour unless named);"
+        " default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,

@@ -35,7 +35,7 @@ class CameraPart:
     @property
     def counted(self) -> Mapping[str, int]:
         """What was lost since this part began."""
-        return {why: count - self._lost_before.get(why, 0) for why, count in self._camera.counted.items()}
+        return {why: max(0, count - self._lost_before.get(why, 0)) for why, count in self._camera.counted.items()}
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.trials.listen.door import ADDRESS, MOST_BYTES
 
 LINE = re.compile(rb"127\.0\.0\.1 [0-9]{1,5} [A-Za-z0-9_-]{20,100}\n")
+NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS)  # of file systems that have no second names for a file
 TRIES = 20  # at a place that others take and leave at the same time
 
 
@@ -57,6 +58,14 @@ class AddressFile:
                 os.link(temporary, self.path)
                 return
             except FileExistsError:
+                if self._replace(temporary):
+                    return
+            except OSError as error:
+                if error.errno not in NO_LINKS:
+                    raise
+                if not os.path.lexists(self.path):
+                    temporary.replace(self.path)
+                    return
                 if self._replace(temporary):
                     return
         raise InputError("another evetac listens here", where=str(self.path), hint="-o FOLDER listens elsewhere")

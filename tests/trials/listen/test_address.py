@@ -1,5 +1,6 @@
 """The file with address and token: for its user alone, whole or not there, and never in the way of the next."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -51,6 +52,24 @@ def test_what_a_killed_one_left_is_replaced(tmp_path: Path) -> None:
     file = AddressFile(path, 2, TOKEN)
     assert path.read_text().split()[1] == "2"
     file.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_system_without_links_will_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that the file is written, and what another listens by is not replaced, where files have one name."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    path = tmp_path / "evetac.listen"
+    file = AddressFile(path, 1, TOKEN)
+    with pytest.raises(InputError, match="another evetac listens here"):
+        AddressFile(path, 2, TOKEN)
+    assert path.read_text().split()[1] == "1"
+    file.remove()
+    path.write_text(f"127.0.0.1 1 {TOKEN}\n")
+    AddressFile(path, 3, TOKEN).remove()
     assert list(tmp_path.iterdir()) == []
 
 
