@@ -91,7 +91,7 @@ def test_every_kind_has_a_short_reader() -> None:
     """Assert that each kind of file has a reader, none of which has twenty lines, and that h5py and numpy are all."""
     headings = [heading.partition(":")[0] for heading in READERS]
     assert set(schema.KINDS) <= set(headings)
-    assert PAGE.read_text().count("```python") == len(READERS) == len(schema.KINDS) + 3
+    assert PAGE.read_text().count("```python") == len(READERS) == len(schema.KINDS) + 4
     for reader in READERS.values():
         assert len(reader.splitlines()) < MOST_LINES
         assert set(re.findall(r"^(?:import|from) (\w+)", reader, re.MULTILINE)) <= {"h5py", "numpy", "json"}
@@ -121,6 +121,8 @@ def test_recordings_are_read(read: Mapping[str, Any], folder: Path) -> None:
         same(found, {"slip": recording.read("truth/slip"), "force_n": recording.read("truth/normal_force_n")})
         stands = np.repeat(recording.read("gripper/position_ticks"), 2)  # a row every 2 ms
         same(found, {"position_ticks": stands})
+        same(read["recording: marks"], {f"marked.{mark.text}": mark.t_us for mark in recording.marks})
+        assert [mark.text for mark in recording.marks] == ["lifted"]
 
 
 def test_what_was_computed_is_read(read: Mapping[str, Any], folder: Path) -> None:
