@@ -17,6 +17,7 @@ from evetac_cli.pages.view.time_series import model_output
 from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
+from evetac_cli.stages.touch.known_gel import mm_per_px_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 
@@ -60,7 +61,7 @@ def _model(params: Export) -> Path | None:
 def _options(params: Export) -> dict[str, Any]:
     """What was chosen for the format, for its writer; InputError for what has no effect with it."""
     chosen = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
-    given = {name: value for name, value in chosen.items() if value is not None}
+    given = {name: value for name, value in chosen.items() if value is not None and value is not False}
     takes = named_format(params.format).takes
     for name in given:
         if name not in takes:
@@ -100,11 +101,12 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             made_from = {kind: file.header["parents"] for kind, file in by_kind.items() if kind in OF_TRACKS}
             others = [kind for kind, parents in made_from.items() if trial.tracks.header["id"] not in parents]
             notes += [f"Left out: {by_kind.pop(kind).path.name} was made from other tracks." for kind in others]
+        scale = mm_per_px_of(by_kind["touch"].header) if "touch" in by_kind else None
         if model is None:
-            yield TrialFiles(by_kind, notes)
+            yield TrialFiles(by_kind, notes, mm_per_px=scale)
             return
         if "features" not in by_kind:
             hint = "evetac track, then evetac featurize"
             raise InputError("a model needs features", where=str(path), expected="features beside it", hint=hint)
         probability = model_output(trial, (0, trial.slices))
-        yield TrialFiles(by_kind, notes, probability)
+        yield TrialFiles(by_kind, notes, probability, scale)
