@@ -30,8 +30,9 @@ from evetac_cli.store.recordings.read import Recording
 
 STATE = ("gripper_position_ticks", "gripper_current_ma")
 # Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
-# policies cannot take for an action; so what was written to the goal current stands in both.
-OF_GRASP = ("control_goal_ticks", "gripper_current_written_ma")
+# policies cannot take for an action. So beside the goal, a whole number, stands the controller's correction, which is a
+# part of it; beside the wanted current the one that was written.
+OF_GRASP = ("control_goal_ticks", "control_u_ff_ticks")
 OF_GRIPPER = ("gripper_current_target_ma", "gripper_current_written_ma")
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
 TACTILE = re.compile(
