@@ -103,8 +103,8 @@ class Export:
     )
     tactile_layout: str | None = parameter(
         None,
-        "Touch as one vector (vector, the default), or as points: per dot its displacement and, with touch maps, its"
-        " force, and beside them the wrench.",
+        "Touch as a vector (the default), or as points: of each dot its displacement and, with touch maps, its force;"
+        " and beside them the wrench.",
         choices=("vector", "points"),
         recipe=False,
         panel=LEROBOT,

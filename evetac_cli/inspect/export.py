@@ -17,7 +17,6 @@ from evetac_cli.pages.view.time_series import model_output
 from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
-from evetac_cli.stages.touch.known_gel import mm_per_px_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 
@@ -101,7 +100,7 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             made_from = {kind: file.header["parents"] for kind, file in by_kind.items() if kind in OF_TRACKS}
             others = [kind for kind, parents in made_from.items() if trial.tracks.header["id"] not in parents]
             notes += [f"Left out: {by_kind.pop(kind).path.name} was made from other tracks." for kind in others]
-        scale = mm_per_px_of(by_kind["touch"].header) if "touch" in by_kind else None
+        scale = partial(_mm_per_px, by_kind["touch"]) if "touch" in by_kind else None
         if model is None:
             yield TrialFiles(by_kind, notes, mm_per_px=scale)
             return
@@ -110,3 +109,10 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             raise InputError("a model needs features", where=str(path), expected="features beside it", hint=hint)
         probability = model_output(trial, (0, trial.slices))
         yield TrialFiles(by_kind, notes, probability, scale)
+
+
+def _mm_per_px(touch: StageFile) -> float:
+    """The scale of the maps of a touch file; asked for late, since the stage that knows it loads compiled code."""
+    from evetac_cli.stages.touch.known_gel import mm_per_px_of
+
+    return mm_per_px_of(touch.header)

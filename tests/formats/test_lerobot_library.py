@@ -133,7 +133,7 @@ def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: Path, settings: di
         np.testing.assert_array_equal(np.array(seen[name], np.float32), np.stack(ours[column]))
     points = np.stack([np.stack(cell) for cell in ours["observation.tactile.points"]])
     np.testing.assert_array_equal(np.array(seen["points"], np.float32), points)
-    np.testing.assert_allclose(seen["others"], np.stack(ours["observation.streams.arm"])[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(seen["others"], ours["observation.streams.arm"], rtol=1e-6)
     assert seen["shape"] == 16 * [[3, 120, 160]]
     sums = [[_sum(row[f"observation.images.tactile_{place:02d}"]) for place in range(16)] for _, row in ours.iterrows()]
     np.testing.assert_allclose(seen["stack"], sums, rtol=1e-5)

@@ -182,7 +182,7 @@ def test_streams_are_what_was_known_by_then(whole: Path) -> None:
     assert info["features"]["observation.streams.arm"]["names"] == ["streams_arm_x_m"]
     t_us, x_m = np.arange(5) * 5000, np.linspace(0.0, 1.0, 5)
     last = np.searchsorted(t_us, ENDS_MS * 1000) - 1
-    seen = np.stack(frames["observation.streams.arm"])[:FRAMES, 0]
+    seen = frames["observation.streams.arm"].to_numpy()[:FRAMES]  # one number is no list, see `_column`
     np.testing.assert_allclose(seen, x_m[last], rtol=1e-6)
     path = whole / info["video_path"].format(video_key="observation.images.wrist", chunk_index=0, file_index=0)
     with av.open(str(path)) as video:

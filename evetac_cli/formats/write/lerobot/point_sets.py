@@ -92,7 +92,7 @@ def dot_forces(files: TrialFiles, slices: int) -> Masked:
     """The force in N of each dot by the last map before the end of each slice, (slices, 3 * dots); masked: unknown."""
     touch, rest_px = files.by_kind["touch"], _rest_px(files)
     assert rest_px is not None and files.mm_per_px is not None
-    rest_mm = (rest_px - np.array(files.recording.frame_px) / 2) * files.mm_per_px
+    rest_mm = (rest_px - np.array(files.recording.frame_px) / 2) * files.mm_per_px()
     x_mm, y_mm = touch.read("map/x_mm"), touch.read("map/y_mm")
     to_dots = _nearest(rest_mm, x_mm, y_mm) * (_side_mm(x_mm) * _side_mm(y_mm) * M2_PER_MM2)
     shear, pressure = touch.read("map/shear_pa"), touch.read("map/pressure_pa")

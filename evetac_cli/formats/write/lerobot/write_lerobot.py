@@ -181,9 +181,12 @@ def _film(files: TrialFiles, contents: FrameContents, key: str, edges: NDArray[n
 
 
 def _column(arrow: Any, values: NDArray[Any]) -> Any:
-    """A column of numbers (frames,), vectors (frames, n) or arrays (frames, rows, n), as lerobot writes them."""
+    """A column of numbers (frames,), vectors (frames, n) or arrays (frames, rows, n), as lerobot writes them.
+
+    A vector of one number is a number to it.
+    """
     flat = arrow.array(values.ravel())
-    if values.ndim == 1:
+    if values.ndim == 1 or values.shape[1:] == (1,):
         return flat
     lists = arrow.FixedSizeListArray.from_arrays(flat, values.shape[-1])
     if values.ndim == 2:
