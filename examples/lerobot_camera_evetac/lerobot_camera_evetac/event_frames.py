@@ -66,10 +66,12 @@ class EventFrames:
             return self._picture()
 
     def latest(self) -> tuple[NDArray[np.uint8], float]:
-        """A picture up to the newest frame, taken or not, and how old it is in s; nothing waits or is taken."""
+        """A picture up to the newest frame, taken or not, and how old it is in s; RuntimeError before the first."""
         with self._changed:
             if self._ended is not None:
                 raise self._ended
+            if self._shown[-1].number < 0:
+                raise RuntimeError("the camera has shown no event frame yet")
             return self._picture(), time.monotonic() - self._shown[-1].drawn_s
 
     def close(self) -> None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Ints
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICE_US, SLICES_PER_S
+from evetac_cli.formats.write.lerobot.episodes import MOST_BYTES
 from evetac_cli.formats.write.lerobot.features import Feature
 from evetac_cli.store.recordings.read import Recording
 
@@ -73,8 +74,10 @@ class EventStacks(NamedTuple):
         return (NO_EVENT + np.rint(FULL * share)).astype(np.uint8)
 
     def stills(self, recording: Recording, edges: Ints) -> Stills:
-        """The pictures of frames that begin and end at these slices, (frames + 1,)."""
+        """The pictures of frames that begin and end at these slices, (frames + 1,); InputError if they are too many."""
         encode = png_encoder(str(recording.path))
+        slices = max(1, int(edges[-1]))
+        copies = max(1.0, self.depth * len(edges) / max(1.0, slices * self.rate_hz / SLICES_PER_S))  # of a picture
         blank = np.full(self.size_px[::-1], NO_EVENT, np.uint8)
         pictures, pixels, ends = [encode(blank)], [np.bincount(blank.ravel(), minlength=256)], [0]
         for block in recording.frames(self.rate_hz, self.size_px, polarity="signed"):
@@ -82,6 +85,15 @@ class EventStacks(NamedTuple):
             pictures += [encode(grey) for grey in greys]
             pixels += [np.bincount(grey.ravel(), minlength=256) for grey in greys]
             ends += block.end_us.tolist()
+            if copies * sum(map(len, pictures)) > MOST_BYTES:
+                at_s = block.end_us[-1] / SLICE_US / SLICES_PER_S
+                raise InputError(
+                    "too long for event frames",
+                    where=str(recording.path),
+                    expected=f"at most {at_s:.0f} s, or a smaller --event-frames or --size",
+                    found=f"{slices / SLICES_PER_S:.0f} s",
+                    hint="cut it with `evetac trim`",
+                )
         last = np.searchsorted(ends, edges[1:] * SLICE_US, side="right") - 1
         places = np.maximum(last[:, None] - np.arange(self.depth - 1, -1, -1), 0)
         return Stills(pictures, places, np.array(pixels))
