@@ -44,10 +44,17 @@ part = LeRobotDataset("local/touch", root=sys.argv[1], episodes=[1], video_backe
 later = LeRobotDataset(
     "local/touch", root=sys.argv[1], delta_timestamps={"action": [0.0, 1 / data.fps]}, video_backend="pyav"
 )
+try:
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+except ImportError:
+    from lerobot.datasets.utils import dataset_to_policy_features
+
+seen_by_policies = dataset_to_policy_features(data.meta.features)
 info = data.meta.info if isinstance(data.meta.info, dict) else vars(data.meta.info)
 stack = [key for key in data.meta.features if key.startswith("observation.images.tactile_")]
 print(json.dumps({
     "version": version("lerobot"),
+    "seen_by_policies": {name: feature.type.name for name, feature in seen_by_policies.items()},
     "stack": [[float(row[key].sum()) for key in stack] for row in rows],
     "shape": [list(rows[0][key].shape) for key in stack],
     "points": [row["observation.tactile.points"].tolist() for row in rows],
@@ -134,6 +141,8 @@ def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: Path, settings: di
     points = np.stack([np.stack(cell) for cell in ours["observation.tactile.points"]])
     np.testing.assert_array_equal(np.array(seen["points"], np.float32), points)
     np.testing.assert_allclose(seen["others"], ours["observation.streams.arm"], rtol=1e-6)
+    assert all(seen["seen_by_policies"][f"observation.images.tactile_{place:02d}"] == "VISUAL" for place in range(16))
+    assert "simulated_truth" not in seen["seen_by_policies"]
     assert seen["shape"] == 16 * [[3, 120, 160]]
     sums = [[_sum(row[f"observation.images.tactile_{place:02d}"]) for place in range(16)] for _, row in ours.iterrows()]
     np.testing.assert_allclose(seen["stack"], sums, rtol=1e-5)
