@@ -98,7 +98,7 @@ def test_files_and_counts_are_those_of_the_layout(out: Path) -> None:
     np.testing.assert_allclose(episode[f"{key}/to_timestamp"] - episode[f"{key}/from_timestamp"], FRAMES / FPS)
     for name, feature in info["features"].items():
         if feature["dtype"] == "float32" and name != "timestamp":
-            assert len(feature["names"]) == feature["shape"][0] == len(frames[name][0])
+            assert len(feature["names"]) == feature["shape"][0] == np.size(frames[name][0])
     tasks = pd.read_parquet(out / "meta" / "tasks.parquet")
     assert tasks.loc["an object is lifted"].task_index == 0
 
