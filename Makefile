@@ -22,6 +22,8 @@ EVERY := camera,cluster,convert,log,plot,robot,view,dev,docs
 TORCH_INDEX ?=
 LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
+# Of lerobot: its newest version that is tested wants Python 3.12.
+LEROBOT_PYTHON ?= python3.12
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
 # Installs, and says of each larger package that it comes: pip says either nothing for minutes, or hundreds of lines.
@@ -145,9 +147,13 @@ $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,log,plot,robot,dev]'
 	@touch $@
 
-lerobot:  ## an environment of its own for LeRobot in .venv-lerobot, gigabytes, which slow tests of its data sets need
-	$(PYTHON) -m venv --clear $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
+lerobot:  ## environments of their own for LeRobot 0.6.1 (LEROBOT_PYTHON) and 0.4.4, gigabytes, for slow tests
+	$(LEROBOT_PYTHON) -m venv --clear $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[training,core-scripts]==0.6.1' \
+		torch==2.7.1 torchvision==0.22.1 'torchcodec<0.6' 'opencv-contrib-python-headless<4.14' \
+		--editable . --editable examples/lerobot_camera_evetac
+	$(PYTHON) -m venv --clear $(LEROBOT)-0.4.4
+	$(LEROBOT)-0.4.4/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
 check: $(ALL)  ## ruff, mypy --strict and the documentation, side by side
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs

@@ -28,7 +28,7 @@ from evetac_cli.commands import (
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
-from evetac_cli.formats.write.lerobot import write_lerobot
+from evetac_cli.formats.write.lerobot import event_stacks, write_lerobot
 from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
@@ -100,6 +100,8 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("export", "decay_ms"): lambda: f"{Representation.decay_ms:g}",
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
     ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),
+    ("export", "tactile_layout"): lambda: f"{_of_lerobot('tactile_layout')} (the default)",
+    ("export", "size"): lambda: "the sensor's, of LeRobot's event frames {}x{}".format(*event_stacks.SIZE_PX),
 }
 EVERY = {(name, item.name): item for name, command in COMMANDS.items() for item in dataclasses.fields(command.params)}
 

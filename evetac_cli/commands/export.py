@@ -41,10 +41,10 @@ class Export:
     )
     size: str | None = parameter(
         None,
-        "Width and height of the images, as in 160x120: pixels of the sensor are added up; default: the sensor's.",
+        "Width and height of the images, as in 160x120: pixels of the sensor are added up; default: the sensor's, of"
+        " LeRobot's event frames 160x120.",
         unit="px",
         recipe=False,
-        panel=IMAGES,
     )
     window_ms: int | None = parameter(
         None,
@@ -101,6 +101,24 @@ class Export:
         recipe=False,
         panel=LEROBOT,
     )
+    tactile_layout: str | None = parameter(
+        None,
+        "Touch as a vector (the default), or as points: of each dot its displacement and, with touch maps, its force;"
+        " and beside them the wrench.",
+        choices=("vector", "points"),
+        recipe=False,
+        panel=LEROBOT,
+    )
+    event_frames: str | None = parameter(
+        None,
+        "Per frame also the last event frames before its end, as in 16@200: 16 of them at 200 Hz, ON less OFF; default:"
+        " none.",
+        recipe=False,
+        panel=LEROBOT,
+    )
+    truth: bool = parameter(
+        False, "With what only a simulation knows, as simulated_truth.", recipe=False, panel=LEROBOT
+    )
 
 
 COMMAND = Command(
@@ -113,6 +131,6 @@ COMMAND = Command(
         "evetac export a.recording.h5 --format aedat4",
         "evetac export data --format parquet -o tables",
         "evetac export data --format frames --fps 200 --size 160x120 -o images",
-        "evetac export grasps --format lerobot --fps 50 -o touch",
+        "evetac export grasps --format lerobot --fps 50 --event-frames 16@200 -o touch",
     ),
 )

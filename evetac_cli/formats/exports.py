@@ -56,6 +56,11 @@ class ExportFormat(NamedTuple):
 TABLE: dict[str, Any] = {"events": False, "of_trial": True, "takes": ("model",)}
 OF_IMAGES = ("fps", "size")  # parameters of all images of events
 
+OF_LEROBOT = (
+    *("fps", "per_frame", "test_objects", "task", "tactile_key", "tactile_layout"),
+    *("event_frames", "size", "truth"),
+)
+
 
 def _images(kind: Kind, *takes: str) -> ExportFormat:
     suffixes = f".{kind}.npz", *write_event_images.SUFFIXES
@@ -81,7 +86,7 @@ FORMATS = {
     "lerobot": ExportFormat(
         (".parquet", ".json", ".mp4", ".md"),
         None,
-        **TABLE | {"takes": ("model", "fps", "per_frame", "test_objects", "task", "tactile_key")},
+        **TABLE | {"takes": ("model", *OF_LEROBOT)},
         write_folder=write_lerobot.write,
     ),
 }

@@ -60,7 +60,7 @@ def _model(params: Export) -> Path | None:
 def _options(params: Export) -> dict[str, Any]:
     """What was chosen for the format, for its writer; InputError for what has no effect with it."""
     chosen = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
-    given = {name: value for name, value in chosen.items() if value is not None}
+    given = {name: value for name, value in chosen.items() if value is not None and value is not False}
     takes = named_format(params.format).takes
     for name in given:
         if name not in takes:
@@ -100,11 +100,19 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             made_from = {kind: file.header["parents"] for kind, file in by_kind.items() if kind in OF_TRACKS}
             others = [kind for kind, parents in made_from.items() if trial.tracks.header["id"] not in parents]
             notes += [f"Left out: {by_kind.pop(kind).path.name} was made from other tracks." for kind in others]
+        scale = partial(_mm_per_px, by_kind["touch"]) if "touch" in by_kind else None
         if model is None:
-            yield TrialFiles(by_kind, notes)
+            yield TrialFiles(by_kind, notes, mm_per_px=scale)
             return
         if "features" not in by_kind:
             hint = "evetac track, then evetac featurize"
             raise InputError("a model needs features", where=str(path), expected="features beside it", hint=hint)
         probability = model_output(trial, (0, trial.slices))
-        yield TrialFiles(by_kind, notes, probability)
+        yield TrialFiles(by_kind, notes, probability, scale)
+
+
+def _mm_per_px(touch: StageFile) -> float:
+    """The scale of the maps of a touch file; asked for late, since the stage that knows it loads compiled code."""
+    from evetac_cli.stages.touch.known_gel import mm_per_px_of
+
+    return mm_per_px_of(touch.header)

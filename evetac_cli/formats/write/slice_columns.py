@@ -38,12 +38,14 @@ COPIED = ("visible_slip_share",)  # by features from the truth, where it has its
 class TrialFiles(NamedTuple):
     """The open files of one trial by their kinds, its recording among them, and what was left out of them.
 
-    slip_probability: of a detector for each slice, NaN before its first; where one was asked for.
+    slip_probability: of a detector for each slice, NaN before its first; where one was asked for. mm_per_px: tells
+    the scale of the touch file's maps.
     """
 
     by_kind: Mapping[str, StageFile]
     notes: Sequence[str] = ()
     slip_probability: NDArray[np.float32] | None = None
+    mm_per_px: Callable[[], float] | None = None
 
     @property
     def recording(self) -> Recording:

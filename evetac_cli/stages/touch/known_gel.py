@@ -19,6 +19,7 @@ from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
 from evetac_cli.text_files import read_toml
 
 # What is expected of a gel of which nothing is known: medians and spreads of 2000 sensors drawn from `randomized`
@@ -123,6 +124,14 @@ def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
     arms = sensor.creep or GelCreep(share=(), time_s=())
     whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s), edges_of(sensor))
     return KnownGel(**{name: value for name, value in whole._asdict().items() if name in named})
+
+
+def mm_per_px_of(touch: Header) -> float:
+    """The scale that a touch file was made with: what its recipe, or the one of its force model, names as known."""
+    ancestors = [touch["history"][parent] for parent in touch["parents"]]
+    models = [header for header in ancestors if header["kind"] == "force-model"]
+    scales = [header["parameters"].get("known", {}).get("mm_per_px") for header in (touch, *models)]
+    return next((float(scale) for scale in scales if scale is not None), MM_PER_PX)
 
 
 def edges_of(sensor: Sensor) -> tuple[float, float, float, float]:

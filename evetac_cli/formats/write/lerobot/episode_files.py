@@ -80,7 +80,7 @@ class Tables(AbstractContextManager["Tables"]):
 
 
 class Videos(AbstractContextManager["Videos"]):
-    """Videos of grey pictures (height, width), one episode after the other."""
+    """Videos of pictures, grey (height, width) or (height, width, 3), one episode after the other."""
 
     def __init__(self, av: Any, files: Numbered, fps: int, shape: Sequence[int]) -> None:
         self._av, self._files, self._fps = av, files, fps
@@ -118,7 +118,8 @@ class Videos(AbstractContextManager["Videos"]):
 
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Add the next picture."""
-        frame = self._av.VideoFrame.from_ndarray(np.repeat(picture[:, :, None], 3, axis=2), format="rgb24")
+        coloured = picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
+        frame = self._av.VideoFrame.from_ndarray(coloured, format="rgb24")
         frame.pts, frame.time_base = self._frames, Fraction(1, self._fps)
         self._file.mux(self._stream.encode(frame))
         self._frames += 1

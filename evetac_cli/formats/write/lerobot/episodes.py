@@ -5,11 +5,12 @@ its end. State and action are the last values; the tactile vector is the mean of
 1000 // fps of them one after the other, the oldest first. The action of a frame is the goal that stands one frame
 later: what was commanded upon what the frame shows. So the last whole frame of a trial has none, and is left out.
 
-What is not known holds its last value, and is 0 before the first: policies cannot do with gaps.
+Other streams of the trial, and truth where it is asked for, are last values too. What is not known holds its last
+value, and is 0 before the first: policies cannot do with gaps.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,9 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Singles
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
+from evetac_cli.formats.write.lerobot import other_streams, point_sets
+from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
+from evetac_cli.formats.write.lerobot.point_sets import OF_WRENCH, PointSet
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
 from evetac_cli.kernels.event_image import event_image
 from evetac_cli.store.index import scene_words
@@ -26,14 +30,17 @@ from evetac_cli.store.recordings.read import Recording
 
 STATE = ("gripper_position_ticks", "gripper_current_ma")
 # Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
-# policies cannot take for an action; so what was written to the goal current stands in both.
-OF_GRASP = ("control_goal_ticks", "gripper_current_written_ma")
+# policies cannot take for an action. So beside the goal, a whole number, stands the controller's correction, which is a
+# part of it; beside the wanted current the one that was written.
+OF_GRASP = ("control_goal_ticks", "control_u_ff_ticks")
 OF_GRIPPER = ("gripper_current_target_ma", "gripper_current_written_ma")
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
 TACTILE = re.compile(
     rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|touch_(touches|shear_[xy]_n|normal_n|torsion_n_mm|centre_[xy]_mm)"
     "|touch_(area_mm2|sticking_share)|(control|model)_probability"
 )
+TRUTH = "simulated_truth"  # no observation: policies take in what begins with that word
+OF_POINTS = re.compile("|".join((DISPLACEMENT.pattern, *OF_WRENCH)))
 MOST_BYTES = 2_000_000_000  # of a trial's slices in memory
 MOST_EVENTS = 4_000_000  # drawn in one picture: the last ones
 LARGEST_PX = 4096  # side of a picture, which H.264 takes everywhere
@@ -50,14 +57,26 @@ class EpisodeOutline(NamedTuple):
     names: tuple[str, ...]
     slices: int
     frame_px: tuple[int, int]
+    streams: StreamShapes
+    has_dot_forces: bool
+
+    def truth(self) -> list[str]:
+        """The columns that only a simulation knows."""
+        return [name for name in self.names if name.startswith("truth_")]
 
 
 class Vectors(NamedTuple):
-    """The columns that all trials have: of the state, the tactile vector and the action."""
+    """The columns that all trials have: of the state, the tactile vector or points, the action, and other features."""
 
     state: tuple[str, ...]
     tactile: tuple[str, ...]
     action: tuple[str, ...]
+    others: Mapping[str, tuple[str, ...]] = {}
+
+    @property
+    def width(self) -> int:
+        """How many columns."""
+        return sum(map(len, (self.state, self.tactile, self.action, *self.others.values())))
 
 
 def outline(files: TrialFiles, task: str | None) -> EpisodeOutline:
@@ -66,16 +85,20 @@ def outline(files: TrialFiles, task: str | None) -> EpisodeOutline:
     names = tuple(name for columns in columns_of(files) for name in columns.names)
     words = task or scene_words(recording.header["parameters"], "summary") or "touch and hold an object"
     return EpisodeOutline(
-        recording.path, files.facts(), words, recording.header["id"], names, len(recording), recording.frame_px
+        recording.path,
+        files.facts(),
+        words,
+        recording.header["id"],
+        names,
+        len(recording),
+        recording.frame_px,
+        other_streams.shapes(recording, names),
+        point_sets.tells_forces(files),
     )
 
 
-def choose_vectors(outlines: Sequence[EpisodeOutline]) -> tuple[Vectors, list[str]]:
-    """The columns that all trials have, and those that only some have, which are left out.
-
-    InputError if a trial has no gripper or no displacements, or the trials have other frames, dots or actions.
-    """
-    common = set.intersection(*(set(one.names) for one in outlines))
+def require_alike(outlines: Sequence[EpisodeOutline]) -> None:
+    """InputError if a trial has no gripper or no displacements, or the trials have other frames."""
     for one in outlines:
         if not set(one.names).issuperset((*STATE, *OF_GRIPPER)):
             raise InputError("an episode needs an action, and there is no gripper", where=str(one.path))
@@ -97,7 +120,17 @@ def choose_vectors(outlines: Sequence[EpisodeOutline]) -> tuple[Vectors, list[st
                 expected=f"at most {LARGEST_PX} px a side",
                 found=_size(one),
             )
-    tactile_of = [[name for name in one.names if TACTILE.fullmatch(name)] for one in outlines]
+
+
+def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth: bool) -> tuple[Vectors, list[str]]:
+    """The columns that all trials have, and in words what only some have, which is left out.
+
+    as_points: those of a point set instead of the tactile vector. InputError if the trials have other dots or actions,
+    or truth is asked for and nothing was simulated.
+    """
+    common = set.intersection(*(set(one.names) for one in outlines))
+    wanted = OF_POINTS if as_points else TACTILE
+    tactile_of = [[name for name in one.names if wanted.fullmatch(name)] for one in outlines]
     some = set().union(*tactile_of) - common
     actions = {OF_GRASP if set(one.names).issuperset(OF_GRASP) else OF_GRIPPER for one in outlines}
     odd = next((name for name in sorted(some) if DISPLACEMENT.fullmatch(name)), None)
@@ -110,8 +143,25 @@ def choose_vectors(outlines: Sequence[EpisodeOutline]) -> tuple[Vectors, list[st
             hint="export them to folders of their own",
         )
     tactile = tuple(name for name in tactile_of[0] if name in common)
+    columns = other_streams.shared([one.streams for one in outlines], LARGEST_PX)[0].columns
+    others = {NUMBERS.format(name): of for name, of in columns.items()}
+    if truth:
+        known = tuple(name for name in outlines[0].truth() if name in common)
+        some |= set().union(*(one.truth() for one in outlines)) - common
+        if not known:
+            where = next(str(one.path) for one in outlines if not set(one.truth()) & common)
+            raise InputError("there is no truth, which only a simulation knows", where=where, hint="leave out --truth")
+        others[TRUTH] = known
     left_out = [f"not in all trials: {', '.join(sorted(some))}"] if some else []
-    return Vectors(STATE, tactile, actions.pop()), left_out
+    return Vectors(STATE, tactile, actions.pop(), others), left_out
+
+
+def choose_points(outlines: Sequence[EpisodeOutline], tactile: Sequence[str]) -> tuple[PointSet, list[str]]:
+    """The point set of these tactile columns, and in words what is left out of it."""
+    with_forces = [one.has_dot_forces for one in outlines]
+    dots = sum(bool(DISPLACEMENT.fullmatch(name)) for name in tactile) // 2
+    left_out = ["forces of dots: not all trials have touch maps"] if any(with_forces) and not all(with_forces) else []
+    return PointSet(dots, all(with_forces), set(tactile).issuperset(OF_WRENCH)), left_out
 
 
 def _size(one: EpisodeOutline) -> str:
@@ -129,10 +179,12 @@ class Episode(NamedTuple):
     state: Singles
     tactile: Singles
     action: Singles
+    others: Mapping[str, Singles]
+    dot_forces: Singles | None  # (frames, 3 * dots)
     edges: NDArray[np.int64]  # (frames + 1,)
 
 
-def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Episode:
+def episode(files: TrialFiles, vectors: Vectors, points: PointSet | None, fps: int, per_frame: str) -> Episode:
     """The frames of a trial; InputError if it has fewer than two, or is too long for memory."""
     recording = files.recording
     slices = len(recording)
@@ -144,7 +196,8 @@ def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Ep
             expected=f"two frames of {SLICES_PER_S / fps:g} ms",
             found=f"{slices} ms",
         )
-    width = sum(map(len, vectors))
+    has_forces = points is not None and points.has_forces
+    width = vectors.width + (3 * points.dots if points is not None and has_forces else 0)
     if 16 * width * slices > MOST_BYTES:
         raise InputError(
             "too long for an episode",
@@ -154,10 +207,19 @@ def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Ep
             hint="cut it with `evetac trim`",
         )
     columns = columns_of(files)
-    state, tactile, action = (known(read_columns(columns, names, slices)) for names in vectors)
-    ends = edges[1:] - 1
+
+    def of(names: Sequence[str]) -> Singles:
+        return known(read_columns(columns, names, slices))
+
+    stacked, ends = SLICES_PER_S // fps, edges[1:] - 1
+    forces = known(point_sets.dot_forces(files, slices)) if has_forces else None
     return Episode(
-        state[ends[:-1]], frames_of(tactile, edges[:-1], per_frame, SLICES_PER_S // fps), action[ends[1:]], edges[:-1]
+        of(vectors.state)[ends[:-1]],
+        frames_of(of(vectors.tactile), edges[:-1], per_frame, stacked),
+        of(vectors.action)[ends[1:]],
+        {name: of(names)[ends[:-1]] for name, names in vectors.others.items()},
+        None if forces is None else frames_of(forces, edges[:-1], per_frame, stacked),
+        edges[:-1],
     )
 
 

@@ -15,31 +15,45 @@ QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
 
 def of_columns(values: NDArray[Any]) -> Figures:
-    """Of each column of (frames,) or (frames, n): least, greatest, mean, standard deviation, quantiles; how many."""
-    table = values.reshape(len(values), -1).astype(np.float64)
+    """Of each column of (frames,) or (frames, n): least, greatest, mean, standard deviation, quantiles; how many.
+
+    Of arrays (frames, rows, n) of the n columns of all rows, as in lerobot; `count` is that of frames.
+    """
+    table = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1).astype(np.float64)
     quantiles = np.quantile(table, list(QUANTILES.values()), axis=0)
     return {
         "min": table.min(axis=0),
         "max": table.max(axis=0),
         "mean": table.mean(axis=0),
         "std": table.std(axis=0),
-        "count": np.array([len(table)]),
+        "count": np.array([len(values)]),
         **dict(zip(QUANTILES, quantiles, strict=True)),
     }
 
 
 def of_pictures(levels: NDArray[np.float64], pixels: NDArray[np.int64], frames: int) -> Figures:
-    """The same of pictures in which so many pixels have each grey level, 0 to 1 and increasing; (3, 1, 1) each."""
+    """The same of pictures in which so many pixels have each level, 0 to 1 and increasing; (3, 1, 1) each.
+
+    pixels: (levels,) of grey pictures, or (3, levels) of red, green and blue.
+    """
+    channels = [_of_levels(levels, channel) for channel in np.atleast_2d(pixels)]
+    figures = {name: np.array([one[name] for one in channels]).reshape(-1, 1, 1) for name in channels[0]}
+    return {
+        "count": np.array([frames]),
+        **{name: np.broadcast_to(value, (3, 1, 1)) for name, value in figures.items()},
+    }
+
+
+def _of_levels(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> dict[str, Any]:
     mean = (levels * pixels).sum() / pixels.sum()
     shown, share = levels[pixels > 0], pixels.cumsum() / pixels.sum()
-    figures = {
+    return {
         "min": shown.min(),
         "max": shown.max(),
         "mean": mean,
         "std": np.sqrt(((levels - mean) ** 2 * pixels).sum() / pixels.sum()),
         **{name: levels[np.searchsorted(share, part)] for name, part in QUANTILES.items()},
     }
-    return {"count": np.array([frames]), **{name: np.full((3, 1, 1), value) for name, value in figures.items()}}
 
 
 def together(a: Mapping[str, Figures], b: Mapping[str, Figures]) -> Mapping[str, Figures]:

@@ -1,0 +1,140 @@
+"""What a data set holds: the features of a frame, chosen from what all of its trials have."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.formats.write.lerobot import event_stacks, other_streams
+from evetac_cli.formats.write.lerobot.episodes import (
+    LARGEST_PX,
+    TRUTH,
+    Episode,
+    EpisodeOutline,
+    Vectors,
+    choose_points,
+    choose_vectors,
+    names_of,
+    require_alike,
+)
+from evetac_cli.formats.write.lerobot.event_stacks import EventStacks
+from evetac_cli.formats.write.lerobot.features import ACTION, STATE, VIDEO, Feature, indices, vector, video
+from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
+from evetac_cli.formats.write.lerobot.point_sets import PointSet
+
+RULES = {
+    "mean": "the mean of the frame's slices",
+    "last": "the last slice of the frame",
+    "stacked": "the last {stacked} slices of the frame, one after the other, the oldest first",
+}
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What was chosen of a data set; the defaults are those of the command."""
+
+    fps: int
+    per_frame: str
+    tactile_key: str
+    tactile_layout: str
+    event_frames: str | None
+    size: tuple[int, int] | None
+    truth: bool
+
+    @property
+    def rule(self) -> str:
+        """How the tactile vector of a frame comes from slices, in words."""
+        return RULES[self.per_frame].format(stacked=SLICES_PER_S // self.fps)
+
+
+class FrameContents(NamedTuple):
+    """The features, and the columns, points, event frames and images of streams that they are made of.
+
+    stream_videos: name of the feature -> name of the stream.
+    """
+
+    features: Mapping[str, Feature]
+    vectors: Vectors
+    points: PointSet | None
+    stacks: EventStacks | None
+    stream_videos: Mapping[str, str]
+    choices: Choices
+
+    def rows(self, made: Episode, number: int, first: int, task: int) -> dict[str, NDArray[Any]]:
+        """The columns of an episode: arrays (frames, ...), and numbers (frames,)."""
+        frames = len(made.state)
+        at = np.arange(frames, dtype=np.int64)
+        if self.points is None:
+            tactile = {self.choices.tactile_key: made.tactile}
+        else:
+            tactile = self.points.rows(self.vectors.tactile, made.tactile, made.dot_forces)
+        return {
+            STATE: made.state,
+            **tactile,
+            **made.others,
+            ACTION: made.action,
+            "timestamp": (at / self.choices.fps).astype(np.float32),
+            "frame_index": at,
+            "episode_index": np.full(frames, number),
+            "index": first + at,
+            "task_index": np.full(frames, task),
+        }
+
+
+def choose(outlines: Sequence[EpisodeOutline], choices: Choices) -> tuple[FrameContents, list[str]]:
+    """What a data set of these trials holds, and in words what is left out; InputError where they do not fit."""
+    require_alike(outlines)
+    as_points = choices.tactile_layout == "points"
+    if as_points and choices.per_frame == "stacked":
+        raise InputError("points are not stacked", where="--per-frame", expected="mean or last", found="stacked")
+    if as_points and choices.tactile_key == "observation.environment_state":
+        expected = "--tactile-layout vector"
+        raise InputError("has no effect", where="--tactile-key", expected=expected, found="points")
+    frame_px = outlines[0].frame_px
+    stacks = event_stacks.parse(choices.event_frames, choices.size, frame_px)
+    vectors, left_out = choose_vectors(outlines, as_points=as_points, truth=choices.truth)
+    streams, more = other_streams.shared([one.streams for one in outlines], LARGEST_PX)
+    left_out += more
+    points = None
+    if as_points:
+        points, more = choose_points(outlines, vectors.tactile)
+        left_out += more
+    videos = {other_streams.image_key(name): name for name in streams.images}
+    features = _features(vectors, points, stacks, videos, streams, frame_px, choices)
+    return FrameContents(features, vectors, points, stacks, videos, choices), left_out
+
+
+def _features(
+    vectors: Vectors,
+    points: PointSet | None,
+    stacks: EventStacks | None,
+    stream_names: Mapping[str, str],
+    streams: StreamShapes,
+    frame_px: tuple[int, int],
+    choices: Choices,
+) -> dict[str, Feature]:
+    width, height = (side + side % 2 for side in frame_px)
+    words = "all events of the frame: white brighter, black darker, grey none"
+    made = {STATE: vector(vectors.state, f"{', '.join(vectors.state)}: the last measured")}
+    if points is None:
+        names = names_of(vectors.tactile, choices.per_frame, SLICES_PER_S // choices.fps)
+        made[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} figures of touch, {choices.rule}")
+    else:
+        made |= points.features(choices.rule)
+    made[VIDEO] = video(height, width, choices.fps, words)
+    made |= {} if stacks is None else stacks.features()
+    for key, name in stream_names.items():
+        rows, columns = streams.images[name]
+        words = f"the last image of the stream `{name}` before the end of the frame, black before its first"
+        made[key] = video(rows + rows % 2, columns + columns % 2, choices.fps, words)
+    for key, columns_of in vectors.others.items():
+        words = f"the last sample of the stream `{key.removeprefix(NUMBERS.format(''))}` before the end of the frame"
+        if key == TRUTH:
+            words = "what only a simulation knows, and no sensor tells: no observation"
+        made[key] = vector(columns_of, words)
+    made[ACTION] = vector(vectors.action, f"{', '.join(vectors.action)}: the goal that stands one frame later")
+    return {**made, **indices()}
