@@ -20,9 +20,11 @@ def report_header(path: Path) -> Row:
 
 
 def ancestors(header: Row, history: Row) -> Iterator[Row]:
-    """A header's parents of the kinds recording and model, looking through the files in between."""
-    for parent_id in header["parents"]:
-        parent = history[parent_id]
+    """A header's parents of the kinds recording and model, looking through the files in between.
+
+    What the model of a grasp learned from is not among them: the grasp does not carry it.
+    """
+    for parent in (history[parent_id] for parent_id in header["parents"] if parent_id in history):
         if parent["kind"] in ("recording", "model", "force-model"):
             yield parent
             if parent["kind"] == "recording":  # of a grasp: the detector's model

@@ -184,6 +184,8 @@ def test_facts_keep_training_apart() -> None:
     assert (known["recordings"], known["objects"], known["sensors"]) == (1, [11], ["second"])
     assert (known["models"], known["training_seeds"], known["training_steps"]) == (1, [4], 200)
     assert (known["training_recordings"], known["training_objects"]) == (1, [9])
+    of_grasp = reproduce.facts([{"parents": ["g"], "history": {"m": model, "g": grasped}}])  # as files of today have it
+    assert (of_grasp["models"], of_grasp["training_seeds"], of_grasp["training_recordings"]) == (1, [4], 0)
 
 
 def test_dry_run_prints_and_runs_nothing(
