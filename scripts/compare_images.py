@@ -90,10 +90,13 @@ def main() -> None:
         names = " ".join(file.name for file in chosen.files)
         command = f"python scripts/compare_images.py {names} --seconds {chosen.seconds:g} --rounds {chosen.rounds}"
         sizes = {"seconds": chosen.seconds, "rounds": chosen.rounds, "files": len(chosen.files)}
-        table = table_of(
-            NAME, "Images of events beside tonic's and dv-processing's", COLUMNS, summed(rows), command, sizes
+        simulated = len({row["file"] for row in rows if row["simulated"]})
+        title = (
+            f"Images of events of {len(chosen.files)} recordings, {simulated} of them simulated, beside tonic's and"
+            " dv-processing's"
         )
-        write(chosen.out, table)
+        table = table_of(NAME, title, COLUMNS, summed(rows), command, sizes)
+        write(chosen.out, table | {"simulated": False})  # as the title says
         lines = "".join(json.dumps(row) + "\n" for row in rows)
         (chosen.out / "rows" / f"{NAME}.jsonl").write_text(lines)
     sys.exit(any(row["differ"] for row in rows))
