@@ -36,7 +36,7 @@ MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 # Libraries that only some commands need: the extra that installs each, and what it is imported as.
 EXTRAS = {
     "camera": ("dv_processing",),
-    "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "PIL", "av"),
+    "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "zarr", "PIL", "av"),
     "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
     "view": ("rerun",),
     "cluster": ("dask", "distributed", "cryptography"),

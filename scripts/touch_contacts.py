@@ -212,13 +212,14 @@ def factors(rows: list[Row]) -> dict[str, float]:
     """By what each deviation is to be multiplied for a coverage that is least off 68 and 95 %."""
     found = {}
     for what in ERRORS:
+        each = [np.array(row["z"][what]) for row in rows]
+        z = np.concatenate(each)
+        weight = np.concatenate([np.full(len(of_row), 1.0 / (len(rows) * len(of_row))) for of_row in each])
 
-        def off(factor: float, what: str = what) -> float:
-            within = {
-                name: np.mean([np.mean(np.array(row["z"][what]) < sigma * factor) for row in rows])
-                for name, sigma in SIGMAS.items()
-            }
-            return max(abs(float(share) - float(name) / 100) for name, share in within.items())
+        def off(factor: float, z: Floats = z, weight: Floats = weight) -> float:
+            return max(
+                abs(float(weight[z < sigma * factor].sum()) - float(name) / 100) for name, sigma in SIGMAS.items()
+            )
 
         found[what] = min(FACTORS_TRIED, key=off)
     return found
